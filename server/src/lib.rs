@@ -1,6 +1,6 @@
 //! The Wayfold server: shared nearest-neighbour indices for motion planners.
 //!
-//! Dependencies point one way: `log, watermark ← registry ← service ← grpc, zenoh ← run ← cli`. The [`service`] knows no
+//! Dependencies point one way: `log, watermark ← registry ← service ← grpc, zenoh, snapshots ← run ← cli`. The [`service`] knows no
 //! transport. `grpc` and `zenoh` translate and hold no policy. The mutation [`log`] is the only record of an index's
 //! past.
 
@@ -23,6 +23,7 @@ mod low_priority;
 mod observe;
 mod pages;
 mod run;
+mod snapshots;
 mod status;
 mod zenoh;
 
@@ -32,6 +33,7 @@ pub use grpc::{GrpcError, TlsError};
 pub use observe::{LogFormat, LoggingError};
 pub use pages::use_small_pages;
 pub use run::{ServerError, run};
+pub use snapshots::SnapshotsError;
 pub use zenoh::ZenohError;
 
 #[cfg(test)]

@@ -27,6 +27,7 @@ use crate::{
     observe::{Metrics, SlowCalls},
     registry::{Registry, RegistryError, RegistryOptions},
     service::Service,
+    snapshots::{Schedule, SnapshotsError},
     watermark::Watermarks,
     zenoh::{self, ZenohError, ZenohFace},
 };
@@ -67,6 +68,9 @@ pub enum ServerError {
         /// The problem.
         source: io::Error,
     },
+    /// The snapshots cannot be written.
+    #[error(transparent)]
+    Snapshots(#[from] SnapshotsError),
     /// Callers beyond this machine could do everything.
     #[error(transparent)]
     Exposed(#[from] ExposedError),
@@ -128,6 +132,7 @@ pub(crate) async fn serve(
     let pages_at = pages.as_ref().map(TcpListener::local_addr).transpose()?;
     check_exposure(&config, address, pages_at, tls.is_some())?;
     let identities = Identities::open(config.access.identities())?;
+    let schedule = Schedule::open(&config.snapshot, config.disk.min_free_bytes)?;
     let publishes = !identities.are_required() || config.access.publish_events == ON;
     let _following = AbortOnDropHandle::new(tokio::spawn(identities.clone().follow()));
     let _renewing = tls
@@ -148,6 +153,7 @@ pub(crate) async fn serve(
         identities,
         metrics: Metrics::new(),
     };
+    let metrics = shared.metrics.clone();
     let under_way = TaskTracker::new();
     let _reporting = AbortOnDropHandle::new(tokio::spawn(shared.admission.clone().report()));
     let cut = CancellationToken::new();
@@ -201,6 +207,9 @@ pub(crate) async fn serve(
             face.announce(publishes);
         }
         ready(&addresses);
+        let _snapshots = schedule.map(|schedule| {
+            AbortOnDropHandle::new(tokio::spawn(schedule.run(service.clone(), metrics)))
+        });
         registry
             .maintain(|| lifecycle.advance(Phase::Serving))
             .await;

@@ -52,6 +52,8 @@ pub struct Config {
     pub memory: MemoryConfig,
     /// The watermark of the disk.
     pub disk: DiskConfig,
+    /// The snapshots that the server takes.
+    pub snapshot: SnapshotConfig,
 }
 
 /// `[grpc]`
@@ -268,6 +270,24 @@ pub struct MemoryConfig {
 pub struct DiskConfig {
     /// The free bytes of the disk below which growth is refused; 0 for none.
     pub min_free_bytes: u64,
+}
+
+/// `[snapshot]`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct SnapshotConfig {
+    /// The directory of the snapshots, or [`OFF`].
+    pub dir: String,
+    /// The time between two snapshots of an index, in seconds.
+    pub every_seconds: u64,
+    /// The most snapshots of an index.
+    pub keep: usize,
+}
+
+impl SnapshotConfig {
+    /// The directory, if the server takes snapshots.
+    pub(crate) fn directory(&self) -> Option<&Path> {
+        file(&self.dir)
+    }
 }
 
 impl Config {

@@ -10,7 +10,7 @@ use parking_lot::Mutex;
 use prometheus_client::{
     collector::Collector,
     encoding::{EncodeLabelSet, text},
-    metrics::{family::Family, histogram::Histogram},
+    metrics::{counter::Counter, family::Family, histogram::Histogram},
     registry::{Registry, Unit},
 };
 
@@ -42,6 +42,12 @@ struct FaceLabels {
     face: &'static str,
 }
 
+/// The outcome of a snapshot that the server took.
+type SnapshotLabels = [(&'static str, &'static str); 1];
+
+const WRITTEN: SnapshotLabels = [("outcome", "written")];
+const FAILED: SnapshotLabels = [("outcome", "failed")];
+
 /// The metrics of a server. Clones share them.
 #[derive(Clone, Debug)]
 pub(crate) struct Metrics(Arc<Inner>);
@@ -51,6 +57,7 @@ struct Inner {
     registry: Mutex<Registry>,
     calls: Family<CallLabels, Histogram, fn() -> Histogram>,
     queued: Family<FaceLabels, Histogram, fn() -> Histogram>,
+    snapshots: Family<SnapshotLabels, Counter>,
     no_index: Arc<str>,
 }
 
@@ -82,10 +89,21 @@ impl Metrics {
             Unit::Seconds,
             queued.clone(),
         );
+        let snapshots = Family::default();
+        // An increase shows only in a counter that was there before.
+        for outcome in [WRITTEN, FAILED] {
+            let _: Counter = snapshots.get_or_create_owned(&outcome);
+        }
+        registry.register(
+            "snapshots",
+            "Snapshots that the server took by its schedule, by outcome",
+            snapshots.clone(),
+        );
         Self(Arc::new(Inner {
             registry: Mutex::new(registry),
             calls,
             queued,
+            snapshots,
             no_index: "".into(),
         }))
     }
@@ -111,6 +129,12 @@ impl Metrics {
         let mut written = String::new();
         text::encode(&mut written, &self.0.registry.lock())?;
         Ok(written)
+    }
+
+    /// Counts a snapshot that the server took, or failed to take.
+    pub(crate) fn count_snapshot(&self, is_written: bool) {
+        let outcome = if is_written { WRITTEN } else { FAILED };
+        self.0.snapshots.get_or_create(&outcome).inc();
     }
 
     pub(super) fn count(&self, ended: &Ended<'_>) {

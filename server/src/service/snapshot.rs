@@ -74,6 +74,11 @@ impl Service {
 }
 
 impl Snapshot {
+    /// The uid of the index, and the pinned revision.
+    pub(crate) fn content(&self) -> Result<(&str, u64), Error> {
+        Ok((self.hosted.uid_text(), self.published()?.revision))
+    }
+
     /// The next part; None after the trailer or an error.
     pub async fn next(&mut self) -> Option<Result<v1::SnapshotIndexResponse, Error>> {
         let part = match self.next {

@@ -25,3 +25,4 @@ mod restore;
 mod server_program;
 mod shared;
 mod shutdown;
+mod snapshots;

@@ -1,0 +1,345 @@
+//! Snapshots of all indices that the server takes itself, by a schedule.
+//!
+//! Each index has a directory of its own. The name of a snapshot holds its time, the uid of the index and the revision,
+//! so the files are the whole state of the schedule: a restarted server goes on with it.
+
+use std::{
+    fs::{self, File},
+    io::{self, BufWriter},
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::{Duration, SystemTime},
+};
+
+use thiserror::Error;
+use time::OffsetDateTime;
+use tokio::{
+    runtime::Handle,
+    time::{MissedTickBehavior, interval},
+};
+use tracing::{error, info};
+use wayfold_proto::{snapshot::FileWriter, v1};
+
+use crate::{
+    config::SnapshotConfig,
+    observe::Metrics,
+    registry::{Hosted, Listed},
+    service::{self, Call, Service},
+    watermark::{self, Full, Watermark},
+};
+
+/// The longest time between two looks for indices whose snapshot is due.
+const MAX_LOOK_INTERVAL: Duration = Duration::from_secs(60);
+
+/// The end of the name of a snapshot.
+const SUFFIX: &str = ".snapshot";
+
+/// The name of a snapshot that is not whole yet.
+const UNFINISHED: &str = ".unfinished.part";
+
+/// The length of a time such as `20260131T235959Z`.
+const STAMP_BYTES: usize = 16;
+
+/// The snapshots cannot be written where the settings say.
+#[derive(Debug, Error)]
+#[error(
+    "cannot write snapshots to {}: {source}\n  \
+     set snapshot.dir to a directory that the server may write, or to \"off\"",
+    directory.display()
+)]
+pub struct SnapshotsError {
+    directory: PathBuf,
+    source: io::Error,
+}
+
+/// The reason why an index has no new snapshot.
+#[derive(Debug, Error)]
+enum Failure {
+    #[error("{0}")]
+    Refused(#[from] service::Error),
+    #[error("cannot write {}: {source}", path.display())]
+    File { path: PathBuf, source: io::Error },
+    #[error("no room for {}: {full}", path.display())]
+    Full { path: PathBuf, full: Full },
+    #[error("the server stops")]
+    Stopping,
+}
+
+/// The schedule, and the directory of the snapshots.
+pub(crate) struct Schedule {
+    directory: PathBuf,
+    every: Duration,
+    keep: usize,
+    disk: Option<Arc<Watermark>>,
+}
+
+impl Schedule {
+    /// The schedule of the settings, if there is one. Makes the directory.
+    pub(crate) fn open(
+        config: &SnapshotConfig,
+        min_free_bytes: u64,
+    ) -> Result<Option<Self>, SnapshotsError> {
+        let Some(directory) = config.directory() else {
+            return Ok(None);
+        };
+        let made = fs::create_dir_all(directory).and_then(|()| {
+            let probe = directory.join(UNFINISHED);
+            File::create(&probe)?;
+            fs::remove_file(probe)
+        });
+        made.map_err(|source| SnapshotsError {
+            directory: directory.to_owned(),
+            source,
+        })?;
+        Ok(Some(Self {
+            directory: directory.to_owned(),
+            every: Duration::from_secs(config.every_seconds),
+            keep: config.keep,
+            disk: watermark::disk(directory, min_free_bytes),
+        }))
+    }
+
+    /// Takes every snapshot when it is due, until it is dropped.
+    pub(crate) async fn run(self, service: Service, metrics: Metrics) {
+        let schedule = Arc::new(self);
+        let mut looks = interval(schedule.every.min(MAX_LOOK_INTERVAL));
+        looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            looks.tick().await;
+            let (schedule, service) = (Arc::clone(&schedule), service.clone());
+            let (metrics, runtime) = (metrics.clone(), Handle::current());
+            let look = move || schedule.take_due(&service, &metrics, &runtime, SystemTime::now());
+            if let Err(error) = tokio::task::spawn_blocking(look).await {
+                error!(%error, "the look for snapshots that are due failed; this is a bug");
+            }
+        }
+    }
+
+    /// Takes the snapshots that are due. Blocks.
+    fn take_due(&self, service: &Service, metrics: &Metrics, runtime: &Handle, now: SystemTime) {
+        for listed in service.listed() {
+            // The lists of the indices and the log tell of damaged ones.
+            let Listed::Hosted(hosted) = listed else {
+                continue;
+            };
+            let index = hosted.name();
+            match self.take_one(service, runtime, &hosted, now) {
+                Ok(None) => {}
+                Ok(Some(file)) => {
+                    metrics.count_snapshot(true);
+                    info!(index, file = %file.display(), "snapshot written");
+                }
+                Err(Failure::Stopping) => return,
+                Err(error) => {
+                    metrics.count_snapshot(false);
+                    error!(index, %error, "no snapshot; the server tries again");
+                }
+            }
+        }
+    }
+
+    /// Takes the snapshot of one index if it is due, and returns its file.
+    fn take_one(
+        &self,
+        service: &Service,
+        runtime: &Handle,
+        hosted: &Hosted,
+        now: SystemTime,
+    ) -> Result<Option<PathBuf>, Failure> {
+        let directory = self.directory.join(hosted.name());
+        let failed = |source| Failure::File {
+            path: directory.clone(),
+            source,
+        };
+        fs::create_dir_all(&directory).map_err(failed)?;
+        let before = snapshots(&directory).map_err(failed)?;
+        let content = format!(
+            "-{}-{}{SUFFIX}",
+            hosted.uid_text(),
+            hosted.published().revision
+        );
+        if !self.is_due(before.last().map(String::as_str), &content, now) {
+            return Ok(None);
+        }
+        let unfinished = directory.join(UNFINISHED);
+        let written = self.write(service, runtime, hosted, &unfinished);
+        let (file, content) = match written {
+            Ok(written) => written,
+            Err(error) => {
+                // The next snapshot of the index replaces the file in any case.
+                let _ = fs::remove_file(&unfinished);
+                return Err(error);
+            }
+        };
+        let path = directory.join(stamp(now) + &content);
+        let finish = || {
+            file.sync_all()?;
+            fs::rename(&unfinished, &path)?;
+            File::open(&directory)?.sync_all()?;
+            let old = before.len().saturating_sub(self.keep.saturating_sub(1));
+            for name in before.iter().take(old) {
+                fs::remove_file(directory.join(name))?;
+            }
+            Ok(())
+        };
+        finish().map_err(failed)?;
+        Ok(Some(path))
+    }
+
+    /// True if an index needs a snapshot: its content is not that of the newest one, which is old enough. The newest one
+    /// is no measure if its time is yet to come.
+    fn is_due(&self, newest: Option<&str>, content: &str, now: SystemTime) -> bool {
+        let Some(newest) = newest else {
+            return true;
+        };
+        let (stamped, known) = newest.split_at(STAMP_BYTES);
+        let is_old = now
+            .checked_sub(self.every)
+            .is_none_or(|at| stamped <= &stamp(at)[..]);
+        known != content && (is_old || stamped > &stamp(now)[..])
+    }
+
+    /// Writes a snapshot, and returns the file with the end of its name.
+    fn write(
+        &self,
+        service: &Service,
+        runtime: &Handle,
+        hosted: &Hosted,
+        path: &Path,
+    ) -> Result<(File, String), Failure> {
+        let failed = |source| Failure::File {
+            path: path.to_owned(),
+            source,
+        };
+        let request = v1::SnapshotIndexRequest {
+            index_name: hosted.name().to_owned(),
+            ..Default::default()
+        };
+        // The server itself has every right.
+        let begun = runtime.block_on(service.snapshot_index(&Call::default(), request));
+        let mut snapshot = begun?;
+        let (uid, revision) = snapshot.content()?;
+        let content = format!("-{uid}-{revision}{SUFFIX}");
+        let file = File::create(path).map_err(failed)?;
+        let mut writer = FileWriter::new(BufWriter::new(file));
+        while let Some(answer) = runtime.block_on(snapshot.next()) {
+            if !service.is_serving() {
+                return Err(Failure::Stopping);
+            }
+            let Some(part) = answer?.part else {
+                continue;
+            };
+            let room = self
+                .disk
+                .as_ref()
+                .map_or(Ok(()), |disk| disk.admit(part.content.len() as u64));
+            room.map_err(|full| Failure::Full {
+                path: path.to_owned(),
+                full,
+            })?;
+            writer.write(&part).map_err(failed)?;
+        }
+        let buffered = writer.finish().map_err(failed)?;
+        let file = buffered
+            .into_inner()
+            .map_err(|error| failed(error.into_error()))?;
+        Ok((file, content))
+    }
+}
+
+/// A time in UTC, by which names sort.
+fn stamp(at: SystemTime) -> String {
+    let at = OffsetDateTime::from(at);
+    let (date, time) = (at.date(), at.time());
+    format!(
+        "{:04}{:02}{:02}T{:02}{:02}{:02}Z",
+        date.year(),
+        u8::from(date.month()),
+        date.day(),
+        time.hour(),
+        time.minute(),
+        time.second()
+    )
+}
+
+/// The names of the snapshots in a directory, the oldest first. Other files do not count.
+fn snapshots(directory: &Path) -> io::Result<Vec<String>> {
+    let mut names = Vec::new();
+    for entry in fs::read_dir(directory)? {
+        let name = entry?.file_name().into_string();
+        names.extend(name.ok().filter(|name| is_snapshot(name)));
+    }
+    names.sort_unstable();
+    Ok(names)
+}
+
+fn is_snapshot(name: &str) -> bool {
+    let Some((stamped, content)) = name.split_at_checked(STAMP_BYTES) else {
+        return false;
+    };
+    let form = stamped.bytes().enumerate().all(|(at, byte)| match at {
+        8 => byte == b'T',
+        15 => byte == b'Z',
+        _ => byte.is_ascii_digit(),
+    });
+    form && content.starts_with('-') && content.ends_with(SUFFIX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn schedule(directory: &Path, keep: usize) -> Schedule {
+        Schedule {
+            directory: directory.to_owned(),
+            every: HOUR,
+            keep,
+            disk: None,
+        }
+    }
+
+    const HOUR: Duration = Duration::from_secs(3600);
+
+    /// 2026-01-31T23:59:59Z.
+    const NOW: SystemTime =
+        match SystemTime::UNIX_EPOCH.checked_add(Duration::from_secs(1_769_903_999)) {
+            Some(now) => now,
+            None => SystemTime::UNIX_EPOCH,
+        };
+
+    #[test]
+    fn names_have_the_time_in_utc() {
+        assert_eq!(stamp(NOW), "20260131T235959Z");
+    }
+
+    #[test]
+    fn a_snapshot_is_due_after_its_time_if_the_content_is_another() {
+        let schedule = schedule(Path::new("unused"), 1);
+        let content = "-uid-7.snapshot";
+        let due = |newest: Option<&str>| schedule.is_due(newest, content, NOW);
+        assert!(due(None));
+        assert!(due(Some("20260131T225959Z-uid-6.snapshot")));
+        assert!(due(Some("20260131T225959Z-other-7.snapshot")));
+        assert!(!due(Some("20260131T225959Z-uid-7.snapshot")));
+        assert!(!due(Some("20260131T230000Z-uid-6.snapshot")));
+        // The clock was put back.
+        assert!(due(Some("20270131T230000Z-uid-6.snapshot")));
+    }
+
+    #[test]
+    fn files_of_others_are_no_snapshots() {
+        let directory = tempfile::tempdir().unwrap();
+        let names = [
+            "20260131T235959Z-uid-2.snapshot",
+            "20260130T235959Z-uid-1.snapshot",
+            "20260131T235959Z-uid-3.part",
+            "2026-01-31-before-the-upgrade.snapshot",
+            "notes",
+            "20260131T23595éZ-uid-3.snapshot",
+        ];
+        for name in names {
+            File::create(directory.path().join(name)).unwrap();
+        }
+        assert_eq!(snapshots(directory.path()).unwrap(), [names[1], names[0]]);
+    }
+}

@@ -1,0 +1,90 @@
+//! The snapshots that a server takes by itself: each is whole, and a restored one is the index.
+
+use std::{fs, path::Path, process::Command};
+
+use wayfold_index::Space;
+use wayfold_proto::v1::InsertRequest;
+use wayfold_tests::{Content, Process, ServerProcess, Signal, States, Stubs, row_states};
+
+const ROWS: usize = 2_000;
+
+/// A server that takes snapshots every second, and keeps two.
+fn server(data: &Path, snapshots: &Path) -> ServerProcess {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command
+        .args(["--grpc", "127.0.0.1:0", "--zenoh", "off", "--data"])
+        .arg(data)
+        .env("WAYFOLD_SNAPSHOT__DIR", snapshots)
+        .env("WAYFOLD_SNAPSHOT__EVERY_SECONDS", "1")
+        .env("WAYFOLD_SNAPSHOT__KEEP", "2");
+    ServerProcess::ready(Process::spawn(&mut command))
+}
+
+async fn insert(stubs: &mut Stubs, states: &mut States) {
+    let request = InsertRequest {
+        index_name: "arm".into(),
+        states: Some(row_states(&states.rows(ROWS), 7)),
+        payloads: vec!["a payload".into(); ROWS],
+        ..Default::default()
+    };
+    stubs.insert(request).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn snapshots_are_taken_kept_and_restored() {
+    let directory = tempfile::tempdir().unwrap();
+    let (data, snapshots) = (directory.path().join("data"), directory.path().join("kept"));
+    let mut states = States::new(Space::se3(), 29);
+    let mut server = server(&data, &snapshots);
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("arm", "R3*SO3:0.15").await;
+    let mut newest = String::new();
+    for _ in 0..4 {
+        insert(&mut stubs, &mut states).await;
+        let revision = stubs.describe("arm").await.revision.unwrap().number;
+        let end = format!("-{revision}.snapshot");
+        let written = server.log_until(&end);
+        let line = written.last().unwrap();
+        let (_, file) = line.split_once("file=").unwrap();
+        newest = file.split_whitespace().next().unwrap().to_owned();
+    }
+    let content = Content::read(&stubs, "arm").await.unwrap();
+    let uri = server.uri().to_owned();
+    let wayfold = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_cli-process"));
+        let output = command.args(["--server", &uri]).args(arguments).output();
+        let output = output.unwrap();
+        assert!(output.status.success(), "{output:?}");
+    };
+    wayfold(&["restore", "copy", &newest]);
+    let mut copy = Content::read(&stubs, "copy").await.unwrap();
+    copy.uid.clone_from(&content.uid);
+    assert_eq!(copy, content);
+    server.stop(Signal::Term);
+
+    let files = fs::read_dir(snapshots.join("arm")).unwrap();
+    let files: Vec<_> = files.map(|file| file.unwrap().path()).collect();
+    assert_eq!(files.len(), 2, "{files:?}");
+    assert!(files.contains(&newest.into()), "{files:?}");
+}
+
+#[test]
+fn a_directory_that_cannot_be_written_is_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("file");
+    fs::write(&file, "").unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command
+        .args([
+            "--grpc",
+            "127.0.0.1:0",
+            "--zenoh",
+            "off",
+            "--data",
+            "memory",
+        ])
+        .env("WAYFOLD_SNAPSHOT__DIR", file.join("kept"));
+    let ended = Process::spawn(&mut command).finish();
+    assert_eq!(ended.status.code(), Some(1));
+    assert!(ended.stderr.contains("snapshot.dir"), "{}", ended.stderr);
+}
