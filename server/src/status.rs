@@ -13,7 +13,7 @@ use wayfold_proto::v1;
 
 use crate::{
     admission::{MAX_BYTES, Overloaded, QUEUE_TARGET_MS},
-    identity::Denial,
+    identity::{Denial, Stranger},
     service::{Code, Damaged, Error, Listing, Violation},
 };
 
@@ -89,7 +89,13 @@ fn describing(error: &Error) -> Status {
         message: bounded(error, MAX_MESSAGE_BYTES),
         metadata: HashMap::new(),
         detail: None,
-        retry_delay: matches!(error, Error::Full { .. }).then_some(FULL_PAUSE),
+        retry_delay: match error {
+            Error::Full { .. } => Some(FULL_PAUSE),
+            Error::Denied {
+                why: Denial::Unknown(Stranger::TooManyCalls(_)),
+            } => Some(BUSY_PAUSE),
+            _ => None,
+        },
     };
     status.detail = status.describe(error);
     status
@@ -303,6 +309,9 @@ impl Status {
                 self.set("index", index);
                 return None;
             }
+            Error::Denied {
+                why: Denial::Unknown(Stranger::TooManyCalls(most)),
+            } => self.quota("max_calls", *most as u64),
             Error::Denied {
                 why: Denial::Unknown(_),
             }

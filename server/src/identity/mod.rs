@@ -9,7 +9,7 @@ mod table;
 use std::{
     fmt,
     sync::Arc,
-    sync::atomic::{AtomicBool, Ordering::Relaxed},
+    sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed},
     time::SystemTime,
 };
 
@@ -47,8 +47,36 @@ pub struct Identity {
     role: Role,
     indexes: Vec<Pattern>,
     expires: Option<SystemTime>,
+    max_calls: Option<usize>,
+    max_indexes: Option<usize>,
+    /// The calls under way.
+    calls: AtomicUsize,
     /// True once the file has no such identity any more.
     is_revoked: AtomicBool,
+}
+
+/// A call of an identity. It counts until it is dropped.
+#[derive(Debug)]
+pub struct Calling {
+    identity: Arc<Identity>,
+    /// The quota of calls, if this one exceeds it.
+    exceeds: Option<usize>,
+}
+
+impl Calling {
+    fn new(identity: &Arc<Identity>) -> Self {
+        let before = identity.calls.fetch_add(1, Relaxed);
+        Self {
+            exceeds: identity.max_calls.filter(|most| before >= *most),
+            identity: Arc::clone(identity),
+        }
+    }
+}
+
+impl Drop for Calling {
+    fn drop(&mut self) {
+        self.identity.calls.fetch_sub(1, Relaxed);
+    }
 }
 
 /// The names of indices: exact, or with a `*` for any characters.
@@ -66,6 +94,8 @@ pub enum Stranger {
     Expired,
     /// The identity was removed or changed after the call had begun.
     Revoked,
+    /// As many calls of the identity are under way as this quota allows.
+    TooManyCalls(usize),
 }
 
 /// The reason why a caller may not make a call.
@@ -96,37 +126,54 @@ pub enum Caller {
     #[default]
     Anyone,
     /// An identity.
-    Known(Arc<Identity>),
+    Known(Arc<Calling>),
     /// Not identified.
     Unknown(Stranger),
 }
 
 impl Caller {
-    /// The name of the identity.
-    pub fn name(&self) -> Option<&str> {
+    fn known(identity: &Arc<Identity>) -> Self {
+        Self::Known(Arc::new(Calling::new(identity)))
+    }
+
+    fn identity(&self) -> Option<&Identity> {
         match self {
-            Caller::Known(identity) => Some(&identity.name),
+            Caller::Known(calling) => Some(&calling.identity),
             Caller::Anyone | Caller::Unknown(_) => None,
         }
     }
 
-    /// Refuses a caller whose identity is missing, expired or revoked.
+    /// The name of the identity.
+    pub fn name(&self) -> Option<&str> {
+        Some(&self.identity()?.name)
+    }
+
+    /// The most indices that there may be among those that the caller sees, if it has such a quota.
+    pub fn max_indexes(&self) -> Option<usize> {
+        self.identity()?.max_indexes
+    }
+
+    /// Refuses a caller whose identity is missing, expired or revoked, or has too many calls under way.
     pub fn check(&self) -> Result<(), Stranger> {
-        match self {
-            Caller::Anyone => Ok(()),
-            Caller::Unknown(stranger) => Err(*stranger),
-            Caller::Known(identity) if identity.is_revoked.load(Relaxed) => Err(Stranger::Revoked),
-            Caller::Known(identity) => match identity.expires {
-                Some(expires) if SystemTime::now() >= expires => Err(Stranger::Expired),
-                _ => Ok(()),
-            },
+        let Calling { identity, exceeds } = match self {
+            Caller::Anyone => return Ok(()),
+            Caller::Unknown(stranger) => return Err(*stranger),
+            Caller::Known(calling) => &**calling,
+        };
+        if identity.is_revoked.load(Relaxed) {
+            return Err(Stranger::Revoked);
+        }
+        match (identity.expires, exceeds) {
+            (Some(expires), _) if SystemTime::now() >= expires => Err(Stranger::Expired),
+            (_, Some(most)) => Err(Stranger::TooManyCalls(*most)),
+            _ => Ok(()),
         }
     }
 
     /// Refuses a caller without `role` on `index`; without an index, on any.
     pub fn authorize(&self, role: Role, index: Option<&str>) -> Result<(), Denial> {
         self.check().map_err(Denial::Unknown)?;
-        let Caller::Known(identity) = self else {
+        let Some(identity) = self.identity() else {
             return Ok(());
         };
         if identity.role < role {
@@ -149,7 +196,7 @@ impl Caller {
         match self {
             Caller::Anyone => true,
             Caller::Unknown(_) => false,
-            Caller::Known(identity) => identity.indexes.iter().any(|it| it.matches(index)),
+            Caller::Known(calling) => calling.identity.indexes.iter().any(|it| it.matches(index)),
         }
     }
 }
@@ -176,16 +223,22 @@ impl Pattern {
 
 impl fmt::Display for Stranger {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Stranger::NoCredential => {
-                "the call has neither a token nor a client certificate: give it one of an identity of this server"
-            }
+        match self {
+            Stranger::NoCredential => f.write_str(
+                "the call has neither a token nor a client certificate: give it one of an identity of this server",
+            ),
             Stranger::WrongCredential => {
-                "no identity of this server has this token or client certificate"
+                f.write_str("no identity of this server has this token or client certificate")
             }
-            Stranger::Expired => "the identity has expired: ask for another token",
-            Stranger::Revoked => "the identity was removed or changed: call again with a credential that is valid now",
-        })
+            Stranger::Expired => f.write_str("the identity has expired: ask for another token"),
+            Stranger::Revoked => f.write_str(
+                "the identity was removed or changed: call again with a credential that is valid now",
+            ),
+            Stranger::TooManyCalls(most) => write!(
+                f,
+                "as many calls of the identity are under way as its max_calls = {most} allows: try again later"
+            ),
+        }
     }
 }
 

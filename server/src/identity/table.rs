@@ -65,6 +65,8 @@ struct Entry {
     token_sha256: Option<String>,
     certificate: Option<String>,
     expires: Option<String>,
+    max_calls: Option<usize>,
+    max_indexes: Option<usize>,
 }
 
 impl Table {
@@ -107,6 +109,9 @@ impl Table {
             role: entry.role,
             indexes: entry.indexes.iter().cloned().map(Pattern).collect(),
             expires,
+            max_calls: entry.max_calls,
+            max_indexes: entry.max_indexes,
+            calls: 0.into(),
             is_revoked: false.into(),
         });
         match (&entry.token_sha256, &entry.certificate) {
@@ -168,17 +173,13 @@ impl Table {
                 found = Some(identity);
             }
         }
-        found.map_or(Caller::Unknown(Stranger::WrongCredential), |identity| {
-            Caller::Known(Arc::clone(identity))
-        })
+        found.map_or(Caller::Unknown(Stranger::WrongCredential), Caller::known)
     }
 
     /// The caller whose verified client certificate is for any of these names.
     pub(super) fn of_certificate(&self, names: &[String]) -> Caller {
         let found = names.iter().find_map(|name| self.certificates.get(name));
-        found.map_or(Caller::Unknown(Stranger::WrongCredential), |identity| {
-            Caller::Known(Arc::clone(identity))
-        })
+        found.map_or(Caller::Unknown(Stranger::WrongCredential), Caller::known)
     }
 }
 
@@ -241,6 +242,25 @@ mod tests {
         ] {
             assert_eq!(caller.check(), Err(Stranger::WrongCredential));
         }
+    }
+
+    #[test]
+    fn a_quota_of_calls_counts_those_under_way() {
+        let text = format!(
+            "[[identity]]\nname = \"cell\"\nrole = \"read\"\nindexes = [\"*\"]\nmax_calls = 2\ntoken_sha256 = \"{}\"\n",
+            hex(TOKEN)
+        );
+        let table = Table::parse(&text).unwrap();
+        let call = || table.of_token(TOKEN.as_bytes());
+        let (first, second, third) = (call(), call(), call());
+        second.check().unwrap();
+        assert_eq!(third.check(), Err(Stranger::TooManyCalls(2)));
+        // A clone belongs to the same call.
+        let same = first.clone();
+        drop((first, third));
+        assert_eq!(call().check(), Err(Stranger::TooManyCalls(2)));
+        drop(same);
+        call().check().unwrap();
     }
 
     #[test]

@@ -29,11 +29,13 @@ pub enum RegistryError {
         /// Its uid.
         found: Uid,
     },
-    /// The registry has reached its limit of indices.
-    #[error("the server holds {limit} indices, the limit")]
+    /// There are as many indices as a limit allows.
+    #[error("there are {most} indices, as many as {setting} allows")]
     Full {
+        /// The name of the limit.
+        setting: &'static str,
         /// The limit.
-        limit: usize,
+        most: usize,
     },
     /// The server takes in nothing that grows it.
     #[error(transparent)]

@@ -16,6 +16,7 @@ mod commit;
 mod error;
 mod hosted;
 mod in_flight;
+mod index_limit;
 mod loading;
 mod maintenance;
 mod merging;
@@ -45,6 +46,7 @@ use crate::{
 pub use commit::Committed;
 pub use error::RegistryError;
 pub use hosted::{Hosted, Published};
+pub use index_limit::IndexLimit;
 pub use operations::OperationWindow;
 use operations::Operations;
 use payload_sizes::PayloadSizes;
@@ -284,13 +286,13 @@ impl Registry {
     }
 
     /// Creates an index, or finds the one of this name with an equal space; the flag is true if it was created.
-    /// [`RegistryError::Exists`] if its space differs, [`RegistryError::Full`] if the registry holds `limit` indices.
-    /// Blocks on the log.
+    /// [`RegistryError::Exists`] if its space differs, [`RegistryError::Full`] if there are as many indices as `limits`
+    /// allow. Blocks on the log.
     pub fn create(
         &self,
         name: &str,
         space: Space,
-        limit: usize,
+        limits: &[IndexLimit],
     ) -> Result<(Arc<Hosted>, bool), RegistryError> {
         let _change = self.change_lock.lock();
         match self.get(name) {
@@ -303,8 +305,8 @@ impl Registry {
             Err(RegistryError::Deleted) => {}
             Err(damaged) => return Err(damaged),
         }
-        if self.indexes.read().len() >= limit {
-            return Err(RegistryError::Full { limit });
+        for limit in limits {
+            limit.check(self.indexes.read().keys())?;
         }
         self.host.watermarks.admit(0)?;
         let entry = Entry {

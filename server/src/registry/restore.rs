@@ -6,7 +6,7 @@ use tracing::info;
 use wayfold_index::Space;
 
 use super::{
-    Host, Hosted, IndexState, Registry, RegistryError,
+    Host, Hosted, IndexLimit, IndexState, Registry, RegistryError,
     loading::{LoadError, Loader},
     operations::Operations,
     payload_sizes::PayloadSizes,
@@ -18,7 +18,7 @@ pub struct Restore {
     host: Arc<Host>,
     entry: Entry,
     origin: Origin,
-    limit: usize,
+    limits: Vec<IndexLimit>,
     stored: Box<dyn Restoring>,
     loader: Loader,
     payload_sizes: PayloadSizes,
@@ -26,16 +26,16 @@ pub struct Restore {
 
 impl Registry {
     /// Begins to restore an index as a copy of another, under a new uid. [`RegistryError::Taken`] if the name is taken,
-    /// [`RegistryError::Full`] if the registry holds `limit` indices; [`Registry::host`] checks both again. Blocks on
+    /// [`RegistryError::Full`] if there are as many indices as `limits` allow; [`Registry::host`] checks both again. Blocks on
     /// the log.
     pub fn restore(
         &self,
         name: &str,
         space: Space,
-        limit: usize,
+        limits: Vec<IndexLimit>,
         origin: Origin,
     ) -> Result<Restore, RegistryError> {
-        self.room_for(name, limit)?;
+        self.room_for(name, &limits)?;
         self.host.watermarks.admit(0)?;
         let entry = Entry {
             uid: Uid::unique(),
@@ -49,7 +49,7 @@ impl Registry {
             host: Arc::clone(&self.host),
             entry,
             origin,
-            limit,
+            limits,
         })
     }
 
@@ -60,7 +60,7 @@ impl Registry {
             host,
             entry,
             origin,
-            limit,
+            limits,
             stored,
             loader,
             payload_sizes,
@@ -68,7 +68,7 @@ impl Registry {
         let points = loader.len();
         let forest = loader.finish(origin.revision).map_err(unloaded)?;
         let _change = self.change_lock.lock();
-        self.room_for(&entry.name, limit)?;
+        self.room_for(&entry.name, &limits)?;
         stored.finish(sessions)?;
         let view = host.log.points.view(entry.uid)?;
         let hosted = Hosted::new(
@@ -84,15 +84,14 @@ impl Registry {
         Ok(hosted)
     }
 
-    fn room_for(&self, name: &str, limit: usize) -> Result<(), RegistryError> {
+    fn room_for(&self, name: &str, limits: &[IndexLimit]) -> Result<(), RegistryError> {
         let indexes = self.indexes.read();
         if indexes.contains_key(name) {
             return Err(RegistryError::Taken);
         }
-        if indexes.len() >= limit {
-            return Err(RegistryError::Full { limit });
-        }
-        Ok(())
+        limits
+            .iter()
+            .try_for_each(|limit| limit.check(indexes.keys()))
     }
 }
 

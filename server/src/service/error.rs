@@ -393,6 +393,7 @@ impl Error {
                 Code::Unavailable
             }
             Error::Denied { why } => match why {
+                Denial::Unknown(Stranger::TooManyCalls(_)) => Code::ResourceExhausted,
                 Denial::Unknown(_) => Code::Unauthenticated,
                 Denial::Role { .. } | Denial::Index { .. } => Code::PermissionDenied,
             },
@@ -438,6 +439,7 @@ impl Error {
                 Denial::Unknown(Stranger::WrongCredential) => "WRONG_CREDENTIAL",
                 Denial::Unknown(Stranger::Expired) => "IDENTITY_EXPIRED",
                 Denial::Unknown(Stranger::Revoked) => "IDENTITY_REVOKED",
+                Denial::Unknown(Stranger::TooManyCalls(_)) => "TOO_MANY_CALLS",
                 Denial::Role { .. } => "ROLE_TOO_LOW",
                 Denial::Index { .. } => "INDEX_NOT_ALLOWED",
             },

@@ -1,5 +1,7 @@
 //! `CreateIndex`, `GetIndex`, `ListIndexes`, `DeleteIndex`.
 
+use std::sync::Arc;
+
 use prost::Message;
 use wayfold_index::Space;
 use wayfold_proto::{
@@ -14,8 +16,8 @@ use super::{
     read_view::revision,
 };
 use crate::{
-    identity::Role,
-    registry::{Hosted, Listed, Published, Registry, RegistryError},
+    identity::{Caller, Role},
+    registry::{Hosted, IndexLimit, Listed, Published, Registry, RegistryError},
 };
 
 /// A page of the indices, by name. Both lists together are consecutive.
@@ -49,7 +51,35 @@ impl Damaged {
     }
 }
 
+/// The refusal of an index beyond a limit on their number.
+pub(super) fn too_many_indexes(limit: &'static str, most: usize) -> Error {
+    Error::LimitExceeded {
+        limit,
+        value: most as u64,
+        requested: most as u64 + 1,
+        advice: "delete an index first",
+    }
+}
+
 impl Service {
+    /// The limits on the number of indices, for one that the caller adds.
+    pub(super) fn index_limits(&self, caller: &Caller) -> Vec<IndexLimit> {
+        let mut limits = vec![IndexLimit {
+            setting: "max_indexes",
+            most: self.limits().max_indexes,
+            counts: Arc::new(|_| true),
+        }];
+        if let Some(most) = caller.max_indexes() {
+            let caller = caller.clone();
+            limits.push(IndexLimit {
+                setting: "max_indexes of the identity",
+                most,
+                counts: Arc::new(move |name| caller.sees(name)),
+            });
+        }
+        limits
+    }
+
     /// Creates an index, or finds the one of this name with an equal space.
     pub async fn create_index(
         &self,
@@ -67,20 +97,15 @@ impl Service {
             });
         };
         let requested = space.to_string();
-        let (name, limit) = (request.name.clone(), self.limits().max_indexes);
-        let created = self.blocking(move |registry| registry.create(&name, space, limit));
+        let (name, limits) = (request.name.clone(), self.index_limits(&call.caller));
+        let created = self.blocking(move |registry| registry.create(&name, space, &limits));
         let (hosted, created) = created.await?.map_err(|error| match error {
             RegistryError::Exists { space } => Error::IndexExists {
                 name: request.name.clone(),
                 existing: space.to_string(),
                 requested,
             },
-            RegistryError::Full { limit } => Error::LimitExceeded {
-                limit: "max_indexes",
-                value: limit as u64,
-                requested: limit as u64 + 1,
-                advice: "delete an index first",
-            },
+            RegistryError::Full { setting, most } => too_many_indexes(setting, most),
             error => registry_error(&request.name, error),
         })?;
         Ok(v1::CreateIndexResponse {

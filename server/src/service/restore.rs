@@ -11,11 +11,11 @@ use super::{
     Call, Error, Service,
     check::Violations,
     error_map::registry_error,
-    indexes::{check_name, describe},
+    indexes::{check_name, describe, too_many_indexes},
     session_pages::add_restored,
 };
 use crate::{
-    identity::Role,
+    identity::{Caller, Role},
     log::{Origin, Sessions, StoredPoint},
     registry::{RegistryError, Restore},
 };
@@ -65,10 +65,10 @@ impl Restoring {
             return Err(refused("REQUIRED", "a message without a part".into()));
         };
         let mut draft = self.draft.take().ok_or_else(out_of_order)?;
-        let service = self.service.clone();
+        let (service, caller) = (self.service.clone(), self.call.caller.clone());
         // Checking a part takes milliseconds; storing it may, too.
         let read = tokio::task::spawn_blocking(move || {
-            draft.read(&service, &name, &part)?;
+            draft.read(&service, &caller, &name, &part)?;
             Ok::<_, Error>(draft)
         });
         let read = self.call.bound("while restoring", read).await?;
@@ -122,6 +122,7 @@ impl Draft {
     fn read(
         &mut self,
         service: &Service,
+        caller: &Caller,
         name: &str,
         part: &v1::SnapshotPart,
     ) -> Result<(), Error> {
@@ -139,10 +140,10 @@ impl Draft {
                 };
                 let limits = service.limits();
                 limits.check_quotas(name, &header.space, header.point_count)?;
-                let limit = limits.max_indexes;
+                let limits = service.index_limits(caller);
                 let begun = service
                     .registry()?
-                    .restore(name, header.space, limit, origin);
+                    .restore(name, header.space, limits, origin);
                 *restore = Some(begun.map_err(|error| not_restored(name, error))?);
             }
             (Content::Points(points, modified), Some(restore)) => {
@@ -207,12 +208,7 @@ fn refused(reason: &'static str, description: String) -> Error {
 fn not_restored(name: &str, error: RegistryError) -> Error {
     match error {
         RegistryError::Taken => Error::NameTaken { name: name.into() },
-        RegistryError::Full { limit } => Error::LimitExceeded {
-            limit: "max_indexes",
-            value: limit as u64,
-            requested: limit as u64 + 1,
-            advice: "delete an index first",
-        },
+        RegistryError::Full { setting, most } => too_many_indexes(setting, most),
         error => registry_error(name, error),
     }
 }

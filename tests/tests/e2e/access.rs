@@ -252,6 +252,58 @@ async fn a_certificate_or_a_token_is_an_identity_and_nothing_else_is() {
     }
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_identity_has_its_quotas() {
+    let directory = tempfile::tempdir().unwrap();
+    let authority = Authority::new(directory.path());
+    authority.certify("server");
+    let admin = authority.token("admin", "admin", "*");
+    let cell = authority.token("cell", "admin", "cell-*");
+    let identities = authority.file("identities", "toml");
+    let entries = fs::read_to_string(&identities).unwrap();
+    fs::write(&identities, entries + "max_calls = 2\nmax_indexes = 2\n").unwrap();
+    let server = ServerProcess::ready(Process::spawn(&mut authority.command()));
+    let connect = async |token: &str| {
+        let builder = Client::builder().retry(RetryPolicy::never());
+        let credentials = authority.credentials().token(token);
+        let client = builder.credentials(credentials).connect(server.uri());
+        client.await.unwrap()
+    };
+    let (admin, cell) = (connect(&admin).await, connect(&cell).await);
+    let space: Space = "R1".parse().unwrap();
+    // An index that the patterns of the cell match counts, whoever creates it; another does not.
+    for name in ["cell-1", "arm", "leg"] {
+        admin.create_index(name, &space).await.unwrap();
+    }
+    let index = cell.create_index("cell-2", &space).await.unwrap();
+    let refused = cell.create_index("cell-3", &space).await.unwrap_err();
+    assert_eq!(refused.reason(), Some("LIMIT_EXCEEDED"), "{refused}");
+    assert!(
+        refused
+            .to_string()
+            .contains("max_indexes of the identity = 2")
+    );
+    admin.delete_index("cell-1").await.unwrap();
+    cell.create_index("cell-3", &space).await.unwrap();
+
+    let mut first = index.watch().await.unwrap();
+    let second = index.watch().await.unwrap();
+    let refused = index.info().await.unwrap_err();
+    assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");
+    assert_eq!(refused.reason(), Some("TOO_MANY_CALLS"));
+    admin
+        .index("cell-2")
+        .await
+        .unwrap()
+        .insert([[1.0]])
+        .await
+        .unwrap();
+    first.next().await.unwrap();
+    drop(second);
+    // The server learns of the end of a stream after the client.
+    while index.info().await.is_err() {}
+}
+
 #[test]
 fn the_command_line_takes_certificates_and_tokens_and_says_what_is_wrong() {
     let directory = tempfile::tempdir().unwrap();

@@ -60,7 +60,7 @@ async fn snapshots_are_taken_kept_and_restored() {
     let mut copy = Content::read(&stubs, "copy").await.unwrap();
     copy.uid.clone_from(&content.uid);
     assert_eq!(copy, content);
-    server.stop(Signal::Term);
+    server.stop(Signal::Terminate);
 
     let files = fs::read_dir(snapshots.join("arm")).unwrap();
     let files: Vec<_> = files.map(|file| file.unwrap().path()).collect();

@@ -1,0 +1,32 @@
+//! Limits on the number of indices.
+
+use std::sync::Arc;
+
+use super::RegistryError;
+
+/// There may be at most this many indices whose names count.
+#[derive(Clone)]
+pub struct IndexLimit {
+    /// The name of the limit, for its error.
+    pub setting: &'static str,
+    /// The most indices.
+    pub most: usize,
+    /// True for the name of an index that counts.
+    pub counts: Arc<dyn Fn(&str) -> bool + Send + Sync>,
+}
+
+impl IndexLimit {
+    /// Fails if these indices leave no room for another one.
+    pub(super) fn check<'a>(
+        &self,
+        names: impl Iterator<Item = &'a String>,
+    ) -> Result<(), RegistryError> {
+        if names.filter(|name| (self.counts)(name)).count() < self.most {
+            return Ok(());
+        }
+        Err(RegistryError::Full {
+            setting: self.setting,
+            most: self.most,
+        })
+    }
+}
