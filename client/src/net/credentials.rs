@@ -9,6 +9,7 @@ use tonic::{
     transport::{Certificate, ClientTlsConfig, Identity},
 };
 
+use super::trace;
 use crate::Error;
 
 /// By what a client knows its server, and a server its client: certificates and a token. Clones share them.
@@ -105,14 +106,15 @@ impl fmt::Debug for Credentials {
     }
 }
 
-/// Adds a token to each call, or nothing.
+/// Adds a token to each call, or nothing, and the trace of its task.
 #[derive(Clone, Debug)]
 pub(crate) struct Bearer(Option<MetadataValue<Ascii>>);
 
 impl Interceptor for Bearer {
     fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
+        let metadata = request.metadata_mut();
+        trace::mark(metadata);
         if let Some(token) = &self.0 {
-            let metadata = request.metadata_mut();
             metadata.insert("authorization", token.clone());
         }
         Ok(request)

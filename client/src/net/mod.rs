@@ -19,6 +19,7 @@ pub(crate) mod revision;
 mod server;
 mod snapshot;
 mod states;
+mod trace;
 
 pub use client::{Client, ClientBuilder};
 pub use credentials::Credentials;
@@ -40,6 +41,7 @@ pub use revision::Revision;
 pub use server::{Durability, Limits, ServerInfo};
 pub use snapshot::{SnapshotPart, SnapshotReader, SnapshotWriter};
 pub use states::States;
+pub use trace::in_trace;
 
 pub use tonic::Code;
 pub use wayfold_proto::snapshot::{Header as SnapshotHeader, SnapshotError};

@@ -74,3 +74,36 @@ impl AsyncWrite for Bounded {
         Pin::new(&mut self.socket).poll_shutdown(context)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use tokio::{
+        io::{AsyncReadExt, AsyncWriteExt},
+        net::TcpListener,
+        sync::Semaphore,
+    };
+
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn a_silent_connection_gives_its_place_up_after_its_time() {
+        let places = Arc::new(Semaphore::new(1));
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let mut client = TcpStream::connect(address).await.unwrap();
+        let (socket, _) = listener.accept().await.unwrap();
+        let place = Arc::clone(&places).acquire_owned().await.unwrap();
+        let mut bounded = Bounded::new(Either::Left(socket), place);
+        client.write_all(b"G").await.unwrap();
+        assert_eq!(bounded.read_u8().await.unwrap(), b'G');
+        let began = Instant::now();
+        let ended = bounded.read_u8().await.unwrap_err();
+        assert_eq!(ended.kind(), io::ErrorKind::TimedOut);
+        assert!(began.elapsed() >= TIME);
+        assert_eq!(places.available_permits(), 0);
+        drop(bounded);
+        assert_eq!(places.available_permits(), 1);
+    }
+}

@@ -36,6 +36,27 @@ type Index = [(&'static str, Arc<str>); 1];
 /// A gauge of every index: its name, its help, and its figures by index.
 type OfIndices = (&'static str, &'static str, Vec<(Index, u64)>);
 
+/// The gauges of an index, in the order of its figures.
+const OF_INDEX: [(&str, &str); 8] = [
+    ("index_points", "The points of an index"),
+    ("index_revision", "The newest readable revision of an index"),
+    ("index_memory_bytes", "About the memory of an index"),
+    ("index_levels", "The trees of an index; merges reduce them"),
+    (
+        "index_records_in_flight",
+        "Records that are submitted and not readable yet",
+    ),
+    ("index_sessions", "The writer sessions of an index"),
+    (
+        "index_followers",
+        "The subscribers of an index: shared indices, watches, and publications over Zenoh",
+    ),
+    (
+        "index_follower_lag",
+        "The readable records that the last subscriber of an index does not have",
+    ),
+];
+
 impl Collector for State {
     fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> fmt::Result {
         let version = [("version", env!("CARGO_PKG_VERSION"))];
@@ -108,34 +129,8 @@ impl State {
     }
 
     fn indices(&self) -> Vec<OfIndices> {
-        let mut gauges: Vec<OfIndices> = vec![
-            ("index_points", "The points of an index", Vec::new()),
-            (
-                "index_revision",
-                "The newest readable revision of an index",
-                Vec::new(),
-            ),
-            (
-                "index_memory_bytes",
-                "About the memory of an index",
-                Vec::new(),
-            ),
-            (
-                "index_levels",
-                "The trees of an index; merges reduce them",
-                Vec::new(),
-            ),
-            (
-                "index_records_in_flight",
-                "Records that are submitted and not readable yet",
-                Vec::new(),
-            ),
-            (
-                "index_sessions",
-                "The writer sessions of an index",
-                Vec::new(),
-            ),
-        ];
+        let gauges = OF_INDEX.map(|(name, help)| (name, help, Vec::new()));
+        let mut gauges: Vec<OfIndices> = gauges.into();
         let (mut served, mut damaged) = (0, 0);
         for listed in self.service.listed() {
             let Listed::Hosted(hosted) = listed else {
@@ -148,6 +143,7 @@ impl State {
                 continue;
             };
             let published = hosted.published();
+            let (followers, lag) = hosted.followers_and_lag();
             let figures = [
                 published.snapshot.len() as u64,
                 published.revision,
@@ -155,6 +151,8 @@ impl State {
                 published.snapshot.levels() as u64,
                 hosted.records_in_flight() as u64,
                 published.view.sessions().len() as u64,
+                followers as u64,
+                lag,
             ];
             for (gauge, figure) in gauges.iter_mut().zip(figures) {
                 gauge.2.push(([("index", Arc::clone(label))], figure));

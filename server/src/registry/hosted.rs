@@ -18,6 +18,7 @@ use wayfold_index::{Forest, Snapshot, Space};
 use super::{
     Host, RegistryError, WriteGuard, Writer,
     apply::{self, Applied, Awaited, SETTLE_TIME},
+    followers::{Follower, Followers},
     in_flight::{InFlight, notify},
     merging::FinishedMerge,
     operations::Operations,
@@ -59,6 +60,7 @@ pub struct Hosted {
     pub(super) last_seen_revision: AtomicU64,
     pub(super) last_idle_revision: AtomicU64,
     pub(super) recent: parking_lot::Mutex<RecentRecords>,
+    followers: Followers,
     apply_loop: parking_lot::Mutex<ApplyLoop>,
 }
 
@@ -110,6 +112,7 @@ impl Hosted {
             last_seen_revision: AtomicU64::new(u64::MAX),
             last_idle_revision: AtomicU64::new(u64::MAX),
             recent: parking_lot::Mutex::new(RecentRecords::new(host.options.window_bytes)),
+            followers: Followers::default(),
             apply_loop: parking_lot::Mutex::new(ApplyLoop::start(
                 0,
                 hosted.clone(),
@@ -146,6 +149,16 @@ impl Hosted {
     /// The number of records that are submitted and not readable yet.
     pub(crate) fn records_in_flight(&self) -> usize {
         self.in_flight.lock().len()
+    }
+
+    /// Counts a subscriber that has the records up to `revision`.
+    pub fn join(&self, revision: u64) -> Follower {
+        self.followers.join(revision)
+    }
+
+    /// The number of subscribers, and the published records that the last of them does not have.
+    pub(crate) fn followers_and_lag(&self) -> (usize, u64) {
+        self.followers.count_and_lag(self.published().revision)
     }
 
     /// Its uid.

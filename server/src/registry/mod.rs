@@ -14,6 +14,7 @@
 mod apply;
 mod commit;
 mod error;
+mod followers;
 mod hosted;
 mod in_flight;
 mod index_limit;
@@ -45,6 +46,7 @@ use crate::{
 };
 pub use commit::Committed;
 pub use error::RegistryError;
+pub use followers::Follower;
 pub use hosted::{Hosted, Published};
 pub use index_limit::IndexLimit;
 pub use operations::OperationWindow;

@@ -11,7 +11,7 @@ use super::{
 use crate::{
     identity::Role,
     log::{LogError, Record},
-    registry::{Hosted, RegistryError},
+    registry::{Follower, Hosted, RegistryError},
 };
 
 /// Approximate bytes of a message, less if answers are limited to less.
@@ -26,6 +26,8 @@ pub struct Watch {
     service: Service,
     call: Call,
     hosted: Arc<Hosted>,
+    /// Set once the first revision is known.
+    follower: Option<Follower>,
     /// The newest revision that was sent whole; below the greatest number, so that its successor exists.
     after: u64,
     /// True if the watch begins at the newest revision, which the first message names.
@@ -71,6 +73,7 @@ impl Service {
         Ok(Watch {
             service: self.clone(),
             call: call.clone(),
+            follower: None,
             from_newest: after.is_none(),
             after: after.map_or(0, |after| after.number),
             next: VecDeque::new(),
@@ -101,6 +104,7 @@ impl Watch {
                     // The newest revision now, not at the call's start: the message names it.
                     self.after = newest;
                 }
+                self.follower = Some(self.hosted.join(self.after));
                 Ok(self.message(newest))
             }
             State::Following => self.mutations().await,
@@ -173,6 +177,9 @@ impl Watch {
             self.sent = (sent, pieces + 1);
             if !piece.continued {
                 self.after = record.revision();
+                if let Some(follower) = &self.follower {
+                    follower.has(self.after);
+                }
                 self.sent = (0, 0);
                 self.next.pop_front();
             }

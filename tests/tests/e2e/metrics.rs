@@ -89,6 +89,13 @@ async fn the_counts_are_those_of_the_clients() {
         answers.recv_async().await.unwrap().into_result().unwrap();
     }
 
+    let watch = v1::WatchRequest {
+        index_name: "arm".into(),
+        ..Default::default()
+    };
+    let mut watching = stubs.points.watch(watch).await.unwrap().into_inner();
+    watching.message().await.unwrap().unwrap();
+
     let figures = figures(&address);
     for (name, expected) in [
         (calls("grpc", "knn", "arm", "OK"), KNNS),
@@ -99,6 +106,8 @@ async fn the_counts_are_those_of_the_clients() {
         (calls("zenoh", "info", "arm", "OK"), QUERIES),
         ("wayfold_index_points{index=\"arm\"}".into(), 2 * INSERTS),
         ("wayfold_index_revision{index=\"arm\"}".into(), INSERTS),
+        ("wayfold_index_followers{index=\"arm\"}".into(), 1),
+        ("wayfold_index_follower_lag{index=\"arm\"}".into(), 0),
         ("wayfold_indices{state=\"served\"}".into(), 1),
         (
             "wayfold_refused_calls_total{reason=\"OVERLOADED\"}".into(),
@@ -126,6 +135,38 @@ async fn the_counts_are_those_of_the_clients() {
     let syncs = figures["wayfold_log_sync_seconds_count"];
     assert!(syncs >= INSERTS as f64, "{syncs}");
     assert!(figures["wayfold_resource_bytes{resource=\"memory\",of=\"used\"}"] > 1e6);
+}
+
+/// The listener takes 64 connections at a time. Further ones wait for a place, and each gives it up at its end.
+#[test]
+fn connections_beyond_the_bound_wait_and_are_answered() {
+    const BOUND: usize = 64;
+    let mut server = server(&["--zenoh", "off", "--data", "memory"]);
+    let address = server.pages();
+    let mut held: Vec<_> = (0..BOUND)
+        .map(|_| TcpStream::connect(&address).unwrap())
+        .collect();
+    // Each holds a place: the server answers its first request, and waits for the next one.
+    for socket in &mut held {
+        socket
+            .write_all(b"GET /healthz HTTP/1.1\r\nHost: here\r\n\r\n")
+            .unwrap();
+        let mut answer = [0; 12];
+        socket.read_exact(&mut answer).unwrap();
+        assert_eq!(&answer, b"HTTP/1.1 200");
+    }
+    let mut waiting = TcpStream::connect(&address).unwrap();
+    waiting
+        .write_all(b"GET /healthz HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n")
+        .unwrap();
+    waiting.set_nonblocking(true).unwrap();
+    let early = waiting.read(&mut [0; 1]).unwrap_err();
+    assert_eq!(early.kind(), std::io::ErrorKind::WouldBlock);
+    waiting.set_nonblocking(false).unwrap();
+    held.pop();
+    let mut answer = String::new();
+    waiting.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
 }
 
 #[test]

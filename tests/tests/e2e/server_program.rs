@@ -5,6 +5,7 @@ use std::{fs, net::TcpListener};
 use tokio_stream::pending;
 use tonic::{Code, Request, transport::Channel};
 use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
+use wayfold::{Client, Space, in_trace};
 use wayfold_proto::v1;
 use wayfold_tests::{
     Process, ProcessOutput, ServerProcess, Signal, Stubs, revision, row_states, server,
@@ -142,6 +143,28 @@ async fn a_missing_file_of_marks_is_reported_once() {
         assert_eq!(warnings(start()), 1);
         assert_eq!(warnings(start()), 0);
     }
+}
+
+#[tokio::test]
+async fn the_lines_of_a_call_name_the_trace_of_its_client() {
+    const TRACE: &str = "4bf92f3577b34da6a3ce929d0e0e4736";
+    let program = env!("CARGO_BIN_EXE_server-process");
+    let debug = ["--data", "memory", "--log", "wayfold_server=debug"];
+    let mut server = ServerProcess::start(program, &debug);
+    let client = Client::connect(server.uri()).await.unwrap();
+    let traceparent = format!("00-{TRACE}-00f067aa0ba902b7-01");
+    let space: Space = "R1".parse().unwrap();
+    let created = in_trace(&traceparent, client.create_index("arm", &space)).await;
+    created.unwrap().unwrap();
+    client.index("arm").await.unwrap();
+    let lines = server.log_until("GetIndex");
+    let named: Vec<_> = lines.iter().filter(|it| it.contains(TRACE)).collect();
+    assert!(!named.is_empty(), "{lines:#?}");
+    assert!(
+        named.iter().all(|it| it.contains("CreateIndex")),
+        "{named:#?}"
+    );
+    assert!(in_trace("\n", async {}).await.is_err());
 }
 
 #[tokio::test]
