@@ -82,6 +82,14 @@ impl Collector for State {
             None,
             &states,
         )?;
+        let help = "Merges of trees that run now; index.merge_threads is the most";
+        gauges(
+            &mut encoder,
+            "merges",
+            help,
+            None,
+            &[([("state", "running")], self.service.merges())],
+        )?;
         self.admission(&mut encoder)?;
         self.resources(&mut encoder)?;
         for (name, help, figures) in self.indices() {

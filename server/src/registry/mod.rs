@@ -287,6 +287,12 @@ impl Registry {
         Ok(listed.collect())
     }
 
+    /// The merges that run now.
+    pub(crate) fn merges(&self) -> u64 {
+        let most = self.host.options.merge_threads.max(1);
+        most.saturating_sub(self.host.merges.available_permits()) as u64
+    }
+
     /// Creates an index, or finds the one of this name with an equal space; the flag is true if it was created.
     /// [`RegistryError::Exists`] if its space differs, [`RegistryError::Full`] if there are as many indices as `limits`
     /// allow. Blocks on the log.

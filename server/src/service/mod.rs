@@ -153,6 +153,12 @@ impl Service {
             .unwrap_or_default()
     }
 
+    /// The merges that run now.
+    pub(crate) fn merges(&self) -> u64 {
+        let registry = self.inner.registry.get();
+        registry.map_or(0, |registry| registry.merges())
+    }
+
     /// All indices; none before they are read.
     pub(crate) fn listed(&self) -> Vec<Listed> {
         let registry = self.inner.registry.get();

@@ -12,6 +12,7 @@ mod dispatch;
 mod feed;
 mod flows;
 mod inline;
+mod links;
 mod message;
 mod peers;
 mod queries;
@@ -37,6 +38,7 @@ use crate::{config::ZenohConfig, faces::Shared};
 use feed::Announcer;
 use flows::Flows;
 use inline::Inline;
+use links::Links;
 use peers::ServerWatch;
 use queries::Queries;
 
@@ -81,6 +83,7 @@ impl ZenohFace {
         } = shared;
         check_prefix(&config.prefix)?;
         let (session, connects_to) = session::open(config).await?;
+        metrics.add(Links(session.clone()));
         let queries = Arc::new(Queries {
             service,
             prefix: config.prefix.clone(),

@@ -106,6 +106,8 @@ async fn the_counts_are_those_of_the_clients() {
         (calls("zenoh", "info", "arm", "OK"), QUERIES),
         ("wayfold_index_points{index=\"arm\"}".into(), 2 * INSERTS),
         ("wayfold_index_revision{index=\"arm\"}".into(), INSERTS),
+        ("wayfold_merges{state=\"running\"}".into(), 0),
+        ("wayfold_zenoh_links".into(), 1),
         ("wayfold_index_followers{index=\"arm\"}".into(), 1),
         ("wayfold_index_follower_lag{index=\"arm\"}".into(), 0),
         ("wayfold_indices{state=\"served\"}".into(), 1),
