@@ -41,28 +41,28 @@ def random_states(rng: np.random.Generator, name: str, n: int) -> Floats:
 
 
 def arc(a: Floats, b: Floats) -> Floats:
-    return np.abs((a - b + math.pi) % (2 * math.pi) - math.pi)
+    return np.asarray(np.abs((a - b + math.pi) % (2 * math.pi) - math.pi))
 
 
 def half_angle(a: Floats, b: Floats) -> Floats:
     """Half the angle of the rotation between two, by scipy."""
-    return (Rotation.from_quat(a) * Rotation.from_quat(b).inv()).magnitude() / 2
+    return np.asarray((Rotation.from_quat(a) * Rotation.from_quat(b).inv()).magnitude() / 2)
 
 
 def brute_force(name: str, state: Floats, points: Floats) -> Floats:
-    moved = np.linalg.norm(points[:, :3] - state[:3], axis=1)
+    moved = np.asarray(np.linalg.norm(points[:, :3] - state[:3], axis=1))
     match name:
         case "R3":
             return moved
         case "SE2":
             planar = np.linalg.norm(points[:, :2] - state[:2], axis=1)
-            return np.sqrt(planar**2 + 0.5 * arc(points[:, 2], state[2]) ** 2)
+            return np.asarray(np.sqrt(planar**2 + 0.5 * arc(points[:, 2], state[2]) ** 2))
         case "torus":
-            return np.sqrt(arc(points[:, 0], state[0]) ** 2 + arc(points[:, 1], state[1]) ** 2)
+            return np.asarray(np.sqrt(arc(points[:, 0], state[0]) ** 2 + arc(points[:, 1], state[1]) ** 2))
         case "SE3":
-            return np.sqrt(moved**2 + 0.15 * half_angle(points[:, 3:], state[3:]) ** 2)
+            return np.asarray(np.sqrt(moved**2 + 0.15 * half_angle(points[:, 3:], state[3:]) ** 2))
         case _:
-            return moved + half_angle(points[:, 3:], state[3:])
+            return np.asarray(moved + half_angle(points[:, 3:], state[3:]))
 
 
 @pytest.mark.parametrize("name", SPACES)
@@ -118,7 +118,7 @@ def test_query_equals_scipy_in_r3(
     lengths = index.query_ball_point(asked, radius, return_length=True, workers=workers)
     np.testing.assert_array_equal(lengths, tree.query_ball_point(asked, radius, return_length=True))
     found = index.query_ball_point(asked, radius, return_sorted=True)
-    expected_balls = tree.query_ball_point(asked, radius, return_sorted=True)
+    expected_balls: Any = tree.query_ball_point(asked, radius, return_sorted=True)
     if shape == ():
         assert found == expected_balls
     else:

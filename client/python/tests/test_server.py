@@ -42,7 +42,7 @@ def test_all_forms_answer_alike(server: Server) -> None:
                 np.testing.assert_array_equal(ours, theirs)
         assert index.query(asked[0]) == memory.query(asked[0])
         assert index.query_ball_point(asked, 0.3).tolist() == memory.query_ball_point(asked, 0.3).tolist()
-        ids, _, rows = index.scan().columns()
+        _, _, rows = index.scan().columns()
         np.testing.assert_array_equal(rows, memory.scan().columns()[2])
     assert shared.close() == []
 
@@ -80,7 +80,7 @@ def test_errors_have_classes(server: Server) -> None:
     with pytest.raises(wayfold.AlreadyExists):
         wayfold.remote(server.url, "other", create="R3")
     with pytest.raises(ValueError, match="not the address of a server"):
-        wayfold.remote("nonsense", "other")
+        wayfold.remote("no address", "other")
     with pytest.raises(ConnectionError):
         wayfold.remote("http://127.0.0.1:1", "other", timeout=0.5)
     with pytest.raises(wayfold.Error):

@@ -59,7 +59,7 @@ def test_spaces_have_names() -> None:
     assert spaces.OMPL_SE2() == spaces.sum(spaces.R(2), (spaces.SO2(), 0.5))
     assert spaces.joints(7) == wayfold.Space("moveit-joints-7")
     assert spaces.sum(spaces.torus(2), "R3").dimension == 5
-    assert spaces.sum(spaces.SE2(), spaces.R(1)).text == "sum((R2*SO2), R1)"
+    assert spaces.sum(spaces.SE2(), spaces.R(1)).text == "sum(R2*SO2, R1)"
     assert spaces.SO2(1.0).names == ("theta",)
     assert spaces.SE3().distance([0, 0, 0, 0, 0, 0, 1], [3, 4, 0, 0, 0, 0, 1]) == 5.0
     assert len({spaces.SE3(), wayfold.Space("R3*RP3:0.15")}) == 1

@@ -54,7 +54,11 @@ def load(path: str | os.PathLike[str]) -> Index:
                 str(file["space"]),
                 bool(file["inline"]),
                 int(file["next_id"]),
-                *(file[name] for name in ("ids", "tags", "states", "payload_ids", "payload_ends")),
+                file["ids"],
+                file["tags"],
+                file["states"],
+                file["payload_ids"],
+                file["payload_ends"],
                 file["payloads"].tobytes(),
             )
     except (KeyError, AttributeError, TypeError, EOFError, zipfile.BadZipFile) as error:

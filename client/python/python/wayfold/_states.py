@@ -20,7 +20,7 @@ def to_array(states: Any, names: tuple[str, ...]) -> npt.NDArray[np.float64]:
     if isinstance(states, (list, tuple)) and states and any(_is_composed(state) or _is_rotation(state) for state in states):
         return np.stack([to_array(state, names) for state in states])
     try:
-        return np.ascontiguousarray(states, dtype=np.float64)
+        return np.asarray(states, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InvalidArgument(f"states: {error}", "INVALID_ARGUMENT") from error
 
@@ -59,7 +59,8 @@ def _compose(state: Any, names: tuple[str, ...]) -> npt.NDArray[np.float64]:
     """The parts of states, one beside the other; a part for one state belongs to all."""
     if _is_transform(state):
         state = state.as_components()
-    parts, kinds = [], []
+    parts: list[npt.NDArray[np.float64]] = []
+    kinds: list[str] = []
     for part in (state,) if _is_rotation(state) else state:
         if _is_rotation(part):
             parts.append(np.asarray(part.as_quat(), dtype=np.float64))
