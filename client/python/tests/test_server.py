@@ -83,8 +83,8 @@ def test_errors_have_classes(server: Server) -> None:
         wayfold.remote("no address", "other")
     with pytest.raises(ConnectionError):
         wayfold.remote("http://127.0.0.1:1", "other", timeout=0.5)
-    with pytest.raises(wayfold.Error):
-        wayfold.remote(server.url, "other", token="a token that no server knows", timeout=5)
+    with pytest.raises(ValueError, match="token: it has characters that no token has"):
+        wayfold.remote(server.url, "other", token="two\nlines")
     with pytest.raises(ValueError, match="timeout: -1"):
         wayfold.remote(server.url, "other", timeout=-1)
 
