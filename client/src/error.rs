@@ -105,7 +105,8 @@ pub enum Error {
     /// The index was closed.
     #[error("the index is closed")]
     Closed,
-    /// The index was opened in another process, from which this one was forked: its threads are not here.
+    /// The index was made in another process, from which this one was forked: its threads are not here, and one of
+    /// them may have held a lock.
     #[error("the index was opened before a fork: open it again in this process")]
     Forked,
     /// The thread that talks to servers could not be started.

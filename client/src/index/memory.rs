@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, Weak},
 };
 
-use parking_lot::RwLock;
+use parking_lot::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 use wayfold_index::{
     Changes, NearestNeighbors, Neighbor, NewPoint, Point, Question, ScannedPoints, Seen, Space,
 };
@@ -13,6 +13,7 @@ use wayfold_index::{
 use super::{
     local::{LocalPoints, MAX_ID, NewRow, check_id, search_snapshot},
     merger::{self, Merged},
+    origin::Origin,
 };
 use crate::Error;
 
@@ -22,6 +23,8 @@ pub(super) struct Memory {
     space: Space,
     state: RwLock<State>,
     merges: Merges,
+    /// The process that made it: a lock may have been held at a fork, by a thread that is not in the new process.
+    origin: Origin,
     /// Itself, for the merging thread.
     this: Weak<Memory>,
 }
@@ -55,8 +58,26 @@ impl Memory {
             space: space.clone(),
             state: RwLock::new(state),
             merges,
+            origin: Origin::here(),
             this: this.clone(),
         })
+    }
+
+    fn read(&self) -> Result<RwLockReadGuard<'_, State>, Error> {
+        self.check_fork()?;
+        Ok(self.state.read())
+    }
+
+    fn write(&self) -> Result<RwLockWriteGuard<'_, State>, Error> {
+        self.check_fork()?;
+        Ok(self.state.write())
+    }
+
+    fn check_fork(&self) -> Result<(), Error> {
+        match self.origin.is_here() {
+            true => Ok(()),
+            false => Err(Error::Forked),
+        }
     }
 
     fn after_change(&self, points: &mut LocalPoints) {
@@ -98,7 +119,7 @@ impl NearestNeighbors for Memory {
     }
 
     fn len(&self) -> Result<usize, Error> {
-        Ok(self.state.read().points.forest.len())
+        Ok(self.read()?.points.forest.len())
     }
 
     fn search(
@@ -107,7 +128,7 @@ impl NearestNeighbors for Memory {
         question: &Question<'_>,
         found: &mut Vec<Neighbor>,
     ) -> Result<Seen, Error> {
-        let state = self.state.read();
+        let state = self.read()?;
         let seen = state.points.seen();
         *found = match state.points.snapshot_for(question) {
             None => state.points.search(row, question)?,
@@ -124,7 +145,7 @@ impl NearestNeighbors for Memory {
         rows: &[f64],
         question: &Question<'_>,
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
-        let snapshot = self.state.read().points.forest.snapshot();
+        let snapshot = self.read()?.points.forest.snapshot();
         let rows = rows.chunks_exact(self.space.coordinates());
         rows.map(|row| search_snapshot(&snapshot, row, question))
             .collect()
@@ -137,7 +158,7 @@ impl NearestNeighbors for Memory {
         found: &mut Vec<Neighbor>,
     ) -> Result<(u64, Seen), Error> {
         check_id(point)?;
-        let mut state = self.state.write();
+        let mut state = self.write()?;
         if let Some(id) = point.id
             && state.points.forest.contains(id)
         {
@@ -164,7 +185,7 @@ impl NearestNeighbors for Memory {
 
     fn insert_many(&self, rows: &[f64], tag: u64) -> Result<Vec<u64>, Error> {
         let rows = rows.chunks_exact(self.space.coordinates());
-        let mut state = self.state.write();
+        let mut state = self.write()?;
         let first = state.next_id;
         let ids = first..first.saturating_add(rows.len() as u64);
         state.assign(rows.len())?;
@@ -184,7 +205,7 @@ impl NearestNeighbors for Memory {
     }
 
     fn replace(&self, id: u64, row: &[f64]) -> Result<bool, Error> {
-        let mut state = self.state.write();
+        let mut state = self.write()?;
         let Some(point) = state.points.get(id) else {
             return Ok(false);
         };
@@ -195,7 +216,7 @@ impl NearestNeighbors for Memory {
     }
 
     fn remove(&self, id: u64) -> Result<bool, Error> {
-        let mut state = self.state.write();
+        let mut state = self.write()?;
         let removed = state.points.remove(id)?;
         state.payloads.remove(&id);
         self.after_change(&mut state.points);
@@ -203,14 +224,14 @@ impl NearestNeighbors for Memory {
     }
 
     fn set_tag(&self, id: u64, tag: u64) -> Result<bool, Error> {
-        let mut state = self.state.write();
+        let mut state = self.write()?;
         let is_stored = state.points.set_tag(id, tag)?;
         self.after_change(&mut state.points);
         Ok(is_stored)
     }
 
     fn set_payload(&self, id: u64, payload: &[u8]) -> Result<bool, Error> {
-        let mut state = self.state.write();
+        let mut state = self.write()?;
         let is_stored = state.points.touch(id)?;
         match payload {
             [] => drop(state.payloads.remove(&id)),
@@ -221,26 +242,26 @@ impl NearestNeighbors for Memory {
     }
 
     fn get(&self, id: u64) -> Result<Option<Point>, Error> {
-        Ok(self.state.read().points.get(id))
+        Ok(self.read()?.points.get(id))
     }
 
     fn payload(&self, id: u64) -> Result<Option<Vec<u8>>, Error> {
-        let state = self.state.read();
+        let state = self.read()?;
         let is_stored = state.points.forest.contains(id);
         Ok(is_stored.then(|| state.payloads.get(&id).cloned().unwrap_or_default()))
     }
 
     fn scan(&self) -> Result<ScannedPoints<Error>, Error> {
-        let snapshot = self.state.read().points.forest.snapshot();
+        let snapshot = self.read()?.points.forest.snapshot();
         Ok(super::scan::scan(snapshot))
     }
 
     fn changes(&self, seen: Seen) -> Result<Option<Changes>, Error> {
-        Ok(self.state.read().points.changes(seen))
+        Ok(self.read()?.points.changes(seen))
     }
 
     fn clear(&self) -> Result<(), Error> {
-        let mut state = self.state.write();
+        let mut state = self.write()?;
         state.points.clear()?;
         state.payloads.clear();
         Ok(())

@@ -1,0 +1,65 @@
+"""Python's cost over Rust, and scipy's `cKDTree` beside it: python client/python/benches/index.py
+
+Needs the package built in release (`pip install ./client/python`) and scipy. Prints medians of interleaved runs.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+
+import numpy as np
+import wayfold
+from scipy.spatial import cKDTree
+from wayfold._wayfold import _seconds_in_rust
+
+POINTS, STATES, RUNS = 50_000, 10_000, 15
+
+
+def states_of(space: str, n: int, rng: np.random.Generator) -> np.ndarray:
+    if space.startswith("R3*SO3"):
+        quaternions = rng.normal(size=(n, 4))
+        return np.column_stack([rng.uniform(size=(n, 3)), quaternions / np.linalg.norm(quaternions, axis=1)[:, None]])
+    return rng.uniform(size=(n, wayfold.Space(space).coordinates))
+
+
+def seconds(action) -> float:
+    began = time.perf_counter()
+    action()
+    return time.perf_counter() - began
+
+
+def main() -> None:
+    print(f"{POINTS} points, {STATES} states, medians of {RUNS} runs")
+    print("| space | k | 10,000 states, over Rust | one state, above Rust | one state | scipy, 10,000 | scipy, one state |")
+    print("|---|---|---|---|---|---|---|")
+    rng = np.random.default_rng(1)
+    for space in ("R3", "R6", "R3*SO3:0.15"):
+        points, states = states_of(space, POINTS, rng), states_of(space, STATES, rng)
+        index = wayfold.Index(space)
+        index.insert_many(points)
+        tree = cKDTree(points) if "SO3" not in space else None
+        time.sleep(2)  # The levels are packed when nothing changes.
+        for k in (1, 10):
+            columns: list[list[float]] = [[] for _ in range(6)]
+            for _ in range(RUNS):
+                columns[0].append(_seconds_in_rust(index, states, k, True))
+                columns[1].append(seconds(lambda: index.query(states, k)))
+                columns[2].append(_seconds_in_rust(index, states, k, False))
+                columns[3].append(seconds(lambda: [index.query(state, k) for state in states]))
+                if tree is not None:
+                    columns[4].append(seconds(lambda: tree.query(states, k)))
+                    columns[5].append(seconds(lambda: [tree.query(state, k) for state in states[:1000]]) * STATES / 1000)
+            rust_many, many, rust_one, one = (statistics.median(column) for column in columns[:4])
+            ratio = statistics.median(p / r for p, r in zip(columns[1], columns[0], strict=True))
+            each = 1e6 / STATES
+            peers = ["–", "–"]
+            if tree is not None:
+                scipy_many, scipy_one = statistics.median(columns[4]), statistics.median(columns[5])
+                peers = [f"{scipy_many / many:.2f} × ours", f"{scipy_one * each:.1f} µs"]
+            above = f"{(one - rust_one) * each:.2f} µs"
+            print(f"| {space} | {k} | {ratio:.3f} | {above} | {one * each:.2f} µs | {' | '.join(peers)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""Exact, dynamic nearest-neighbour indices for motion planners.
+
+`Index(space)` is in memory, `shared(url, name)` keeps a copy of a server's index in step with others', and
+`remote(url, name)` calls a server.
+"""
+
+from . import spaces
+from ._errors import AlreadyExists, Error, Forked, InvalidArgument, NotFound, NotInMemory, Timeout, Unavailable
+from ._wayfold import (
+    Changes,
+    Found,
+    Index,
+    InsertedPoint,
+    Meanwhile,
+    MeanwhileAnswers,
+    Neighbor,
+    ScaledRadius,
+    Scaling,
+    Search,
+    Space,
+    Status,
+    StoredPoint,
+    StoredPoints,
+    UnsentWrite,
+    remote,
+    shared,
+)
+
+__all__ = [
+    "AlreadyExists",
+    "Changes",
+    "Error",
+    "Forked",
+    "Found",
+    "Index",
+    "InsertedPoint",
+    "InvalidArgument",
+    "Meanwhile",
+    "MeanwhileAnswers",
+    "Neighbor",
+    "NotFound",
+    "NotInMemory",
+    "ScaledRadius",
+    "Scaling",
+    "Search",
+    "Space",
+    "Status",
+    "StoredPoint",
+    "StoredPoints",
+    "Timeout",
+    "Unavailable",
+    "UnsentWrite",
+    "remote",
+    "shared",
+    "spaces",
+]

@@ -1,0 +1,65 @@
+"""The file of an index in memory: an archive of arrays that numpy reads too."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ._errors import InvalidArgument
+from ._wayfold import Index, _restore
+
+_FORMAT = "wayfold index 1"
+
+
+def save(path: str | os.PathLike[str], content: tuple[Any, ...]) -> None:
+    """Writes the content of an index. The file appears whole, or stays as it was."""
+    space, inline, next_id, ids, tags, states, holders, ends, payloads = content
+    path = Path(path)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez(
+                file,
+                format=np.array(_FORMAT),
+                space=np.array(space),
+                inline=np.array(inline),
+                next_id=np.array(next_id, dtype=np.uint64),
+                ids=ids,
+                tags=tags,
+                states=states,
+                payload_ids=holders,
+                payload_ends=ends,
+                payloads=np.frombuffer(payloads, dtype=np.uint8),
+            )
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(name, path)
+    except BaseException:
+        os.unlink(name)
+        raise
+
+
+def load(path: str | os.PathLike[str]) -> Index:
+    """The index of a file that `save` wrote."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if str(file["format"]) != _FORMAT:
+                raise InvalidArgument(f"{path}: the format is {file['format']!s}, not {_FORMAT}", "INVALID_ARGUMENT")
+            return _restore(
+                str(file["space"]),
+                bool(file["inline"]),
+                int(file["next_id"]),
+                file["ids"],
+                file["tags"],
+                file["states"],
+                file["payload_ids"],
+                file["payload_ends"],
+                file["payloads"].tobytes(),
+            )
+    except (KeyError, AttributeError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise InvalidArgument(f"{path}: not the file of an index: {error}", "INVALID_ARGUMENT") from error

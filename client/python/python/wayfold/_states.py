@@ -1,0 +1,92 @@
+"""Arrays of states from what planners hold: lists, rotations of scipy, pairs of a translation and a rotation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ._errors import InvalidArgument
+
+_QUATERNION = ("qx", "qy", "qz", "qw")
+
+
+def to_array(states: Any, names: tuple[str, ...]) -> npt.NDArray[np.float64]:
+    """The states as an array of shape (..., m). `names` are the names of the coordinates of the space."""
+    if _is_rotation(states) or _is_transform(states) or _is_composed(states):
+        return _compose(states, names)
+    if isinstance(states, (list, tuple)) and states and any(_is_composed(state) or _is_rotation(state) for state in states):
+        return np.stack([to_array(state, names) for state in states])
+    try:
+        return np.asarray(states, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidArgument(f"states: {error}", "INVALID_ARGUMENT") from error
+
+
+def broadcast(values: Any, shape: Sequence[int]) -> list[float]:
+    """A number for each of the states of this shape."""
+    try:
+        return np.broadcast_to(np.asarray(values, dtype=np.float64), tuple(shape)).ravel().tolist()
+    except ValueError as error:
+        raise InvalidArgument(f"r: {error}", "INVALID_ARGUMENT") from error
+
+
+def array_of_lists(lists: list[list[int]], shape: Sequence[int]) -> npt.NDArray[np.object_]:
+    """An array of lists, as scipy returns the points of many balls."""
+    array = np.empty(len(lists), dtype=object)
+    for row, ids in enumerate(lists):
+        array[row] = ids
+    return array.reshape(tuple(shape))
+
+
+def _is_rotation(state: Any) -> bool:
+    return hasattr(state, "as_quat")
+
+
+def _is_transform(state: Any) -> bool:
+    """True for a `RigidTransform` of scipy."""
+    return hasattr(state, "as_components")
+
+
+def _is_composed(state: Any) -> bool:
+    """True for the parts of a state, one of which is a rotation: a translation and a rotation."""
+    return isinstance(state, tuple) and any(map(_is_rotation, state)) and not all(map(_is_rotation, state))
+
+
+def _compose(state: Any, names: tuple[str, ...]) -> npt.NDArray[np.float64]:
+    """The parts of states, one beside the other; a part for one state belongs to all."""
+    if _is_transform(state):
+        state = state.as_components()
+    parts: list[npt.NDArray[np.float64]] = []
+    kinds: list[str] = []
+    for part in (state,) if _is_rotation(state) else state:
+        if _is_rotation(part):
+            parts.append(np.asarray(part.as_quat(), dtype=np.float64))
+            kinds += _QUATERNION
+        else:
+            parts.append(np.atleast_1d(np.asarray(part, dtype=np.float64)))
+            kinds += ["number"] * parts[-1].shape[-1]
+    expected = [name[:2] if name[:2] in _QUATERNION else "number" for name in names]
+    if kinds != expected:
+        raise InvalidArgument(
+            f"states: {_describe(kinds)}, where a state of this space is {', '.join(names)}", "INVALID_ARGUMENT"
+        )
+    shape = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
+    return np.concatenate([np.broadcast_to(part, shape + part.shape[-1:]) for part in parts], axis=-1)
+
+
+def _describe(kinds: list[str]) -> str:
+    """The parts in words: three numbers and a rotation."""
+    words, numbers = [], 0
+    for kind in [*kinds, "end"]:
+        if kind == "number":
+            numbers += 1
+            continue
+        if numbers:
+            words.append(f"{numbers} numbers")
+            numbers = 0
+        if kind == "qx":
+            words.append("a rotation")
+    return ", ".join(words)

@@ -1,0 +1,334 @@
+"""The extension module."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from os import PathLike
+from types import TracebackType
+from typing import Any, ClassVar, Literal, Protocol, Self, TypeAlias, type_check_only
+
+import numpy as np
+import numpy.typing as npt
+
+@type_check_only
+class _Rotation(Protocol):
+    """A rotation of scipy."""
+
+    def as_quat(self) -> Any: ...
+
+@type_check_only
+class _RigidTransform(Protocol):
+    """A rigid transform of scipy."""
+
+    def as_components(self) -> Any: ...
+
+# One state or many: an array of shape (..., m), a rotation, or the parts of states with a rotation among them.
+_Parts: TypeAlias = tuple[npt.ArrayLike | _Rotation, ...]
+_States: TypeAlias = npt.ArrayLike | _Rotation | _RigidTransform | _Parts | Sequence[_Rotation | _Parts]
+_Ids: TypeAlias = npt.NDArray[np.int64]
+_Floats: TypeAlias = npt.NDArray[np.float64]
+_UnsignedIds: TypeAlias = npt.NDArray[np.uint64]
+
+class Space:
+    """A configuration space with its metric, made of its text, such as `R3*SO3:0.15`."""
+
+    def __new__(cls, text: str) -> Self: ...
+    @property
+    def text(self) -> str: ...
+    @property
+    def coordinates(self) -> int:
+        """The number of coordinates of a state."""
+    @property
+    def dimension(self) -> int:
+        """The dimension of the space as a manifold: 6 for SE(3), whose states have 7 coordinates."""
+    @property
+    def names(self) -> tuple[str, ...]:
+        """A name for each coordinate."""
+    def distance(self, a: _States, b: _States) -> float:
+        """The distance of two states."""
+    def canonicalize(self, state: _States) -> _Floats:
+        """The state in canonical form."""
+    def __eq__(self, other: object) -> bool: ...
+    def __hash__(self) -> int: ...
+
+class ScaledRadius:
+    """The radius of PRM* and RRT*: r(n) = min(max, factor · (ln n / n)^(1/d))."""
+
+    def __new__(cls, factor: float, *, max: float | None = None) -> Self: ...
+
+class Scaling:
+    """The factors of the number of neighbours and of the radius that the literature proves."""
+
+    K_FACTOR: ClassVar[float]
+    @staticmethod
+    def k_bound(dimension: int) -> float: ...
+    @staticmethod
+    def prm_star_bound(dimension: int, free_volume: float) -> float: ...
+    @staticmethod
+    def rrt_star_bound(dimension: int, free_volume: float) -> float: ...
+
+class Search:
+    """A search: the number of neighbours, the radius, and the points that count.
+
+    `tag` is a mask and a value: points with `tag & mask == value` count. `since` is the `seen` of an earlier answer:
+    only points that it could not find count. `timeout` is in seconds.
+    """
+
+    def __new__(
+        cls,
+        k: int | None = None,
+        *,
+        k_factor: float | None = None,
+        radius: float | ScaledRadius | None = None,
+        tag: tuple[int, int] | None = None,
+        since: int | None = None,
+        epsilon: float = 0.0,
+        timeout: float | None = None,
+    ) -> Self: ...
+
+class Neighbor:
+    """A stored point and its distance."""
+
+    @property
+    def id(self) -> int: ...
+    @property
+    def distance(self) -> float: ...
+
+class Found:
+    """The neighbours of a state, nearest first and at equal distances by id."""
+
+    @property
+    def ids(self) -> _Ids: ...
+    @property
+    def distances(self) -> _Floats: ...
+    @property
+    def seen(self) -> int: ...
+    def __len__(self) -> int: ...
+
+class InsertedPoint:
+    """The id of an inserted point, and what the insert found."""
+
+    @property
+    def id(self) -> int: ...
+    @property
+    def found(self) -> Found: ...
+
+class StoredPoint:
+    """One stored point, its state in canonical form."""
+
+    @property
+    def id(self) -> int: ...
+    @property
+    def tag(self) -> int: ...
+    @property
+    def state(self) -> _Floats: ...
+
+class StoredPoints(Iterator[StoredPoint]):
+    """All points of an index as they were when the scan began."""
+
+    def __iter__(self) -> Self: ...
+    def __next__(self) -> StoredPoint: ...
+    def columns(self) -> tuple[_UnsignedIds, _UnsignedIds, _Floats]:
+        """The ids, the tags and the states of the points that the iterator has not returned."""
+
+class Changes:
+    """Everything that changed after an earlier answer."""
+
+    @property
+    def stored(self) -> list[StoredPoint]: ...
+    @property
+    def removed(self) -> list[int]: ...
+    @property
+    def seen(self) -> int: ...
+
+class Meanwhile:
+    """An own point's place in the index's order, and the neighbours that its insert could not see."""
+
+    @property
+    def id(self) -> int: ...
+    @property
+    def points_before(self) -> int: ...
+    @property
+    def ids(self) -> _Ids: ...
+    @property
+    def distances(self) -> _Floats: ...
+    @property
+    def is_superset(self) -> bool: ...
+
+class MeanwhileAnswers:
+    """The answers to the questions of inserts, as far as the server has stored the points."""
+
+    @property
+    def answers(self) -> list[Meanwhile]: ...
+    @property
+    def open(self) -> int: ...
+    @property
+    def has_dropped(self) -> bool: ...
+
+class Status:
+    """The state of a shared index's connection."""
+
+    @property
+    def name(self) -> Literal["following", "reloading", "disconnected", "refused", "ended", "closed", "unknown"]: ...
+    @property
+    def behind(self) -> int | None: ...
+    @property
+    def why(self) -> str | None: ...
+
+class UnsentWrite:
+    """A write that was not sent, or that the server refused."""
+
+    @property
+    def kind(self) -> Literal["put", "replace", "remove", "set_tag", "set_payload"]: ...
+    @property
+    def id(self) -> int: ...
+    @property
+    def tag(self) -> int | None: ...
+    @property
+    def state(self) -> _Floats | None: ...
+    @property
+    def payload(self) -> bytes | None: ...
+
+class Index:
+    """A dynamic set of states with exact nearest-neighbour search, in memory unless `shared` or `remote` opened it.
+
+    Any number of threads may call it, and every call releases the interpreter's lock. With `inline`, an insert that
+    fills a level merges it itself, and no thread is started.
+    """
+
+    def __new__(cls, space: str | Space, *, inline: bool = False) -> Self: ...
+    @property
+    def space(self) -> Space: ...
+    @property
+    def form(self) -> Literal["memory", "shared", "remote"]: ...
+    def __len__(self) -> int: ...
+    def __bool__(self) -> Literal[True]: ...
+    def __contains__(self, id: int) -> bool: ...
+    def is_empty(self) -> bool: ...
+    def insert(self, state: _States, *, id: int | None = None, tag: int = 0, payload: bytes | None = None) -> int:
+        """Stores a state and returns its id."""
+    def insert_with(
+        self, state: _States, ask: Search, *, id: int | None = None, tag: int = 0, payload: bytes | None = None
+    ) -> InsertedPoint:
+        """Stores a state, and searches the points before it at once."""
+    def insert_many(self, states: _States) -> _Ids:
+        """Stores many states at once and returns their ids, which ascend."""
+    def remove(self, id: int) -> bool:
+        """Removes a point. False if there is none with this id."""
+    def replace(self, id: int, state: _States) -> bool:
+        """Moves a point; it keeps its tag and loses its payload. False if there is none with this id."""
+    def set_tag(self, id: int, tag: int) -> bool:
+        """Sets the tag of a point. False if there is none with this id."""
+    def set_payload(self, id: int, payload: bytes) -> bool:
+        """Sets the payload of a point. False if there is none with this id."""
+    def get(self, id: int) -> StoredPoint | None:
+        """The point with this id."""
+    def payload(self, id: int) -> bytes | None:
+        """The payload of a point: empty if it has none, None if there is no such point."""
+    def nearest(self, state: _States) -> Neighbor | None:
+        """The nearest point; None if there are no points."""
+    def nearest_k(self, state: _States, k: int) -> Found:
+        """The `k` nearest points, nearest first."""
+    def nearest_r(self, state: _States, radius: float | ScaledRadius) -> Found:
+        """All points at distance `radius` or nearer, nearest first."""
+    def search(self, state: _States, search: Search) -> Found:
+        """Answers any search."""
+    def search_many(self, states: _States, search: Search) -> list[tuple[_Ids, _Floats]]:
+        """Answers a search of many states, which see the same points: ids and distances of each."""
+    def scan(self) -> StoredPoints:
+        """All points as they are now, by ascending id."""
+    def changes(self, seen: int) -> Changes | None:
+        """Everything that changed after an answer that has seen this much; None if some of it is forgotten."""
+    def clear(self) -> None:
+        """Forgets all points of an index in memory; their ids stay used."""
+    def remove_all(self) -> None:
+        """Removes all points that the index has now, one by one, for everybody."""
+    def query(
+        self,
+        x: _States,
+        k: int | Iterable[int] = 1,
+        *,
+        eps: float = 0.0,
+        distance_upper_bound: float = ...,
+        workers: int = 1,
+    ) -> tuple[Any, Any]:
+        """The distances and the ids of the nearest neighbours, as scipy's `KDTree.query`.
+
+        (..., m) in, (..., k) out, squeezed for k = 1. A missing neighbour has the distance inf and the id −1. `k` may
+        be a list of ranks from 1. `workers` threads search, −1 for all processors.
+        """
+    def query_ball_point(
+        self,
+        x: _States,
+        r: npt.ArrayLike,
+        *,
+        eps: float = 0.0,
+        workers: int = 1,
+        return_sorted: bool | None = None,
+        return_length: bool = False,
+    ) -> Any:
+        """The ids of all points at distance `r` or nearer, as scipy's `KDTree.query_ball_point`."""
+    def flush(self) -> None:
+        """Waits until the server has acknowledged every write before this call. At once for the other forms."""
+    def pending(self) -> int:
+        """The number of writes that the server has not acknowledged; 0 for the other forms."""
+    def status(self) -> Status | None:
+        """The state of a shared index's connection; None for the other forms."""
+    def meanwhile(self) -> MeanwhileAnswers:
+        """The answers about own points that were inserted with a question."""
+    def wait_meanwhile(self, timeout: float) -> MeanwhileAnswers:
+        """Acts like `meanwhile`, but waits for an answer, at most `timeout` seconds, if one is to come."""
+    def take_unsent(self) -> list[UnsentWrite]:
+        """Every write from the first one on that the server refused for good, in order."""
+    def close(self, timeout: float = 30.0) -> list[UnsentWrite]:
+        """Takes no more writes, waits for the pending ones, and returns those that are not acknowledged in time."""
+    def __enter__(self) -> Self: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Flushes, unless an exception ends the block, and closes."""
+    def save(self, path: str | PathLike[str]) -> None:
+        """Writes all points of an index in memory to a file. No other thread should write meanwhile."""
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Index:
+        """The index in memory that `save` wrote to a file."""
+    def __reduce__(self) -> tuple[Callable[..., Index], tuple[Any, ...]]: ...
+
+def shared(
+    url: str,
+    name: str,
+    *,
+    create: str | Space | None = None,
+    timeout: float = 30.0,
+    max_pending_bytes: int = 16 << 20,
+    token: str | None = None,
+    ca_certificate: bytes | None = None,
+    client_certificate: tuple[bytes, bytes] | None = None,
+) -> Index:
+    """The index of this name on a server, with a copy of it in this process.
+
+    `create` is the space to create it with if it is missing. The certificates and the key are PEM.
+    """
+
+def remote(
+    url: str,
+    name: str,
+    *,
+    create: str | Space | None = None,
+    timeout: float = 30.0,
+    token: str | None = None,
+    ca_certificate: bytes | None = None,
+    client_certificate: tuple[bytes, bytes] | None = None,
+) -> Index:
+    """The index of this name on a server, without a copy: each call goes to the server."""
+
+def _restore(
+    space: str | Space,
+    inline: bool,
+    next_id: int,
+    ids: _UnsignedIds,
+    tags: _UnsignedIds,
+    states: _Floats,
+    holders: _UnsignedIds,
+    ends: _UnsignedIds,
+    payloads: bytes,
+) -> Index: ...
+def _seconds_in_rust(index: Index, states: _States, k: int, is_one_call: bool) -> float: ...

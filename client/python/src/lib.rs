@@ -1,0 +1,34 @@
+//! The extension module `wayfold._wayfold` of the Python package `wayfold`.
+//!
+//! `index` is the class of all three forms, `open` connects the two that have a server, and `query` answers in the
+//! shapes of scipy's `KDTree`. `rows` reads states from arrays, `points` and `search` hold what goes in and comes out,
+//! and `error` raises. Every call of the index releases the interpreter's lock, and works on copies: another thread of
+//! Python may write to an array meanwhile.
+
+#![forbid(unsafe_code)]
+
+mod error;
+mod index;
+mod open;
+mod points;
+mod query;
+mod rows;
+mod search;
+mod space;
+
+use pyo3::prelude::pymodule;
+
+#[pymodule(gil_used = true)]
+mod _wayfold {
+    #[pymodule_export]
+    use crate::{
+        index::{Index, restore, seconds_in_rust},
+        open::{remote, shared},
+        points::{
+            Changes, Found, InsertedPoint, Meanwhile, MeanwhileAnswers, Neighbor, Status,
+            StoredPoint, StoredPoints, UnsentWrite,
+        },
+        search::{ScaledRadius, Scaling, Search},
+        space::Space,
+    };
+}

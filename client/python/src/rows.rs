@@ -1,0 +1,89 @@
+//! States as rows of numbers, from arrays and everything that the package makes arrays of.
+
+use numpy::{PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
+use pyo3::{prelude::*, sync::PyOnceLock, types::PyTuple};
+use wayfold::{Error, Space};
+
+use crate::error::{OrRaise, invalid};
+
+/// The states of an argument of shape (..., m).
+pub(crate) struct Rows {
+    /// The rows, one after the other.
+    pub(crate) numbers: Vec<f64>,
+    /// The shape without its last axis: empty for one state.
+    pub(crate) shape: Vec<usize>,
+}
+
+/// Copies the states of an argument.
+pub(crate) fn rows(
+    states: &Bound<'_, PyAny>,
+    space: &Space,
+    names: &Bound<'_, PyTuple>,
+) -> PyResult<Rows> {
+    let (py, width) = (states.py(), space.coordinates());
+    // The common case is checked first: one state costs little more than its search.
+    if let Ok(array) = states.cast::<PyArray1<f64>>()
+        && array.len() == width
+    {
+        let row = array.readonly();
+        let numbers = match row.as_slice() {
+            Ok(numbers) => numbers.to_vec(),
+            Err(_) => row.as_array().to_vec(),
+        };
+        return Ok(Rows {
+            numbers,
+            shape: Vec::new(),
+        });
+    }
+    let array = match states.cast::<PyArrayDyn<f64>>() {
+        Ok(array) => array.clone(),
+        Err(_) => {
+            static TO_ARRAY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
+            let to_array = TO_ARRAY.import(py, "wayfold._states", "to_array")?;
+            to_array
+                .call1((states, names))?
+                .cast_into::<PyArrayDyn<f64>>()?
+        }
+    };
+    let Some((&found, shape)) = array.shape().split_last() else {
+        return Err(invalid(py, "states: a number; a state is a row of numbers"));
+    };
+    if found != width {
+        let error = Error::Width {
+            row: 0,
+            expected: width,
+            found,
+        };
+        return Err(error).or_raise(py);
+    }
+    Ok(Rows {
+        shape: shape.to_vec(),
+        numbers: copy(&array.readonly())?,
+    })
+}
+
+/// Copies one state.
+pub(crate) fn one_state(
+    state: &Bound<'_, PyAny>,
+    space: &Space,
+    names: &Bound<'_, PyTuple>,
+) -> PyResult<Vec<f64>> {
+    let rows = rows(state, space, names)?;
+    match rows.shape.is_empty() {
+        true => Ok(rows.numbers),
+        false => {
+            let mut shape = rows.shape;
+            shape.push(space.coordinates());
+            let problem = format!("an array of shape {shape:?}, where one state belongs");
+            Err(invalid(state.py(), &problem))
+        }
+    }
+}
+
+/// The numbers in the order of their indices, whatever their order in memory.
+fn copy(array: &PyReadonlyArrayDyn<'_, f64>) -> PyResult<Vec<f64>> {
+    Ok(match array.as_slice() {
+        Ok(numbers) => numbers.to_vec(),
+        Err(_) => array.as_array().iter().copied().collect(),
+    })
+}

@@ -1,0 +1,129 @@
+"""The methods of an index in memory."""
+
+from __future__ import annotations
+
+import pickle
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import wayfold
+
+
+def plane() -> wayfold.Index:
+    index = wayfold.Index("R2")
+    index.insert([0.0, 0.0], tag=1, payload=b"origin")
+    index.insert([1.0, 0.0], tag=2)
+    index.insert([5.0, 0.0], id=40, payload=b"far")
+    return index
+
+
+def test_points_change() -> None:
+    index = plane()
+    assert len(index) == 3 and 40 in index and 2 not in index and not index.is_empty()
+    assert index.insert([9.0, 9.0]) == 41
+    with pytest.raises(wayfold.AlreadyExists):
+        index.insert([0.0, 0.0], id=40)
+    assert index.payload(40) == b"far" and index.payload(1) == b"" and index.payload(7) is None
+    assert index.replace(40, [4.0, 0.0]) and not index.replace(7, [0.0, 0.0])
+    assert index.payload(40) == b""
+    assert index.set_tag(40, 2**64 - 1) and index.set_payload(40, b"x") and not index.set_tag(7, 1)
+    point = index.get(40)
+    assert point is not None and (point.id, point.tag, point.state.tolist()) == (40, 2**64 - 1, [4.0, 0.0])
+    assert index.get(7) is None
+    assert index.remove(0) and not index.remove(0)
+    assert [point.id for point in index.scan()] == [1, 40, 41]
+    ids, tags, states = index.scan().columns()
+    assert ids.tolist() == [1, 40, 41] and tags[0] == 2 and states.shape == (3, 2)
+    index.clear()
+    assert len(index) == 0 and index.nearest([0.0, 0.0]) is None
+    assert index.insert([0.0, 0.0]) == 42
+    index.remove_all()
+    assert index.is_empty() and index
+
+
+def test_searches() -> None:
+    index = plane()
+    nearest = index.nearest([0.9, 0.0])
+    assert nearest is not None and nearest.id == 1 and nearest.distance == pytest.approx(0.1)
+    found = index.nearest_k([0.0, 0.0], 2)
+    assert found.ids.tolist() == [0, 1] and found.distances.tolist() == [0.0, 1.0] and len(found) == 2
+    assert index.nearest_r([0.0, 0.0], 1.0).ids.tolist() == [0, 1]
+    assert index.nearest_r([0.0, 0.0], wayfold.ScaledRadius(1.0, max=0.5)).ids.tolist() == [0]
+    assert index.search([0.0, 0.0], wayfold.Search(3, tag=(0b11, 2))).ids.tolist() == [1]
+    assert index.search([0.0, 0.0], wayfold.Search(k_factor=wayfold.Scaling.K_FACTOR)).ids.tolist() == [0, 1, 40]
+    many = index.search_many([[0, 0], [5, 0]], wayfold.Search(1))
+    assert [ids.tolist() for ids, _ in many] == [[0], [40]]
+    with pytest.raises(ValueError, match="k, k_factor or radius"):
+        wayfold.Search()
+
+
+def test_an_answer_says_what_it_has_seen() -> None:
+    index = plane()
+    found = index.nearest_k([0.0, 0.0], 1)
+    inserted = index.insert_with([0.1, 0.0], wayfold.Search(10))
+    assert inserted.found.ids.tolist() == [0, 1, 40]
+    assert index.search([0.0, 0.0], wayfold.Search(10, since=found.seen)).ids.tolist() == [inserted.id]
+    index.remove(1)
+    changes = index.changes(found.seen)
+    assert changes is not None and changes.removed == [1]
+    assert [point.id for point in changes.stored] == [inserted.id]
+
+
+def test_other_forms_methods_do_nothing_in_memory() -> None:
+    with plane() as index:
+        index.flush()
+        assert index.pending() == 0 and index.status() is None and index.take_unsent() == []
+        assert index.meanwhile().answers == [] and index.wait_meanwhile(0.0).open == 0
+        assert index.close() == [] and index.form == "memory"
+
+
+@pytest.mark.parametrize("way", ["pickle", "file"])
+def test_a_copy_has_all_points(way: str, tmp_path: Path) -> None:
+    index = plane()
+    index.insert([7.0, 7.0])
+    index.remove(41)
+    if way == "pickle":
+        copy = pickle.loads(pickle.dumps(index))
+    else:
+        path = tmp_path / "plane.wayfold"
+        index.save(path)
+        index.save(path)
+        assert [path.name for path in tmp_path.iterdir()] == ["plane.wayfold"]
+        copy = wayfold.Index.load(path)
+    assert copy.space == index.space
+    for ours, theirs in zip(index.scan().columns(), copy.scan().columns(), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert [copy.payload(id) for id in (0, 1, 40)] == [b"origin", b"", b"far"]
+    # No id is given twice.
+    assert copy.insert([0.0, 0.0]) == index.insert([0.0, 0.0]) == 42
+    empty = pickle.loads(pickle.dumps(wayfold.Index("R3*SO3")))
+    assert len(empty) == 0 and empty.insert([0, 0, 0, 0, 0, 0, 1]) == 0
+
+
+def test_a_wrong_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "wrong"
+    path.write_bytes(b"no archive")
+    with pytest.raises(ValueError):
+        wayfold.Index.load(path)
+    with open(path, "wb") as file:
+        np.savez(file, states=np.zeros(3))
+    with pytest.raises(ValueError, match="not the file of an index"):
+        wayfold.Index.load(path)
+
+
+def test_searches_release_the_interpreters_lock() -> None:
+    rng = np.random.default_rng(1)
+    index = wayfold.Index("R6")
+    index.insert_many(rng.uniform(size=(20_000, 6)))
+    asked = rng.uniform(size=(3_000, 6))
+    thread = threading.Thread(target=lambda: index.query(asked, 50))
+    steps = 0
+    thread.start()
+    while thread.is_alive():
+        index.insert(asked[steps % len(asked)])
+        steps += 1
+    # With the lock held, the search would end before this thread gets its turn.
+    assert steps > 20

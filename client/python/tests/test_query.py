@@ -1,0 +1,188 @@
+"""`query` and `query_ball_point` against brute force and scipy."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+import wayfold
+from wayfold import spaces
+
+Floats = npt.NDArray[np.float64]
+
+SPACES = {
+    "R3": spaces.R(3),
+    "SE2": spaces.SE2(weight=0.5),
+    "SE3": spaces.SE3(weight=0.15),
+    "OMPL": spaces.OMPL_SE3(),
+    "torus": spaces.torus(2),
+}
+
+
+def random_states(rng: np.random.Generator, name: str, n: int) -> Floats:
+    match name:
+        case "R3":
+            return rng.uniform(-1, 1, (n, 3))
+        case "SE2":
+            return np.column_stack([rng.uniform(-1, 1, (n, 2)), rng.uniform(-4, 4, n)])
+        case "torus":
+            return rng.uniform(-4, 4, (n, 2))
+    quaternions = rng.normal(size=(n, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return np.column_stack([rng.uniform(-1, 1, (n, 3)), quaternions])
+
+
+def arc(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.abs((a - b + math.pi) % (2 * math.pi) - math.pi))
+
+
+def half_angle(a: Floats, b: Floats) -> Floats:
+    """Half the angle of the rotation between two, by scipy."""
+    return np.asarray((Rotation.from_quat(a) * Rotation.from_quat(b).inv()).magnitude() / 2)
+
+
+def brute_force(name: str, state: Floats, points: Floats) -> Floats:
+    moved = np.asarray(np.linalg.norm(points[:, :3] - state[:3], axis=1))
+    match name:
+        case "R3":
+            return moved
+        case "SE2":
+            planar = np.linalg.norm(points[:, :2] - state[:2], axis=1)
+            return np.asarray(np.sqrt(planar**2 + 0.5 * arc(points[:, 2], state[2]) ** 2))
+        case "torus":
+            return np.asarray(np.sqrt(arc(points[:, 0], state[0]) ** 2 + arc(points[:, 1], state[1]) ** 2))
+        case "SE3":
+            return np.asarray(np.sqrt(moved**2 + 0.15 * half_angle(points[:, 3:], state[3:]) ** 2))
+        case _:
+            return np.asarray(moved + half_angle(points[:, 3:], state[3:]))
+
+
+@pytest.mark.parametrize("name", SPACES)
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 300), k=st.integers(1, 20), removed=st.integers(0, 50))
+def test_query_equals_brute_force(name: str, seed: int, n: int, k: int, removed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points, asked = random_states(rng, name, n), random_states(rng, name, 4)
+    index = wayfold.Index(SPACES[name], inline=bool(seed % 2))
+    ids = index.insert_many(points)
+    gone = set(rng.integers(0, n, removed).tolist())
+    for id in gone:
+        assert index.remove(id)
+    kept = np.array([id not in gone for id in ids], dtype=bool)
+    distances, found = index.query(asked, k)
+    assert distances.shape == found.shape == ((4, k) if k > 1 else (4,))
+    for row, state in enumerate(asked):
+        expected = np.sort(brute_force(name, state, points[kept]))[:k] if kept.any() else np.empty(0)
+        row_distances, row_ids = np.atleast_1d(distances[row]), np.atleast_1d(found[row])
+        count = len(expected)
+        np.testing.assert_allclose(row_distances[:count], expected, rtol=1e-9, atol=2e-8)
+        assert np.all(np.isinf(row_distances[count:])) and np.all(row_ids[count:] == -1)
+        own = brute_force(name, state, points[row_ids[:count]]) if count else np.empty(0)
+        np.testing.assert_allclose(row_distances[:count], own, rtol=1e-9, atol=2e-8)
+        assert not gone.intersection(row_ids.tolist())
+        # One state has the same answer as many, to the bit.
+        one_distances, one_ids = index.query(state, k)
+        assert np.array_equal(one_distances, distances[row]) and np.array_equal(one_ids, found[row])
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n=st.integers(1, 200),
+    k=st.one_of(st.integers(1, 12), st.lists(st.integers(1, 12), min_size=1, max_size=4)),
+    bound=st.sampled_from([math.inf, 0.5, 0.1, 0.0]),
+    shape=st.sampled_from([(), (1,), (5,), (2, 3), (0,)]),
+    workers=st.sampled_from([1, 2, -1]),
+)
+def test_query_equals_scipy_in_r3(
+    seed: int, n: int, k: Any, bound: float, shape: tuple[int, ...], workers: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    points, asked = rng.uniform(-1, 1, (n, 3)), rng.uniform(-1, 1, (*shape, 3))
+    tree, index = cKDTree(points), wayfold.Index("R3")
+    index.insert_many(points)
+    expected, expected_ids = tree.query(asked, k, distance_upper_bound=bound)
+    distances, ids = index.query(asked, k, distance_upper_bound=bound, workers=workers)
+    assert np.shape(distances) == np.shape(expected) and np.shape(ids) == np.shape(expected_ids)
+    np.testing.assert_allclose(distances, expected, rtol=1e-13)
+    np.testing.assert_array_equal(ids, np.where(np.isinf(expected), -1, expected_ids))
+    radius = rng.uniform(0, 1, shape) if seed % 2 else float(rng.uniform(0, 1))
+    lengths = index.query_ball_point(asked, radius, return_length=True, workers=workers)
+    np.testing.assert_array_equal(lengths, tree.query_ball_point(asked, radius, return_length=True))
+    found = index.query_ball_point(asked, radius, return_sorted=True)
+    expected_balls: Any = tree.query_ball_point(asked, radius, return_sorted=True)
+    if shape == ():
+        assert found == expected_balls
+    else:
+        assert found.shape == expected_balls.shape == shape
+        assert found.ravel().tolist() == expected_balls.ravel().tolist()
+
+
+def test_the_bound_of_a_query_is_open_and_a_ball_is_closed() -> None:
+    index = wayfold.Index("R1")
+    index.insert([1.0])
+    assert index.query([0.0], distance_upper_bound=1.0) == (math.inf, -1)
+    assert index.query([0.0], distance_upper_bound=math.nextafter(1.0, 2.0)) == (1.0, 0)
+    assert index.query_ball_point([0.0], 1.0) == [0]
+
+
+def test_types_are_scipys() -> None:
+    index = wayfold.Index("R3")
+    index.insert_many(np.eye(3))
+    distances, ids = index.query(np.eye(3), 2)
+    assert distances.dtype == np.float64 and ids.dtype == np.int64
+    assert index.query([1, 0, 0]) == (0.0, 0)
+    assert index.query(np.eye(3, dtype=np.float32)[0]) == (0.0, 0)
+    assert index.query(np.asfortranarray(np.eye(3)))[1].tolist() == [0, 1, 2]
+    assert index.query(np.eye(3)[:, ::-1][::-1])[1].tolist() == [0, 1, 2]
+    assert index.query(np.arange(6.0)[::2] * [0, 0, 0.25])[1] == 2
+
+
+def test_eps_stays_within_its_factor() -> None:
+    rng = np.random.default_rng(7)
+    index = wayfold.Index(SPACES["SE3"])
+    index.insert_many(random_states(rng, "SE3", 2000))
+    asked = random_states(rng, "SE3", 50)
+    exact, near = index.query(asked)[0], index.query(asked, eps=0.5)[0]
+    assert np.all(near >= exact) and np.all(near <= 1.5 * exact)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        ({"k": 0}, "k: 0"),
+        ({"k": [1, 0]}, "k: 0"),
+        ({"k": []}, "k: an empty list"),
+        ({"eps": -1.0}, "eps: -1"),
+        ({"eps": math.nan}, "eps: NaN"),
+        ({"distance_upper_bound": math.nan}, "distance_upper_bound: NaN"),
+        ({"workers": 0}, "workers: 0"),
+    ],
+)
+def test_a_wrong_argument_is_named(arguments: dict[str, Any], problem: str) -> None:
+    index = wayfold.Index("R2")
+    with pytest.raises(ValueError, match=problem):
+        index.query(np.zeros((1, 2)), **arguments)
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_an_error_names_row_and_coordinate(workers: int) -> None:
+    index = wayfold.Index("R3*SO3:0.15")
+    states = np.tile([0.0, 0, 0, 0, 0, 0, 1], (6, 1))
+    states[4, 2] = math.nan
+    with pytest.raises(ValueError, match=r"states\[4\]\.coords\[2\]: NaN"):
+        index.query(states, workers=workers)
+    with pytest.raises(ValueError, match=r"states\[4\]\.coords\[2\]: NaN"):
+        index.insert_many(states)
+    with pytest.raises(wayfold.InvalidArgument, match="6 numbers, where a state of this space has 7") as caught:
+        index.query(states[:, :6])
+    assert caught.value.code == "INVALID_ARGUMENT"
+    assert len(index) == 0

@@ -1,0 +1,96 @@
+"""Shared and remote indices on a server."""
+
+from __future__ import annotations
+
+import pickle
+import time
+
+import numpy as np
+import pytest
+
+import wayfold
+from conftest import Server
+
+# The longest time until a write of one process is seen by another.
+MAX_WAIT_S = 30.0
+
+
+def wait_for_length(index: wayfold.Index, length: int) -> None:
+    end = time.monotonic() + MAX_WAIT_S
+    while len(index) != length:
+        assert time.monotonic() < end, f"{len(index)} points"
+        time.sleep(0.005)
+
+
+def test_all_forms_answer_alike(server: Server) -> None:
+    rng = np.random.default_rng(5)
+    states = np.column_stack([rng.uniform(-1, 1, (500, 2)), rng.uniform(-3, 3, 500)])
+    asked = states[:20] + 0.01
+    memory = wayfold.Index("R2*SO2")
+    shared = wayfold.shared(server.url, "alike", create=wayfold.spaces.SE2())
+    ids = shared.insert_many(states)
+    for id, state in zip(ids.tolist(), states, strict=True):
+        memory.insert(state, id=id)
+    shared.flush()
+    assert shared.pending() == 0
+    remote = wayfold.remote(server.url, "alike")
+    assert (memory.form, shared.form, remote.form) == ("memory", "shared", "remote")
+    for index in (shared, remote):
+        assert len(index) == 500 and index.space == memory.space
+        for k in (1, 7, [2, 3]):
+            for ours, theirs in zip(memory.query(asked, k), index.query(asked, k), strict=True):
+                np.testing.assert_array_equal(ours, theirs)
+        assert index.query(asked[0]) == memory.query(asked[0])
+        assert index.query_ball_point(asked, 0.3).tolist() == memory.query_ball_point(asked, 0.3).tolist()
+        _, _, rows = index.scan().columns()
+        np.testing.assert_array_equal(rows, memory.scan().columns()[2])
+    assert shared.close() == []
+
+
+def test_two_shared_indices_and_a_remote_one(server: Server) -> None:
+    with (
+        wayfold.shared(server.url, "two", create="R2") as first,
+        wayfold.shared(server.url, "two") as second,
+    ):
+        remote = wayfold.remote(server.url, "two")
+        inserted = first.insert_with([0.0, 0.0], wayfold.Search(5), tag=3, payload=b"edges")
+        assert len(inserted.found) == 0
+        wait_for_length(second, 1)
+        answers = first.wait_meanwhile(MAX_WAIT_S)
+        assert [answer.id for answer in answers.answers] == [inserted.id]
+        assert second.payload(inserted.id) == b"edges" == remote.payload(inserted.id)
+        changes = second.changes(0)
+        assert changes is None or [point.tag for point in changes.stored] == [3]
+        assert remote.remove(inserted.id)
+        wait_for_length(first, 0)
+        status = first.status()
+        assert status is not None and status.name == "following"
+        with pytest.raises(wayfold.NotInMemory, match="only an index in memory"):
+            first.clear()
+    with pytest.raises(wayfold.Error, match="closed"):
+        first.insert([0.0, 0.0])
+
+
+def test_errors_have_classes(server: Server) -> None:
+    with pytest.raises(wayfold.NotFound) as caught:
+        wayfold.shared(server.url, "nowhere")
+    assert caught.value.code == "NOT_FOUND" and caught.value.reason
+    assert pickle.loads(pickle.dumps(caught.value)).reason == caught.value.reason
+    wayfold.remote(server.url, "other", create="R2")
+    with pytest.raises(wayfold.AlreadyExists):
+        wayfold.remote(server.url, "other", create="R3")
+    with pytest.raises(ValueError, match="not the address of a server"):
+        wayfold.remote("no address", "other")
+    with pytest.raises(ConnectionError):
+        wayfold.remote("http://127.0.0.1:1", "other", timeout=0.5)
+    with pytest.raises(ValueError, match="token: it has characters that no token has"):
+        wayfold.remote(server.url, "other", token="two\nlines")
+    with pytest.raises(ValueError, match="timeout: -1"):
+        wayfold.remote(server.url, "other", timeout=-1)
+
+
+@pytest.mark.parametrize("opened", [wayfold.shared, wayfold.remote])
+def test_an_index_of_a_server_is_not_pickled(server: Server, opened: object) -> None:
+    index = opened(server.url, "pickled", create="R2")  # type: ignore[operator]
+    with pytest.raises(TypeError, match="open it in the other process by its name"):
+        pickle.dumps(index)

@@ -1,0 +1,67 @@
+"""What is taken for a state."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import wayfold
+from wayfold import spaces
+
+
+def test_rotations_of_scipy_are_states_of_so3() -> None:
+    rotations = Rotation.random(20, np.random.default_rng(3))
+    index = wayfold.Index(spaces.SO3())
+    ids = index.insert_many(rotations)
+    assert ids.tolist() == list(range(20))
+    distances, found = index.query(rotations)
+    assert found.tolist() == ids.tolist() and np.all(distances < 1e-7)
+    one = Rotation.from_euler("xyz", [0.1, 0.2, 0.3])
+    distance, id = index.query(one)
+    halves = (rotations * one.inv()).magnitude() / 2
+    assert id == halves.argmin() and distance == pytest.approx(halves.min())
+    assert index.insert_many([one, one]).tolist() == [20, 21]
+
+
+def test_a_translation_and_a_rotation_are_a_state_of_se3() -> None:
+    index = wayfold.Index(spaces.SE3())
+    turn = Rotation.from_euler("z", 90, degrees=True)
+    id = index.insert(([1.0, 2.0, 3.0], turn))
+    point = index.get(id)
+    assert point is not None
+    np.testing.assert_allclose(point.state, [1, 2, 3, 0, 0, 0.5**0.5, 0.5**0.5])
+    many = index.insert_many((np.zeros((4, 3)), Rotation.random(4)))
+    assert many.shape == (4,)
+    # One rotation for all translations, and a list of pairs.
+    assert index.query((np.zeros((2, 5, 3)), turn))[0].shape == (2, 5)
+    assert index.insert_many([([0, 0, 0], turn), ([1, 1, 1], turn)]).shape == (2,)
+
+
+def test_a_rotation_in_the_wrong_place_is_refused() -> None:
+    index = wayfold.Index(spaces.SE3())
+    with pytest.raises(ValueError, match="a rotation, 3 numbers, where a state of this space is x, y, z, qx"):
+        index.insert((Rotation.identity(), [1.0, 2.0, 3.0]))
+    with pytest.raises(ValueError, match="a rotation, where"):
+        index.query(Rotation.identity())
+    with pytest.raises(ValueError, match="where one state belongs"):
+        index.insert(np.zeros((2, 7)))
+    with pytest.raises(ValueError, match="states: a number"):
+        index.query(1.0)
+    with pytest.raises(ValueError, match="states: "):
+        index.query([[0, 0, 0], [1]])
+
+
+def test_spaces_have_names() -> None:
+    assert str(spaces.SE3(weight=0.15)) == "R3*SO3:0.15" == spaces.SE3().text
+    assert spaces.SE2() == wayfold.Space("R2*SO2")
+    assert spaces.OMPL_SE3() == spaces.sum(spaces.R(3), spaces.SO3())
+    assert spaces.OMPL_SE2() == spaces.sum(spaces.R(2), (spaces.SO2(), 0.5))
+    assert spaces.joints(7) == wayfold.Space("moveit-joints-7")
+    assert spaces.sum(spaces.torus(2), "R3").dimension == 5
+    assert spaces.sum(spaces.SE2(), spaces.R(1)).text == "sum(R2*SO2, R1)"
+    assert spaces.SO2(1.0).names == ("theta",)
+    assert spaces.SE3().distance([0, 0, 0, 0, 0, 0, 1], [3, 4, 0, 0, 0, 0, 1]) == 5.0
+    assert len({spaces.SE3(), wayfold.Space("R3*RP3:0.15")}) == 1
+    with pytest.raises(ValueError, match="space: "):
+        wayfold.Index("R3*banana")
