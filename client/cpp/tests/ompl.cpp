@@ -252,9 +252,8 @@ void refusals() {
     og::RRTstar planner(si);
     planner.setProblemDefinition(definition);
     wayfold::use(planner);
-    const auto refused = message_of<ompl::Exception>([&] {
-        planner.solve(ob::PlannerTerminationCondition(ob::IterationTerminationCondition(1000)));
-    });
+    ob::IterationTerminationCondition counter(1000);
+    const auto refused = message_of<ompl::Exception>([&] { planner.solve(counter); });
     CHECK(refused.find("distance of two states") != std::string::npos);
     static_assert(!wayfold::detail::CanSwap<og::FMT>::value);
     static_assert(!wayfold::detail::CanSwap<ob::Planner>::value);
@@ -304,7 +303,8 @@ template <class P, class Configure> std::string grow(Problem (*make)(), bool is_
         } else {
             planner.template setNearestNeighbors<ompl::NearestNeighborsGNATNoThreadSafety>();
         }
-        const ob::PlannerTerminationCondition ends_after{ob::IterationTerminationCondition(iterations)};
+        ob::IterationTerminationCondition counter(iterations);
+        const ob::PlannerTerminationCondition ends_after = counter;
         if constexpr (std::is_base_of_v<og::PRM, P>) {
             planner.setup();
             planner.growRoadmap(ends_after);

@@ -44,7 +44,8 @@ template <class P> double run(Problem (*make)(), bool is_wayfold, int seed, unsi
             planner.template setNearestNeighbors<ompl::NearestNeighborsGNATNoThreadSafety>();
         }
         planner.setup();
-        const ob::PlannerTerminationCondition after{ob::IterationTerminationCondition(vertices)};
+        ob::IterationTerminationCondition counter(vertices);
+        const ob::PlannerTerminationCondition after = counter;
         const double began = processor_seconds();
         if constexpr (std::is_base_of_v<og::PRM, P>) {
             planner.growRoadmap(after);
