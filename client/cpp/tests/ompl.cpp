@@ -300,7 +300,8 @@ template <class P, class Configure> std::string grow(Problem (*make)(), bool is_
         configure(planner);
         if (is_wayfold) {
             wayfold::use(planner);
-        } else {
+        } else if constexpr (!std::is_base_of_v<og::PRM, P> && !std::is_base_of_v<og::LazyPRM, P>) {
+            // These two would give it no distance function; GNAT is their default.
             planner.template setNearestNeighbors<ompl::NearestNeighborsGNATNoThreadSafety>();
         }
         ob::IterationTerminationCondition counter(iterations);

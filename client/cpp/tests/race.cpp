@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdio>
 #include <ctime>
+#include <ompl/geometric/planners/prm/LazyPRM.h>
 #include <ompl/geometric/planners/prm/PRMstar.h>
 #include <ompl/geometric/planners/rrt/LazyRRT.h>
 #include <ompl/geometric/planners/rrt/RRT.h>
@@ -40,7 +41,8 @@ template <class P> double run(Problem (*make)(), bool is_wayfold, int seed, unsi
         planner.setProblemDefinition(problem.definition);
         if (is_wayfold) {
             wayfold::use(planner);
-        } else {
+        } else if constexpr (!std::is_base_of_v<og::PRM, P> && !std::is_base_of_v<og::LazyPRM, P>) {
+            // These two would give it no distance function; GNAT is their default.
             planner.template setNearestNeighbors<ompl::NearestNeighborsGNATNoThreadSafety>();
         }
         planner.setup();

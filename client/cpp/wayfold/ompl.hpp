@@ -225,7 +225,16 @@ public:
         if (context.space != nullptr && context.space->width() != index_.width()) {
             throw ompl::Exception("wayfold: the rows of " + context.text + " have another width");
         }
+        // PRM and LazyPRM set no distance function, and a connection strategy of theirs calls it.
+        if (context.information != nullptr) {
+            Base::setDistanceFunction([this](const T &a, const T &b) {
+                return context_.information->distance(state_of(a), state_of(b));
+            });
+        }
     }
+
+    NearestNeighborsWayfold(const NearestNeighborsWayfold &) = delete;
+    NearestNeighborsWayfold &operator=(const NearestNeighborsWayfold &) = delete;
 
     // For elements of your own: a space text, and a function that writes an element's row.
     NearestNeighborsWayfold(const std::string &space, std::function<void(const T &, double *)> write,
@@ -255,7 +264,7 @@ public:
     void add(const T &element) override {
         double row[max_width];
         write(element, row);
-        if (unchecked_ > 0) {
+        if (unchecked_ > 0 && Base::distFun_) {
             check_distance(element, row);
         }
         index_.insert(row);
@@ -413,18 +422,7 @@ private:
             }
             left--;
             const T &other = elements_[at - 1];
-            double theirs = 0;
-            if (Base::distFun_) {
-                theirs = Base::distFun_(other, element);
-            } else if (context_.information != nullptr) {
-                if constexpr (reads_state) {
-                    theirs = context_.information->distance(state_of(other), state_of(element));
-                } else {
-                    theirs = context_.information->distance(context_.vertex(&other), context_.vertex(&element));
-                }
-            } else {
-                return;
-            }
+            const double theirs = Base::distFun_(other, element);
             write(other, other_row);
             const double ours = index_.distance(other_row, row);
             // OMPL takes rotations less than 4.5e-5 apart for equal.
