@@ -19,6 +19,7 @@
 #include <ompl/geometric/planners/prm/LazyPRM.h>
 #include <ompl/geometric/planners/prm/PRM.h>
 #include <ompl/geometric/planners/prm/SPARStwo.h>
+#include <ompl/tools/config/SelfConfig.h>
 #include <ompl/util/Exception.h>
 #include <ompl/util/RandomNumbers.h>
 
@@ -482,6 +483,14 @@ template <class P> void use(P &planner, Context context) {
     }
     const Scope scope(context);
     planner.template setNearestNeighbors<NearestNeighborsWayfold>();
+    if constexpr (std::is_base_of_v<og::LazyPRM, P>) {
+        // Its connection strategy has copied the range, which only setup would compute: nothing would be connected.
+        double range = planner.getRange();
+        if (range == 0) {
+            ompl::tools::SelfConfig(context.information, planner.getName()).configurePlannerRange(range);
+            planner.setRange(range);
+        }
+    }
 }
 
 } // namespace detail
