@@ -1,0 +1,149 @@
+//! The error of a thread's last failed call.
+
+use std::{
+    any::Any,
+    cell::RefCell,
+    ffi::{CString, c_char},
+    panic::{AssertUnwindSafe, catch_unwind},
+};
+
+use client::Error;
+
+use crate::code::Code;
+
+/// An error as C reads it.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    code: Code,
+    message: CString,
+    field: CString,
+    reason: CString,
+}
+
+thread_local! {
+    static LAST: RefCell<Option<Failure>> = const { RefCell::new(None) };
+}
+
+impl Failure {
+    pub(crate) fn new(code: Code, field: &str, reason: &str, message: &str) -> Failure {
+        Failure {
+            code,
+            message: c_string(message),
+            field: c_string(field),
+            reason: c_string(reason),
+        }
+    }
+
+    /// An argument that is out of its range.
+    pub(crate) fn argument(field: &str, problem: &str) -> Failure {
+        let message = format!("{field}: {problem}");
+        Failure::new(Code::InvalidArgument, field, "INVALID_ARGUMENT", &message)
+    }
+}
+
+impl From<Error> for Failure {
+    fn from(error: Error) -> Failure {
+        let (field, reason) = match &error {
+            Error::Width { row, .. } => (format!("states[{row}]"), "WRONG_WIDTH"),
+            Error::State { row, error } => (
+                format!("states[{row}].coords[{}]", error.coordinate),
+                "INVALID_STATE",
+            ),
+            Error::Argument { field, .. } => ((*field).to_owned(), "INVALID_ARGUMENT"),
+            Error::IdTaken { .. } => ("id".to_owned(), "ID_TAKEN"),
+            Error::SearchTimeout => ("timeout".to_owned(), "SEARCH_TIMEOUT"),
+            Error::NotInMemory { .. } => (String::new(), "NOT_IN_MEMORY"),
+            Error::Closed => (String::new(), "CLOSED"),
+            Error::Forked => (String::new(), "FORKED"),
+            _ => (String::new(), ""),
+        };
+        #[cfg(feature = "net")]
+        let reason = error.reason().unwrap_or(reason);
+        Failure::new(code(&error), &field, reason, &error.to_string())
+    }
+}
+
+#[cfg(not(feature = "net"))]
+fn code(error: &Error) -> Code {
+    match error {
+        Error::IdTaken { .. } => Code::AlreadyExists,
+        Error::SearchTimeout => Code::DeadlineExceeded,
+        Error::Closed | Error::Forked => Code::FailedPrecondition,
+        _ => Code::InvalidArgument,
+    }
+}
+
+#[cfg(feature = "net")]
+fn code(error: &Error) -> Code {
+    match error.code() {
+        // An error is never a success.
+        client::Code::Ok | client::Code::Unknown => Code::Unknown,
+        client::Code::Cancelled => Code::Cancelled,
+        client::Code::InvalidArgument => Code::InvalidArgument,
+        client::Code::DeadlineExceeded => Code::DeadlineExceeded,
+        client::Code::NotFound => Code::NotFound,
+        client::Code::AlreadyExists => Code::AlreadyExists,
+        client::Code::PermissionDenied => Code::PermissionDenied,
+        client::Code::ResourceExhausted => Code::ResourceExhausted,
+        client::Code::FailedPrecondition => Code::FailedPrecondition,
+        client::Code::Aborted => Code::Aborted,
+        client::Code::OutOfRange => Code::OutOfRange,
+        client::Code::Unimplemented => Code::Unimplemented,
+        client::Code::Internal => Code::Internal,
+        client::Code::Unavailable => Code::Unavailable,
+        client::Code::DataLoss => Code::DataLoss,
+        client::Code::Unauthenticated => Code::Unauthenticated,
+    }
+}
+
+/// Runs the body of a function of the ABI, and keeps its error.
+pub(crate) fn call(body: impl FnOnce() -> Result<(), Failure>) -> Code {
+    match catch_unwind(AssertUnwindSafe(body)) {
+        Ok(Ok(())) => Code::Ok,
+        Ok(Err(failure)) => keep(failure),
+        Err(panic) => keep(panicked(panic.as_ref())),
+    }
+}
+
+fn keep(failure: Failure) -> Code {
+    let code = failure.code;
+    LAST.with(|last| *last.borrow_mut() = Some(failure));
+    code
+}
+
+fn panicked(panic: &(dyn Any + Send)) -> Failure {
+    let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
+    let text = text.or_else(|| panic.downcast_ref::<String>().cloned());
+    let message = format!("the library panicked: {}", text.unwrap_or_default());
+    Failure::new(Code::Internal, "", "PANIC", &message)
+}
+
+/// A part of the thread's last error.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Part {
+    Message,
+    Field,
+    Reason,
+}
+
+/// A part of the error of this thread's last failed call: "" if none has failed.
+pub(crate) fn last(part: Part) -> *const c_char {
+    LAST.with(|last| {
+        let last = last.borrow();
+        let text = last.as_ref().map(|failure| match part {
+            Part::Message => &failure.message,
+            Part::Field => &failure.field,
+            Part::Reason => &failure.reason,
+        });
+        text.map_or(c"".as_ptr(), |text| text.as_ptr())
+    })
+}
+
+fn c_string(text: &str) -> CString {
+    CString::new(text.replace('\0', " ")).unwrap_or_default()
+}
+
+/// Frees a value. A panic while it is dropped does not unwind into the caller.
+pub(crate) fn free(body: impl FnOnce()) {
+    let _ = catch_unwind(AssertUnwindSafe(body));
+}

@@ -1,0 +1,112 @@
+// The C ABI: answers, errors, and pointers that are null.
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <wayfold.h>
+
+#define CHECK(condition)                                                                                               \
+    do {                                                                                                               \
+        if (!(condition)) {                                                                                            \
+            fprintf(stderr, "abi.c:%d: %s (%s)\n", __LINE__, #condition, wayfold_error_message());                     \
+            exit(1);                                                                                                   \
+        }                                                                                                              \
+    } while (0)
+
+int main(void) {
+    CHECK(strlen(wayfold_version()) >= 5);
+    wayfold_index *index = NULL;
+    CHECK(wayfold_index_in_memory("R2*SO2", true, &index) == WAYFOLD_CODE_OK);
+    CHECK(wayfold_index_width(index) == 3);
+
+    double states[100 * 3];
+    for (int row = 0; row < 100; row++) {
+        states[row * 3] = row;
+        states[row * 3 + 1] = 0;
+        states[row * 3 + 2] = 0.01 * row;
+    }
+    uint64_t ids[100];
+    CHECK(wayfold_index_insert(index, states, 100, 3, ids) == WAYFOLD_CODE_OK);
+    size_t size = 0;
+    CHECK(wayfold_index_size(index, &size) == WAYFOLD_CODE_OK && size == 100);
+
+    // Many states, one call.
+    wayfold_search search = wayfold_search_default();
+    search.k = 4;
+    uint64_t near[100 * 4];
+    double distances[100 * 4];
+    size_t found[100];
+    CHECK(wayfold_index_search(index, states, 100, 3, &search, 4, near, distances, found) == WAYFOLD_CODE_OK);
+    for (int row = 0; row < 100; row++) {
+        CHECK(found[row] == 4 && near[row * 4] == ids[row] && distances[row * 4] == 0);
+    }
+    // A row without room gets the nearest.
+    search.k = 0;
+    search.radius = 10;
+    CHECK(wayfold_index_search(index, states, 1, 3, &search, 2, near, distances, found) == WAYFOLD_CODE_OK);
+    CHECK(found[0] == 10 && near[1] == ids[1]);
+    double between = 0;
+    CHECK(wayfold_index_distance(index, states, states + 3, 3, &between) == WAYFOLD_CODE_OK);
+    CHECK(between == distances[1]);
+
+    uint64_t nearest = 0;
+    bool is_there = false;
+    CHECK(wayfold_index_remove(index, ids[0], &is_there) == WAYFOLD_CODE_OK && is_there);
+    CHECK(wayfold_index_remove(index, ids[0], &is_there) == WAYFOLD_CODE_OK && !is_there);
+    CHECK(wayfold_index_nearest(index, states, 3, &nearest, &between, &is_there) == WAYFOLD_CODE_OK);
+    CHECK(is_there && nearest == ids[1]);
+    CHECK(wayfold_index_replace(index, ids[1], states, 3, &is_there) == WAYFOLD_CODE_OK && is_there);
+
+    wayfold_point point = wayfold_point_default();
+    point.id = 1000;
+    point.tag = 7;
+    point.payload = (const uint8_t *)"edge";
+    point.payload_bytes = 4;
+    uint64_t id = 0;
+    search = wayfold_search_default();
+    search.k = 1;
+    CHECK(wayfold_index_insert_with(index, states, 3, &point, &id, &search, 4, near, distances, found) == 0);
+    CHECK(id == 1000 && found[0] == 1 && near[0] == ids[1]);
+    CHECK(wayfold_index_insert_with(index, states, 3, &point, &id, NULL, 0, NULL, NULL, NULL) ==
+          WAYFOLD_CODE_ALREADY_EXISTS);
+    CHECK(strcmp(wayfold_error_reason(), "ID_TAKEN") == 0 && strcmp(wayfold_error_field(), "id") == 0);
+    uint8_t payload[8];
+    size_t bytes = 0;
+    CHECK(wayfold_index_payload(index, 1000, payload, 8, &bytes) == WAYFOLD_CODE_OK && bytes == 4);
+    CHECK(memcmp(payload, "edge", 4) == 0);
+    double state[3];
+    uint64_t tag = 0;
+    CHECK(wayfold_index_get(index, 1000, &tag, state, 3, &is_there) == WAYFOLD_CODE_OK && is_there && tag == 7);
+
+    wayfold_points *points = NULL;
+    CHECK(wayfold_index_scan(index, &points) == WAYFOLD_CODE_OK && wayfold_points_count(points) == 100);
+    CHECK(wayfold_points_ids(points)[99] == 1000 && wayfold_points_tags(points)[99] == 7);
+    wayfold_points_free(points);
+    CHECK(wayfold_index_changes(index, 0, &points) == WAYFOLD_CODE_OK && points != NULL);
+    size_t removed = 0;
+    CHECK(wayfold_points_removed(points, &removed)[0] == ids[0] && removed == 1);
+    wayfold_points_free(points);
+
+    // Errors name the field and the reason.
+    states[3 * 5 + 1] = NAN;
+    CHECK(wayfold_index_insert(index, states, 100, 3, ids) == WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(strcmp(wayfold_error_field(), "states[5].coords[1]") == 0);
+    CHECK(strcmp(wayfold_error_reason(), "INVALID_STATE") == 0);
+    CHECK(wayfold_index_insert(index, states, 1, 4, ids) == WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(strcmp(wayfold_error_reason(), "WRONG_WIDTH") == 0);
+    CHECK(wayfold_index_insert(index, states, SIZE_MAX, 3, ids) == WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(wayfold_index_insert(index, NULL, 1, 3, ids) == WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(strcmp(wayfold_error_reason(), "NULL_POINTER") == 0);
+    CHECK(wayfold_index_size(NULL, &size) == WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(strcmp(wayfold_error_field(), "index") == 0);
+    wayfold_index *none = NULL;
+    CHECK(wayfold_index_in_memory("R3*", true, &none) == WAYFOLD_CODE_INVALID_ARGUMENT && none == NULL);
+    CHECK(strcmp(wayfold_error_reason(), "INVALID_SPACE") == 0);
+
+    CHECK(wayfold_index_clear(index) == WAYFOLD_CODE_OK);
+    CHECK(wayfold_index_nearest(index, states, 3, &nearest, &between, &is_there) == WAYFOLD_CODE_OK && !is_there);
+    wayfold_index_free(index);
+    wayfold_index_free(NULL);
+    puts("abi: ok");
+    return 0;
+}

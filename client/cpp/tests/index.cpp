@@ -1,0 +1,75 @@
+// wayfold.hpp: answers against brute force, errors, and threads.
+#include "check.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <random>
+#include <string>
+#include <thread>
+#include <wayfold/wayfold.hpp>
+
+int main() {
+    std::mt19937 random(1);
+    std::uniform_real_distribution<double> uniform(-1, 1);
+    const auto state = [&] {
+        return std::vector<double>{uniform(random), uniform(random), uniform(random), 0.1, 0.2, 0.3, 0.9};
+    };
+    const auto pose = [&] {
+        std::vector<double> row = state();
+        double norm = 0;
+        for (int at = 3; at < 7; at++) {
+            row[at] = uniform(random);
+            norm += row[at] * row[at];
+        }
+        for (int at = 3; at < 7; at++) {
+            row[at] /= std::sqrt(norm);
+        }
+        return row;
+    };
+    const auto index = wayfold::Index::in_memory("sum(R3, SO3)");
+    CHECK(index.width() == 7 && index.empty() && !index.nearest(pose()));
+    std::vector<std::vector<double>> rows;
+    for (int at = 0; at < 2000; at++) {
+        rows.push_back(pose());
+        CHECK(index.insert(rows.back()) == static_cast<std::uint64_t>(at));
+    }
+    for (int round = 0; round < 50; round++) {
+        const auto query = pose();
+        std::vector<wayfold::Neighbor> all;
+        for (std::size_t at = 0; at < rows.size(); at++) {
+            all.push_back({at, index.distance(query.data(), rows[at].data())});
+        }
+        std::sort(all.begin(), all.end(), [](const auto &a, const auto &b) { return a.distance < b.distance; });
+        const auto near = index.nearest_k(query, 20);
+        CHECK(near.size() == 20 && std::equal(near.begin(), near.end(), all.begin()));
+        CHECK(*index.nearest(query) == all[0]);
+        const auto within = index.nearest_r(query, all[300].distance);
+        CHECK(within.size() == 301 && std::equal(within.begin(), within.end(), all.begin()));
+    }
+    const auto wrong = message_of<wayfold::Error>([&] { index.insert({1, 2}); });
+    CHECK(wrong.find("states[0]") != std::string::npos);
+    CHECK(message_of<wayfold::Error>([&] { wayfold::Index::in_memory("R"); }).find("column") != std::string::npos);
+
+    const auto id = index.insert(pose(), 5, std::string(1000, 'x'));
+    CHECK(index.get(id)->tag == 5 && index.payload(id) == std::string(1000, 'x') && !index.get(id + 1));
+    CHECK(index.search(pose(), wayfold::Search::k(3).tag(~0ULL, 5)).size() == 1);
+    const auto changes = index.changes(0);
+    CHECK(changes && changes->stored.size() == 2001);
+    CHECK(index.remove(id) && !index.remove(id) && index.changes(changes->seen)->removed.size() == 1);
+    CHECK(index.scan().size() == 2000);
+
+    // Searches beside inserts, merges on their own thread.
+    std::thread inserts([&] {
+        for (int round = 0; round < 5; round++) {
+            for (const auto &row : rows) {
+                index.insert(row);
+            }
+        }
+    });
+    for (int round = 0; round < 500; round++) {
+        CHECK(index.nearest_k(rows[round], 5)[0].distance == 0);
+    }
+    inserts.join();
+    CHECK(index.size() == 12000);
+    std::cout << "index: ok\n";
+}

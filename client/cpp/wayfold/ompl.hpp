@@ -1,0 +1,535 @@
+// Wayfold's index as a nearest-neighbour structure of OMPL's planners. One line:
+//
+//     og::RRTConnect planner(si);
+//     wayfold::use(planner);
+#pragma once
+
+#include <wayfold/wayfold.hpp>
+
+#include <ompl/base/Planner.h>
+#include <ompl/base/SpaceInformation.h>
+#include <ompl/base/StateSpace.h>
+#include <ompl/base/spaces/DiscreteStateSpace.h>
+#include <ompl/base/spaces/RealVectorStateSpace.h>
+#include <ompl/base/spaces/SO2StateSpace.h>
+#include <ompl/base/spaces/SO3StateSpace.h>
+#include <ompl/base/spaces/TimeStateSpace.h>
+#include <ompl/base/spaces/WrapperStateSpace.h>
+#include <ompl/datastructures/NearestNeighbors.h>
+#include <ompl/geometric/planners/prm/LazyPRM.h>
+#include <ompl/geometric/planners/prm/PRM.h>
+#include <ompl/geometric/planners/prm/SPARStwo.h>
+#include <ompl/tools/config/SelfConfig.h>
+#include <ompl/util/Exception.h>
+#include <ompl/util/RandomNumbers.h>
+
+#include <cmath>
+#include <cstdio>
+#include <functional>
+#include <memory>
+#include <string>
+#include <type_traits>
+#include <typeinfo>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+namespace wayfold {
+
+// Writes a state's row: the numbers of the space text, in order.
+using StateToRow = std::function<void(const ompl::base::State *, double *)>;
+
+// A state space of OMPL as a space text, and its states as rows. A compound space is the weighted sum of its parts;
+// nested ones are flattened.
+class OmplSpace {
+public:
+    explicit OmplSpace(const ompl::base::StateSpacePtr &space) : space_(space) {
+        if (!space->isMetricSpace()) {
+            throw ompl::Exception("wayfold: the distance of " + space->getName() +
+                                  " is not a metric; keep OMPL's own nearest neighbours for it");
+        }
+        root_ = part(space.get(), 1.0);
+        std::string sum;
+        for (const std::string &argument : arguments_) {
+            sum += (sum.empty() ? "" : ", ") + argument;
+        }
+        text_ = "sum(" + sum + ")";
+    }
+
+    const std::string &text() const { return text_; }
+    std::size_t width() const { return width_; }
+    void write(const ompl::base::State *state, double *row) const { write(root_, state, row); }
+
+private:
+    enum class Kind { compound, wrapper, real, so2, so3, time, discrete };
+
+    struct Part {
+        Kind kind;
+        unsigned int numbers;
+        std::vector<Part> parts;
+    };
+
+    Part part(const ompl::base::StateSpace *space, double weight) {
+        namespace ob = ompl::base;
+        if (const auto *wrapper = dynamic_cast<const ob::WrapperStateSpace *>(space)) {
+            return {Kind::wrapper, 0, {part(wrapper->getSpace().get(), weight)}};
+        }
+        if (const auto *compound = dynamic_cast<const ob::CompoundStateSpace *>(space)) {
+            Part all{Kind::compound, 0, {}};
+            for (unsigned int at = 0; at < compound->getSubspaceCount(); at++) {
+                const double own = compound->getSubspaceWeight(at);
+                all.parts.push_back(part(compound->getSubspace(at).get(), weight * own));
+            }
+            return all;
+        }
+        if (dynamic_cast<const ob::RealVectorStateSpace *>(space) != nullptr) {
+            const unsigned int n = space->getDimension();
+            return n == 0 ? Part{Kind::real, 0, {}} : leaf(Kind::real, n, "R" + std::to_string(n), weight);
+        }
+        if (dynamic_cast<const ob::SO2StateSpace *>(space) != nullptr) {
+            return leaf(Kind::so2, 1, "SO2", weight);
+        }
+        if (dynamic_cast<const ob::SO3StateSpace *>(space) != nullptr) {
+            return leaf(Kind::so3, 4, "SO3", weight);
+        }
+        if (dynamic_cast<const ob::TimeStateSpace *>(space) != nullptr) {
+            return leaf(Kind::time, 1, "R1", weight);
+        }
+        if (dynamic_cast<const ob::DiscreteStateSpace *>(space) != nullptr) {
+            return leaf(Kind::discrete, 1, "R1", weight);
+        }
+        throw ompl::Exception("wayfold: " + space->getName() +
+                              " is no space that Wayfold knows; give wayfold::use a space text and a function that "
+                              "writes a state's row");
+    }
+
+    Part leaf(Kind kind, unsigned int numbers, std::string text, double weight) {
+        if (weight != 1.0) {
+            char digits[32];
+            std::snprintf(digits, sizeof digits, ":%.17g", weight);
+            text += digits;
+        }
+        arguments_.push_back(std::move(text));
+        width_ += numbers;
+        return {kind, numbers, {}};
+    }
+
+    static double *write(const Part &part, const ompl::base::State *state, double *row) {
+        namespace ob = ompl::base;
+        switch (part.kind) {
+        case Kind::compound: {
+            const auto *compound = static_cast<const ob::CompoundState *>(state);
+            for (std::size_t at = 0; at < part.parts.size(); at++) {
+                row = write(part.parts[at], compound->components[at], row);
+            }
+            return row;
+        }
+        case Kind::wrapper:
+            return write(part.parts[0], static_cast<const ob::WrapperStateSpace::StateType *>(state)->getState(), row);
+        case Kind::real: {
+            const double *values = static_cast<const ob::RealVectorStateSpace::StateType *>(state)->values;
+            for (unsigned int at = 0; at < part.numbers; at++) {
+                *row++ = values[at];
+            }
+            return row;
+        }
+        case Kind::so2:
+            *row++ = static_cast<const ob::SO2StateSpace::StateType *>(state)->value;
+            return row;
+        case Kind::so3: {
+            const auto *rotation = static_cast<const ob::SO3StateSpace::StateType *>(state);
+            *row++ = rotation->x;
+            *row++ = rotation->y;
+            *row++ = rotation->z;
+            *row++ = rotation->w;
+            return row;
+        }
+        case Kind::time:
+            *row++ = static_cast<const ob::TimeStateSpace::StateType *>(state)->position;
+            return row;
+        case Kind::discrete:
+            *row++ = static_cast<const ob::DiscreteStateSpace::StateType *>(state)->value;
+            return row;
+        }
+        return row;
+    }
+
+    // Keeps the parts alive.
+    ompl::base::StateSpacePtr space_;
+    std::vector<std::string> arguments_;
+    std::string text_;
+    std::size_t width_{0};
+    Part root_{Kind::compound, 0, {}};
+};
+
+namespace detail {
+
+// What a structure made without arguments needs to know. OMPL's setNearestNeighbors makes it so.
+struct Context {
+    std::string text;
+    // Null if `custom` writes the rows.
+    std::shared_ptr<const OmplSpace> space;
+    StateToRow custom;
+    ompl::base::SpaceInformationPtr information;
+    // The state of a roadmap's vertex: a pointer to the vertex, of this type.
+    std::function<const ompl::base::State *(const void *)> vertex;
+    const std::type_info *vertex_type{nullptr};
+    Merging merging{Merging::background};
+};
+
+inline thread_local const Context *context = nullptr;
+
+// Offers a context to the structures that this thread makes within the scope.
+class Scope {
+public:
+    explicit Scope(const Context &offered) : before_(context) { context = &offered; }
+    ~Scope() { context = before_; }
+    Scope(const Scope &) = delete;
+    Scope &operator=(const Scope &) = delete;
+
+private:
+    const Context *before_;
+};
+
+template <class T, class = void> struct HasState : std::false_type {};
+template <class T>
+struct HasState<T, std::enable_if_t<std::is_convertible_v<decltype(std::declval<T>()->state), const ompl::base::State *>>>
+    : std::true_type {};
+template <class T, class = void> struct HasStateField : std::false_type {};
+template <class T>
+struct HasStateField<
+    T, std::enable_if_t<std::is_convertible_v<decltype(std::declval<T>()->state_), const ompl::base::State *>>>
+    : std::true_type {};
+template <class T, class = void> struct IsHashable : std::false_type {};
+template <class T>
+struct IsHashable<T, std::void_t<decltype(std::hash<T>()(std::declval<const T &>()))>> : std::true_type {};
+
+} // namespace detail
+
+// The nearest-neighbour structure. It copies the rows of elements when they are added: an element whose state changes
+// later is found where it was, and can still be removed. Searches may run at once; changes may not, as in OMPL's own.
+template <typename T> class NearestNeighborsWayfold : public ompl::NearestNeighbors<T> {
+    using Base = ompl::NearestNeighbors<T>;
+
+public:
+    // For OMPL's setNearestNeighbors, which passes no arguments: call wayfold::use.
+    NearestNeighborsWayfold() : NearestNeighborsWayfold(offered()) {}
+
+    explicit NearestNeighborsWayfold(const detail::Context &context)
+        : context_(context), index_(Index::in_memory(context.text, context.merging)) {
+        if constexpr (!reads_state) {
+            if (context.vertex_type == nullptr || *context.vertex_type != typeid(T)) {
+                throw ompl::Exception("wayfold: elements of this type have no state; use the constructor that takes a "
+                                      "space text and a function that writes an element's row");
+            }
+        }
+        if (context.space != nullptr && context.space->width() != index_.width()) {
+            throw ompl::Exception("wayfold: the rows of " + context.text + " have another width");
+        }
+        // PRM and LazyPRM set no distance function, and a connection strategy of theirs calls it.
+        if (context.information != nullptr) {
+            Base::setDistanceFunction([this](const T &a, const T &b) {
+                return context_.information->distance(state_of(a), state_of(b));
+            });
+        }
+    }
+
+    NearestNeighborsWayfold(const NearestNeighborsWayfold &) = delete;
+    NearestNeighborsWayfold &operator=(const NearestNeighborsWayfold &) = delete;
+
+    // For elements of your own: a space text, and a function that writes an element's row.
+    NearestNeighborsWayfold(const std::string &space, std::function<void(const T &, double *)> write,
+                            Merging merging = Merging::background)
+        : write_(std::move(write)), index_(Index::in_memory(space, merging)) {
+        context_.text = space;
+    }
+
+    bool reportsSortedResults() const override { return true; }
+
+    void setDistanceFunction(const typename Base::DistanceFunction &distance) override {
+        Base::setDistanceFunction(distance);
+        unchecked_ = checked_adds;
+    }
+
+    // Forgets its own elements, and does not read them: planners free the states before.
+    void clear() override {
+        index_.clear();
+        first_ += elements_.size();
+        elements_.clear();
+        is_stored_.clear();
+        ids_.clear();
+        has_ids_ = false;
+        size_ = 0;
+    }
+
+    void add(const T &element) override {
+        double row[max_width];
+        write(element, row);
+        if (unchecked_ > 0 && Base::distFun_) {
+            check_distance(element, row);
+        }
+        index_.insert(row);
+        store(element);
+    }
+
+    void add(const std::vector<T> &elements) override {
+        for (const T &element : elements) {
+            add(element);
+        }
+    }
+
+    bool remove(const T &element) override {
+        const std::size_t at = find(element);
+        if (at == elements_.size()) {
+            return false;
+        }
+        index_.remove(first_ + at);
+        is_stored_[at] = false;
+        size_--;
+        return true;
+    }
+
+    T nearest(const T &element) const override {
+        if (size_ == 0) {
+            throw ompl::Exception("No elements found in nearest neighbors data structure");
+        }
+        double row[max_width];
+        write(element, row);
+        return elements_[index_.nearest(row)->id - first_];
+    }
+
+    void nearestK(const T &element, std::size_t k, std::vector<T> &found) const override {
+        found.clear();
+        if (k > 0 && size_ > 0) {
+            search(element, Search::k(static_cast<std::uint32_t>(std::min(k, size_))), found);
+        }
+    }
+
+    // The closed ball.
+    void nearestR(const T &element, double radius, std::vector<T> &found) const override {
+        found.clear();
+        if (radius >= 0 && size_ > 0) {
+            search(element, Search::within(radius), found);
+        }
+    }
+
+    std::size_t size() const override { return size_; }
+
+    void list(std::vector<T> &found) const override {
+        found.clear();
+        found.reserve(size_);
+        for (std::size_t at = 0; at < elements_.size(); at++) {
+            if (is_stored_[at]) {
+                found.push_back(elements_[at]);
+            }
+        }
+    }
+
+private:
+    static constexpr bool is_state = std::is_convertible_v<T, const ompl::base::State *>;
+    static constexpr bool reads_state = is_state || detail::HasState<T>::value || detail::HasStateField<T>::value;
+    // A space has at most this many coordinates.
+    static constexpr std::size_t max_width = 256;
+    static constexpr unsigned int checked_adds = 32;
+
+    static const detail::Context &offered() {
+        if (detail::context == nullptr) {
+            throw ompl::Exception("wayfold: this structure needs the planner's space; call wayfold::use(planner) in "
+                                  "place of planner.setNearestNeighbors");
+        }
+        return *detail::context;
+    }
+
+    const ompl::base::State *state_of(const T &element) const {
+        if constexpr (is_state) {
+            return element;
+        } else if constexpr (detail::HasState<T>::value) {
+            return element->state;
+        } else if constexpr (detail::HasStateField<T>::value) {
+            return element->state_;
+        } else {
+            return context_.vertex(&element);
+        }
+    }
+
+    void write(const T &element, double *row) const {
+        if (write_) {
+            write_(element, row);
+        } else if (context_.space != nullptr) {
+            context_.space->write(state_of(element), row);
+        } else {
+            context_.custom(state_of(element), row);
+        }
+    }
+
+    void search(const T &element, const Search &search, std::vector<T> &found) const {
+        thread_local std::vector<std::uint64_t> ids;
+        double row[max_width];
+        write(element, row);
+        const std::size_t count = index_.search_into(row, search, ids);
+        found.reserve(count);
+        for (std::size_t at = 0; at < count; at++) {
+            found.push_back(elements_[ids[at] - first_]);
+        }
+    }
+
+    void store(const T &element) {
+        if constexpr (detail::IsHashable<T>::value) {
+            if (has_ids_) {
+                ids_.emplace(element, elements_.size());
+            }
+        }
+        elements_.push_back(element);
+        is_stored_.push_back(true);
+        size_++;
+    }
+
+    // The place of a stored element, or the number of places.
+    std::size_t find(const T &element) {
+        if constexpr (detail::IsHashable<T>::value) {
+            // Planners that never remove do not pay for the table.
+            if (!has_ids_) {
+                for (std::size_t at = 0; at < elements_.size(); at++) {
+                    if (is_stored_[at]) {
+                        ids_.emplace(elements_[at], at);
+                    }
+                }
+                has_ids_ = true;
+            }
+            const auto entry = ids_.find(element);
+            if (entry == ids_.end()) {
+                return elements_.size();
+            }
+            const std::size_t at = entry->second;
+            ids_.erase(entry);
+            return at;
+        } else {
+            std::size_t at = 0;
+            while (at < elements_.size() && !(is_stored_[at] && elements_[at] == element)) {
+                at++;
+            }
+            return at;
+        }
+    }
+
+    // Compares our distance with the planner's: a space may override it, and a planner may add costs to it.
+    void check_distance(const T &element, const double *row) {
+        unchecked_--;
+        double other_row[max_width];
+        unsigned int left = 8;
+        for (std::size_t at = elements_.size(); at > 0 && left > 0; at--) {
+            if (!is_stored_[at - 1]) {
+                continue;
+            }
+            left--;
+            const T &other = elements_[at - 1];
+            const double theirs = Base::distFun_(other, element);
+            write(other, other_row);
+            const double ours = index_.distance(other_row, row);
+            // OMPL takes rotations less than 4.5e-5 apart for equal.
+            if (!(std::fabs(ours - theirs) <= 1e-4 + 1e-6 * std::fabs(theirs))) {
+                throw ompl::Exception("wayfold: the planner's distance of two states is " + std::to_string(theirs) +
+                                      ", and that of " + context_.text + " is " + std::to_string(ours) +
+                                      ": keep OMPL's own nearest neighbours here, or give the space text of this metric");
+            }
+        }
+    }
+
+    detail::Context context_;
+    std::function<void(const T &, double *)> write_;
+    Index index_;
+    // By id, from the id `first_` on; those that are removed keep their places.
+    std::vector<T> elements_;
+    std::vector<bool> is_stored_;
+    std::uint64_t first_{0};
+    std::size_t size_{0};
+    std::conditional_t<detail::IsHashable<T>::value, std::unordered_multimap<T, std::size_t>, std::vector<T>> ids_;
+    bool has_ids_{false};
+    unsigned int unchecked_{checked_adds};
+    // OMPL's GNAT has a generator, which draws one of the process's seeds. Without this one, the planner's samplers would
+    // get other seeds than with GNAT.
+    ompl::RNG generator_;
+};
+
+namespace detail {
+
+template <class P, class = void> struct CanSwap : std::false_type {};
+template <class P>
+struct CanSwap<P, std::void_t<decltype(std::declval<P &>().template setNearestNeighbors<NearestNeighborsWayfold>())>>
+    : std::true_type {};
+
+// The states of a roadmap's vertices are in a protected property map, which a derived class may name.
+template <class Roadmap> struct Vertices : Roadmap {
+    static auto states() { return &Vertices::stateProperty_; }
+};
+
+template <class Roadmap> void read_vertices(Roadmap &planner, Context &context) {
+    using Vertex = typename Roadmap::Vertex;
+    context.vertex_type = &typeid(Vertex);
+    context.vertex = [&planner](const void *vertex) -> const ompl::base::State * {
+        return boost::get(planner.*Vertices<Roadmap>::states(), *static_cast<const Vertex *>(vertex));
+    };
+}
+
+template <class P> void use(P &planner, Context context) {
+    namespace og = ompl::geometric;
+    context.information = planner.getSpaceInformation();
+    if constexpr (std::is_base_of_v<og::PRM, P>) {
+        read_vertices<og::PRM>(planner, context);
+    } else if constexpr (std::is_base_of_v<og::LazyPRM, P>) {
+        read_vertices<og::LazyPRM>(planner, context);
+    } else if constexpr (std::is_base_of_v<og::SPARStwo, P>) {
+        read_vertices<og::SPARStwo>(planner, context);
+    }
+    const Scope scope(context);
+    planner.template setNearestNeighbors<NearestNeighborsWayfold>();
+    if constexpr (std::is_base_of_v<og::LazyPRM, P>) {
+        // Its connection strategy has copied the range, which only setup would compute: nothing would be connected.
+        double range = planner.getRange();
+        if (range == 0) {
+            ompl::tools::SelfConfig(context.information, planner.getName()).configurePlannerRange(range);
+            planner.setRange(range);
+        }
+    }
+}
+
+} // namespace detail
+
+// Makes a planner use Wayfold's index. Call it before the planner's setup: it clears the planner.
+template <class P> void use(P &planner, Merging merging = Merging::background) {
+    static_assert(detail::CanSwap<P>::value,
+                  "this planner has no setNearestNeighbors: OMPL cannot swap its nearest neighbours. Name the planner's "
+                  "own type, as in og::RRTConnect; a base::Planner does not know it");
+    if constexpr (detail::CanSwap<P>::value) {
+        detail::Context context;
+        context.space = std::make_shared<OmplSpace>(planner.getSpaceInformation()->getStateSpace());
+        context.text = context.space->text();
+        context.merging = merging;
+        detail::use(planner, context);
+    }
+}
+
+// For spaces of your own: a space text, and a function that writes a state's row.
+template <class P>
+void use(P &planner, const std::string &space, StateToRow write, Merging merging = Merging::background) {
+    static_assert(detail::CanSwap<P>::value,
+                  "this planner has no setNearestNeighbors: OMPL cannot swap its nearest neighbours");
+    if constexpr (detail::CanSwap<P>::value) {
+        detail::Context context;
+        context.text = space;
+        context.custom = std::move(write);
+        context.merging = merging;
+        detail::use(planner, context);
+    }
+}
+
+// An allocator of planners that use Wayfold's index, where OMPL makes the planner, as in SimpleSetup and MoveIt.
+template <class P> ompl::base::PlannerAllocator allocator() {
+    return [](const ompl::base::SpaceInformationPtr &information) -> ompl::base::PlannerPtr {
+        auto planner = std::make_shared<P>(information);
+        use(*planner);
+        return planner;
+    };
+}
+
+} // namespace wayfold

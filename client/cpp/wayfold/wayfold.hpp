@@ -1,0 +1,353 @@
+// Exact nearest-neighbour indices for motion planners, in C++17: the methods of the Rust client over wayfold.h.
+#pragma once
+
+#include <wayfold.h>
+
+#include <algorithm>
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace wayfold {
+
+// The error of a call. The message names the field and the problem.
+class Error : public std::runtime_error {
+public:
+    Error(wayfold_code code, const std::string &message, std::string field, std::string reason)
+        : std::runtime_error(message), code_(code), field_(std::move(field)), reason_(std::move(reason)) {}
+
+    wayfold_code code() const { return code_; }
+    // As in "states[3].coords[1]"; empty if the error is about no field.
+    const std::string &field() const { return field_; }
+    // In UPPER_SNAKE_CASE; empty if there is none.
+    const std::string &reason() const { return reason_; }
+
+private:
+    wayfold_code code_;
+    std::string field_;
+    std::string reason_;
+};
+
+namespace detail {
+
+inline void check(wayfold_code code) {
+    if (code != WAYFOLD_CODE_OK) {
+        throw Error(code, wayfold_error_message(), wayfold_error_field(), wayfold_error_reason());
+    }
+}
+
+} // namespace detail
+
+struct Neighbor {
+    std::uint64_t id;
+    double distance;
+
+    friend bool operator==(const Neighbor &a, const Neighbor &b) { return a.id == b.id && a.distance == b.distance; }
+    friend bool operator!=(const Neighbor &a, const Neighbor &b) { return !(a == b); }
+};
+
+struct StoredPoint {
+    std::uint64_t id;
+    std::uint64_t tag;
+    std::vector<double> state;
+};
+
+// Everything that changed after an earlier answer.
+struct Changes {
+    std::vector<StoredPoint> stored;
+    std::vector<std::uint64_t> removed;
+    std::uint64_t seen;
+};
+
+// The thread that merges the trees of an index in memory: one of the process, or the one whose insert makes it due.
+enum class Merging { background, in_line };
+
+// A search: the number of neighbours, the radius, and the points that count.
+class Search {
+public:
+    static Search k(std::uint32_t k) {
+        Search search;
+        search.raw_.k = k;
+        return search;
+    }
+    // The ⌈factor · ln n⌉ nearest of n points.
+    static Search k_factor(double factor) {
+        Search search;
+        search.raw_.k_factor = factor;
+        return search;
+    }
+    static Search within(double radius) { return Search().radius(radius); }
+
+    Search &radius(double radius) {
+        raw_.radius = radius;
+        return *this;
+    }
+    // The radius of PRM*, min(radius, factor · (ln n / n)^(1/d)).
+    Search &radius_factor(double factor) {
+        raw_.radius_factor = factor;
+        return *this;
+    }
+    Search &tag(std::uint64_t mask, std::uint64_t value) {
+        raw_.tag_mask = mask;
+        raw_.tag_value = value;
+        return *this;
+    }
+    Search &since(std::uint64_t seen) {
+        raw_.since = seen;
+        return *this;
+    }
+    Search &epsilon(double epsilon) {
+        raw_.epsilon = epsilon;
+        return *this;
+    }
+    const wayfold_search &raw() const { return raw_; }
+
+private:
+    Search() : raw_(wayfold_search_default()) {}
+
+    wayfold_search raw_;
+};
+
+// A dynamic set of states with exact nearest-neighbour search. Copies share the points. All methods are thread-safe.
+class Index {
+public:
+    static Index in_memory(const std::string &space, Merging merging = Merging::background) {
+        wayfold_index *made = nullptr;
+        detail::check(wayfold_index_in_memory(space.c_str(), merging == Merging::in_line, &made));
+        return Index(made);
+    }
+
+#ifndef WAYFOLD_NO_NET
+    // A copy of the server's index in this process. An empty `space`: the index must exist.
+    static Index shared(const std::string &uri, const std::string &name, const std::string &space = {},
+                        const std::string &token = {}) {
+        return open(wayfold_index_shared, uri, name, space, token);
+    }
+    // Each call is one of the server's.
+    static Index remote(const std::string &uri, const std::string &name, const std::string &space = {},
+                        const std::string &token = {}) {
+        return open(wayfold_index_remote, uri, name, space, token);
+    }
+
+    // Waits until the server has acknowledged every write before this call.
+    void flush() const { detail::check(wayfold_index_flush(raw())); }
+    std::uint64_t pending() const {
+        std::uint64_t pending = 0;
+        detail::check(wayfold_index_pending(raw(), &pending));
+        return pending;
+    }
+    // Takes no more writes, and returns the number of those that the server has not acknowledged in time.
+    std::size_t close(std::uint64_t timeout_ms) const {
+        std::size_t unsent = 0;
+        detail::check(wayfold_index_close(raw(), timeout_ms, &unsent));
+        return unsent;
+    }
+#endif
+
+    // The numbers of a state.
+    std::size_t width() const { return width_; }
+    std::size_t size() const {
+        std::size_t size = 0;
+        detail::check(wayfold_index_size(raw(), &size));
+        return size;
+    }
+    bool empty() const { return size() == 0; }
+
+    std::uint64_t insert(const double *state) const {
+        std::uint64_t id = 0;
+        detail::check(wayfold_index_insert(raw(), state, 1, width_, &id));
+        return id;
+    }
+    std::uint64_t insert(const std::vector<double> &state) const {
+        std::uint64_t id = 0;
+        detail::check(wayfold_index_insert(raw(), state.data(), 1, state.size(), &id));
+        return id;
+    }
+    // `states` are rows, one after the other.
+    std::vector<std::uint64_t> insert_many(const double *states, std::size_t count) const {
+        std::vector<std::uint64_t> ids(count);
+        detail::check(wayfold_index_insert(raw(), states, count, width_, ids.data()));
+        return ids;
+    }
+    std::uint64_t insert(const std::vector<double> &state, std::uint64_t tag, const std::string &payload = {}) const {
+        wayfold_point point = wayfold_point_default();
+        point.tag = tag;
+        point.payload = reinterpret_cast<const std::uint8_t *>(payload.data());
+        point.payload_bytes = payload.size();
+        std::uint64_t id = 0;
+        detail::check(wayfold_index_insert_with(raw(), state.data(), state.size(), &point, &id, nullptr, 0, nullptr,
+                                                nullptr, nullptr));
+        return id;
+    }
+    // These return false if there is no point with this id.
+    bool remove(std::uint64_t id) const {
+        bool removed = false;
+        detail::check(wayfold_index_remove(raw(), id, &removed));
+        return removed;
+    }
+    bool replace(std::uint64_t id, const std::vector<double> &state) const {
+        bool replaced = false;
+        detail::check(wayfold_index_replace(raw(), id, state.data(), state.size(), &replaced));
+        return replaced;
+    }
+    bool set_tag(std::uint64_t id, std::uint64_t tag) const {
+        bool set = false;
+        detail::check(wayfold_index_set_tag(raw(), id, tag, &set));
+        return set;
+    }
+    bool set_payload(std::uint64_t id, const std::string &payload) const {
+        bool set = false;
+        const auto *bytes = reinterpret_cast<const std::uint8_t *>(payload.data());
+        detail::check(wayfold_index_set_payload(raw(), id, bytes, payload.size(), &set));
+        return set;
+    }
+    std::optional<StoredPoint> get(std::uint64_t id) const {
+        StoredPoint point{id, 0, std::vector<double>(width_)};
+        bool found = false;
+        detail::check(wayfold_index_get(raw(), id, &point.tag, point.state.data(), width_, &found));
+        return found ? std::optional<StoredPoint>(std::move(point)) : std::nullopt;
+    }
+    std::string payload(std::uint64_t id) const {
+        std::string payload(256, '\0');
+        for (;;) {
+            std::size_t bytes = 0;
+            auto *room = reinterpret_cast<std::uint8_t *>(payload.data());
+            detail::check(wayfold_index_payload(raw(), id, room, payload.size(), &bytes));
+            const bool fits = bytes <= payload.size();
+            payload.resize(bytes);
+            if (fits) {
+                return payload;
+            }
+        }
+    }
+    // For an index in memory only.
+    void clear() const { detail::check(wayfold_index_clear(raw())); }
+
+    std::optional<Neighbor> nearest(const double *state) const {
+        Neighbor nearest{};
+        bool found = false;
+        detail::check(wayfold_index_nearest(raw(), state, width_, &nearest.id, &nearest.distance, &found));
+        return found ? std::optional<Neighbor>(nearest) : std::nullopt;
+    }
+    std::optional<Neighbor> nearest(const std::vector<double> &state) const {
+        check_width(state);
+        return nearest(state.data());
+    }
+    std::vector<Neighbor> nearest_k(const std::vector<double> &state, std::uint32_t k) const {
+        return search(state, Search::k(k));
+    }
+    std::vector<Neighbor> nearest_r(const std::vector<double> &state, double radius) const {
+        return search(state, Search::within(radius));
+    }
+    std::vector<Neighbor> search(const std::vector<double> &state, const Search &search) const {
+        check_width(state);
+        std::vector<std::uint64_t> ids;
+        std::vector<double> distances;
+        const std::size_t found = search_into(state.data(), search, ids, &distances);
+        std::vector<Neighbor> neighbors(found);
+        for (std::size_t at = 0; at < found; at++) {
+            neighbors[at] = {ids[at], distances[at]};
+        }
+        return neighbors;
+    }
+    // Writes the neighbours into the caller's buffers, which grow and never shrink, and returns their number.
+    // `distances` may be null.
+    std::size_t search_into(const double *state, const Search &search, std::vector<std::uint64_t> &ids,
+                            std::vector<double> *distances = nullptr) const {
+        std::size_t capacity = std::max<std::size_t>({ids.size(), 16});
+        if (search.raw().k > capacity) {
+            capacity = std::min<std::size_t>(search.raw().k, std::max<std::size_t>(size(), 16));
+        }
+        for (;;) {
+            ids.resize(std::max(ids.size(), capacity));
+            if (distances != nullptr) {
+                distances->resize(std::max(distances->size(), ids.size()));
+            }
+            std::size_t found = 0;
+            detail::check(wayfold_index_search(raw(), state, 1, width_, &search.raw(), ids.size(), ids.data(),
+                                               distances == nullptr ? nullptr : distances->data(), &found));
+            if (found <= ids.size()) {
+                return found;
+            }
+            capacity = found + found / 2;
+        }
+    }
+    // The k nearest of many states in one call: row i of the buffers, of k numbers, is that of state i.
+    void nearest_k(const double *states, std::size_t count, std::uint32_t k, std::uint64_t *ids, double *distances,
+                   std::size_t *found) const {
+        const Search search = Search::k(k);
+        detail::check(
+            wayfold_index_search(raw(), states, count, width_, &search.raw(), k, ids, distances, found));
+    }
+    double distance(const double *a, const double *b) const {
+        double distance = 0;
+        detail::check(wayfold_index_distance(raw(), a, b, width_, &distance));
+        return distance;
+    }
+
+    std::vector<StoredPoint> scan() const {
+        wayfold_points *points = nullptr;
+        detail::check(wayfold_index_scan(raw(), &points));
+        return read(points).stored;
+    }
+    // Nothing if the index has forgotten some of the changes: scan it then.
+    std::optional<Changes> changes(std::uint64_t seen) const {
+        wayfold_points *points = nullptr;
+        detail::check(wayfold_index_changes(raw(), seen, &points));
+        return points == nullptr ? std::nullopt : std::optional<Changes>(read(points));
+    }
+
+private:
+    explicit Index(wayfold_index *made) : handle_(made, wayfold_index_free), width_(wayfold_index_width(made)) {}
+
+    wayfold_index *raw() const { return handle_.get(); }
+
+    void check_width(const std::vector<double> &state) const {
+        if (state.size() != width_) {
+            throw Error(WAYFOLD_CODE_INVALID_ARGUMENT,
+                        "state: " + std::to_string(state.size()) + " numbers, where a state of this space has " +
+                            std::to_string(width_),
+                        "state", "WRONG_WIDTH");
+        }
+    }
+
+    Changes read(wayfold_points *raw_points) const {
+        const std::unique_ptr<wayfold_points, void (*)(wayfold_points *)> points(raw_points, wayfold_points_free);
+        Changes changes{{}, {}, wayfold_points_seen(raw_points)};
+        const std::size_t count = wayfold_points_count(raw_points);
+        const std::uint64_t *ids = wayfold_points_ids(raw_points);
+        const std::uint64_t *tags = wayfold_points_tags(raw_points);
+        const double *states = wayfold_points_states(raw_points);
+        for (std::size_t at = 0; at < count; at++) {
+            const double *state = states + at * width_;
+            changes.stored.push_back({ids[at], tags[at], std::vector<double>(state, state + width_)});
+        }
+        std::size_t removed = 0;
+        const std::uint64_t *removed_ids = wayfold_points_removed(raw_points, &removed);
+        changes.removed.assign(removed_ids, removed_ids + removed);
+        return changes;
+    }
+
+#ifndef WAYFOLD_NO_NET
+    using Open = wayfold_code (*)(const wayfold_server *, wayfold_index **);
+
+    static Index open(Open open, const std::string &uri, const std::string &name, const std::string &space,
+                      const std::string &token) {
+        const auto optional = [](const std::string &text) { return text.empty() ? nullptr : text.c_str(); };
+        const wayfold_server server{uri.c_str(), name.c_str(), optional(space), optional(token), 0};
+        wayfold_index *made = nullptr;
+        detail::check(open(&server, &made));
+        return Index(made);
+    }
+#endif
+
+    std::shared_ptr<wayfold_index> handle_;
+    std::size_t width_;
+};
+
+} // namespace wayfold
