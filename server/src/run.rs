@@ -132,7 +132,8 @@ pub(crate) async fn serve(
     let pages_at = pages.as_ref().map(TcpListener::local_addr).transpose()?;
     check_exposure(&config, address, pages_at, tls.is_some())?;
     let identities = Identities::open(config.access.identities())?;
-    let schedule = Schedule::open(&config.snapshot, config.disk.min_free_bytes)?;
+    let (data, min_free_bytes) = (config.data.directory(), config.disk.min_free_bytes);
+    let schedule = Schedule::open(&config.snapshot, data, min_free_bytes)?;
     let publishes = !identities.are_required() || config.access.publish_events == ON;
     let _following = AbortOnDropHandle::new(tokio::spawn(identities.clone().follow()));
     let _renewing = tls

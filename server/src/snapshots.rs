@@ -6,7 +6,7 @@
 use std::{
     fs::{self, File},
     io::{self, BufWriter},
-    path::{Path, PathBuf},
+    path::{Path, PathBuf, absolute},
     sync::Arc,
     time::{Duration, SystemTime},
 };
@@ -42,14 +42,28 @@ const STAMP_BYTES: usize = 16;
 
 /// The snapshots cannot be written where the settings say.
 #[derive(Debug, Error)]
-#[error(
-    "cannot write snapshots to {}: {source}\n  \
-     set snapshot.dir to a directory that the server may write, or to \"off\"",
-    directory.display()
-)]
-pub struct SnapshotsError {
-    directory: PathBuf,
-    source: io::Error,
+pub enum SnapshotsError {
+    /// The directory cannot be made or written.
+    #[error(
+        "cannot write snapshots to {}: {source}\n  \
+         set snapshot.dir to a directory that the server may write, or to \"off\"",
+        directory.display()
+    )]
+    Directory {
+        /// The directory.
+        directory: PathBuf,
+        /// The problem.
+        source: io::Error,
+    },
+    /// The directory is that of the indices, or in it.
+    #[error(
+        "snapshot.dir is {}, which is in data.dir: set it to a directory of its own",
+        directory.display()
+    )]
+    InData {
+        /// The directory.
+        directory: PathBuf,
+    },
 }
 
 /// The reason why an index has no new snapshot.
@@ -74,20 +88,26 @@ pub(crate) struct Schedule {
 }
 
 impl Schedule {
-    /// The schedule of the settings, if there is one. Makes the directory.
+    /// The schedule of the settings, if there is one, for indices in `data`. Makes the directory.
     pub(crate) fn open(
         config: &SnapshotConfig,
+        data: Option<&Path>,
         min_free_bytes: u64,
     ) -> Result<Option<Self>, SnapshotsError> {
         let Some(directory) = config.directory() else {
             return Ok(None);
         };
+        if data.is_some_and(|data| is_within(directory, data)) {
+            return Err(SnapshotsError::InData {
+                directory: directory.to_owned(),
+            });
+        }
         let made = fs::create_dir_all(directory).and_then(|()| {
             let probe = directory.join(UNFINISHED);
             File::create(&probe)?;
             fs::remove_file(probe)
         });
-        made.map_err(|source| SnapshotsError {
+        made.map_err(|source| SnapshotsError::Directory {
             directory: directory.to_owned(),
             source,
         })?;
@@ -245,6 +265,14 @@ impl Schedule {
             .map_err(|error| failed(error.into_error()))?;
         Ok((file, content))
     }
+}
+
+/// True if `inner` is `outer` or below it, by their names.
+fn is_within(inner: &Path, outer: &Path) -> bool {
+    let [inner, outer] = [inner, outer].map(|path| absolute(path).ok());
+    inner
+        .zip(outer)
+        .is_some_and(|(inner, outer)| inner.starts_with(outer))
 }
 
 /// A time in UTC, by which names sort.

@@ -69,22 +69,24 @@ async fn snapshots_are_taken_kept_and_restored() {
 }
 
 #[test]
-fn a_directory_that_cannot_be_written_is_named() {
+fn a_directory_that_it_cannot_have_is_named() {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("file");
     fs::write(&file, "").unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-    command
-        .args([
-            "--grpc",
-            "127.0.0.1:0",
-            "--zenoh",
-            "off",
-            "--data",
-            "memory",
-        ])
-        .env("WAYFOLD_SNAPSHOT__DIR", file.join("kept"));
-    let ended = Process::spawn(&mut command).finish();
-    assert_eq!(ended.status.code(), Some(1));
-    assert!(ended.stderr.contains("snapshot.dir"), "{}", ended.stderr);
+    let data = directory.path().join("data");
+    for (snapshots, part) in [
+        (file.join("kept"), "cannot write"),
+        (data.join("kept"), "in data.dir"),
+    ] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+        command
+            .args(["--grpc", "127.0.0.1:0", "--zenoh", "off", "--data"])
+            .arg(&data)
+            .env("WAYFOLD_SNAPSHOT__DIR", snapshots);
+        let ended = Process::spawn(&mut command).finish();
+        assert_eq!(ended.status.code(), Some(1));
+        assert!(ended.stderr.contains("snapshot.dir"), "{}", ended.stderr);
+        assert!(ended.stderr.contains(part), "{}", ended.stderr);
+    }
+    assert!(!data.exists());
 }
