@@ -6,6 +6,4 @@
 mod abi;
 mod code;
 mod failure;
-#[cfg(feature = "net")]
-mod net;
 mod options;

@@ -69,7 +69,7 @@ impl WayfoldSearch {
     }
 }
 
-/// What to store with a state. Begin with `wayfold_point_default()`.
+/// The id, the tag and the payload of a state to store. Begin with `wayfold_point_default()`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct WayfoldPoint {

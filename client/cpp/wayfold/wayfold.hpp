@@ -22,9 +22,9 @@ public:
         : std::runtime_error(message), code_(code), field_(std::move(field)), reason_(std::move(reason)) {}
 
     wayfold_code code() const { return code_; }
-    // As in "states[3].coords[1]"; empty if the error is about no field.
+    // The wrong field, such as "states[3].coords[1]"; empty if no field is wrong.
     const std::string &field() const { return field_; }
-    // In UPPER_SNAKE_CASE; empty if there is none.
+    // The reason in UPPER_SNAKE_CASE; empty if there is none.
     const std::string &reason() const { return reason_; }
 
 private:

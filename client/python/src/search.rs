@@ -140,7 +140,7 @@ pub(crate) fn k_of(py: Python<'_>, k: i64) -> PyResult<u32> {
 /// A time in seconds.
 pub(crate) fn seconds(py: Python<'_>, field: &str, seconds: f64) -> PyResult<Duration> {
     match seconds {
-        // As long as possible.
+        // Rust has no infinite duration.
         f64::INFINITY => Ok(Duration::MAX),
         seconds => Duration::try_from_secs_f64(seconds)
             .map_err(|error| invalid(py, &format!("{field}: {seconds}: {error}"))),

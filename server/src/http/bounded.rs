@@ -1,5 +1,4 @@
-//! A connection of an operator, of which there are few, each for a limited time: one that says nothing holds no place
-//! for long.
+//! A connection to the pages for operators. It ends after a limited time, so that a silent one gives up its place.
 
 use std::{
     io,

@@ -94,7 +94,7 @@ pub enum Stranger {
     Expired,
     /// The identity was removed or changed after the call had begun.
     Revoked,
-    /// As many calls of the identity are under way as this quota allows.
+    /// The identity has reached its quota of calls under way.
     TooManyCalls(usize),
 }
 

@@ -271,7 +271,7 @@ async fn an_identity_has_its_quotas() {
     };
     let (admin, cell) = (connect(&admin).await, connect(&cell).await);
     let space: Space = "R1".parse().unwrap();
-    // An index that the patterns of the cell match counts, whoever creates it; another does not.
+    // The quota counts the indices that match the patterns of the cell, also those of the admin.
     for name in ["cell-1", "arm", "leg"] {
         admin.create_index(name, &space).await.unwrap();
     }

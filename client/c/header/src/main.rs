@@ -43,10 +43,18 @@ fn main() -> ExitCode {
         config.export.rename.insert(rust.to_owned(), c.to_owned());
     }
     let mut builder = Builder::new().with_config(config);
-    let files: &[&str] = match has_net {
-        true => &["code.rs", "options.rs", "abi.rs", "net.rs"],
-        false => &["code.rs", "options.rs", "abi.rs"],
-    };
+    const FILES: [&str; 7] = [
+        "code.rs",
+        "options.rs",
+        "abi/index.rs",
+        "abi/write.rs",
+        "abi/search.rs",
+        "abi/points.rs",
+        "abi/server.rs",
+    ];
+    let files = FILES
+        .iter()
+        .filter(|file| has_net || **file != "abi/server.rs");
     for file in files {
         builder = builder.with_src(source.join(file));
     }

@@ -1,16 +1,14 @@
 //! The functions of the ABI for indices on a server.
 
-#![expect(
-    unsafe_code,
-    reason = "C hands over pointers, which Rust cannot check beyond null"
-)]
-
 use std::{ffi::c_char, time::Duration};
 
 use client::{Credentials, Index};
 
+use super::{
+    index::WayfoldIndex,
+    pointers::{give, index_of, parse_space, put, text},
+};
 use crate::{
-    abi::{WayfoldIndex, give, index_of, parse_space, put, text},
     code::Code,
     failure::{Failure, call},
 };
@@ -31,6 +29,21 @@ pub struct WayfoldServer {
     pub timeout_ms: u64,
 }
 
+/// Opens an index: the builders of both forms have the same methods.
+macro_rules! open {
+    ($form:path, $settings:ident) => {{
+        let settings: Settings<'_> = $settings;
+        let mut open = $form(settings.uri, settings.name).credentials(settings.credentials);
+        if let Some(space) = &settings.space {
+            open = open.create(space);
+        }
+        if let Some(timeout) = settings.timeout {
+            open = open.timeout(timeout);
+        }
+        open.open()?
+    }};
+}
+
 /// Opens an index with a copy of it in this process: own writes are in the copy at once and travel in the background,
 /// writes of others arrive as they happen.
 ///
@@ -46,15 +59,8 @@ pub unsafe extern "C" fn wayfold_index_shared(
     call(|| {
         // SAFETY: the caller's promise.
         let settings = unsafe { Settings::read(server) }?;
-        let mut open = Index::shared(settings.uri, settings.name).credentials(settings.credentials);
-        if let Some(space) = &settings.space {
-            open = open.create(space);
-        }
-        if let Some(timeout) = settings.timeout {
-            open = open.timeout(timeout);
-        }
         // SAFETY: the caller's promise.
-        unsafe { give(open.open()?, index) }
+        unsafe { give(open!(Index::shared, settings), index) }
     })
 }
 
@@ -72,15 +78,8 @@ pub unsafe extern "C" fn wayfold_index_remote(
     call(|| {
         // SAFETY: the caller's promise.
         let settings = unsafe { Settings::read(server) }?;
-        let mut open = Index::remote(settings.uri, settings.name).credentials(settings.credentials);
-        if let Some(space) = &settings.space {
-            open = open.create(space);
-        }
-        if let Some(timeout) = settings.timeout {
-            open = open.timeout(timeout);
-        }
         // SAFETY: the caller's promise.
-        unsafe { give(open.open()?, index) }
+        unsafe { give(open!(Index::remote, settings), index) }
     })
 }
 

@@ -1,0 +1,133 @@
+//! The checks of the pointers and numbers of a caller.
+
+use std::{
+    ffi::{CStr, c_char},
+    slice,
+};
+
+use client::{Index, Space};
+
+use super::index::WayfoldIndex;
+use crate::{code::Code, failure::Failure};
+
+pub(super) fn check_width(index: &Index, width: usize) -> Result<(), Failure> {
+    let expected = index.space().coordinates();
+    match width == expected {
+        true => Ok(()),
+        false => Err(Failure::from(client::Error::Width {
+            row: 0,
+            expected,
+            found: width,
+        })),
+    }
+}
+
+pub(super) fn parse_space(text: &str) -> Result<Space, Failure> {
+    let parsed = text.parse::<Space>();
+    parsed.map_err(|error| {
+        let message = error.to_string();
+        Failure::new(Code::InvalidArgument, "space", "INVALID_SPACE", &message)
+    })
+}
+
+pub(super) fn product(count: usize, width: usize) -> Result<usize, Failure> {
+    let numbers = count.checked_mul(width);
+    // A slice has at most this many bytes.
+    let fits = |numbers: &usize| *numbers <= isize::MAX as usize / 8;
+    numbers
+        .filter(fits)
+        .ok_or_else(|| Failure::argument("count", "more numbers than memory can hold"))
+}
+
+pub(super) fn null(field: &str) -> Failure {
+    Failure::new(
+        Code::InvalidArgument,
+        field,
+        "NULL_POINTER",
+        &format!("{field}: a null pointer"),
+    )
+}
+
+/// # Safety
+/// `index` is a handle or null.
+pub(super) unsafe fn index_of<'a>(index: *const WayfoldIndex) -> Result<&'a Index, Failure> {
+    // SAFETY: the caller's promise.
+    let index = unsafe { index.as_ref() };
+    index.map(|index| &index.0).ok_or_else(|| null("index"))
+}
+
+/// # Safety
+/// `index` can be written or is null.
+pub(super) unsafe fn give(made: Index, index: *mut *mut WayfoldIndex) -> Result<(), Failure> {
+    if index.is_null() {
+        return Err(null("index"));
+    }
+    // SAFETY: the caller's promise.
+    unsafe { index.write(Box::into_raw(Box::new(WayfoldIndex(made)))) };
+    Ok(())
+}
+
+/// # Safety
+/// `pointer` is a string that ends with 0, or null.
+pub(super) unsafe fn text<'a>(pointer: *const c_char, field: &str) -> Result<&'a str, Failure> {
+    if pointer.is_null() {
+        return Err(null(field));
+    }
+    // SAFETY: the caller's promise.
+    let text = unsafe { CStr::from_ptr(pointer) }.to_str();
+    text.map_err(|_| Failure::argument(field, "not UTF-8"))
+}
+
+/// # Safety
+/// `pointer` has `count` numbers or is null.
+pub(super) unsafe fn numbers<'a>(
+    pointer: *const f64,
+    count: usize,
+    field: &str,
+) -> Result<&'a [f64], Failure> {
+    match (pointer.is_null(), count) {
+        (_, 0) => Ok(&[]),
+        (true, _) => Err(null(field)),
+        // SAFETY: the caller's promise.
+        (false, _) => Ok(unsafe { slice::from_raw_parts(pointer, count) }),
+    }
+}
+
+/// # Safety
+/// `pointer` has `count` bytes or is null.
+pub(super) unsafe fn bytes<'a>(
+    pointer: *const u8,
+    count: usize,
+    field: &str,
+) -> Result<&'a [u8], Failure> {
+    match (pointer.is_null(), count) {
+        (_, 0) => Ok(&[]),
+        (true, _) => Err(null(field)),
+        // SAFETY: the caller's promise.
+        (false, _) => Ok(unsafe { slice::from_raw_parts(pointer, count) }),
+    }
+}
+
+/// Writes a value that the caller needs.
+///
+/// # Safety
+/// `out` can be written or is null.
+pub(super) unsafe fn put<T>(value: T, out: *mut T, field: &str) -> Result<(), Failure> {
+    if out.is_null() {
+        return Err(null(field));
+    }
+    // SAFETY: the caller's promise.
+    unsafe { out.write(value) };
+    Ok(())
+}
+
+/// Copies values to a buffer, if there is one.
+///
+/// # Safety
+/// `out` has room for the values or is null.
+pub(super) unsafe fn copy<T: Copy>(values: &[T], out: *mut T) {
+    if !out.is_null() {
+        // SAFETY: the caller's promise; the library's values lie in its own memory.
+        unsafe { out.copy_from_nonoverlapping(values.as_ptr(), values.len()) };
+    }
+}

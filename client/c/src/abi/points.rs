@@ -1,0 +1,168 @@
+//! Lists of points: a scan, and changes.
+
+use std::ptr;
+
+use super::{
+    index::WayfoldIndex,
+    pointers::{copy, index_of, put},
+};
+use crate::{code::Code, failure::call};
+
+/// Points of an index, and ids that were removed from it.
+pub struct WayfoldPoints {
+    ids: Vec<u64>,
+    tags: Vec<u64>,
+    rows: Vec<f64>,
+    removed: Vec<u64>,
+    seen: u64,
+}
+
+/// Reads all points, by ascending id. Free them with `wayfold_points_free`.
+///
+/// Thread-safe.
+///
+/// # Safety
+/// `index` is a handle; `points` can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_index_scan(
+    index: *const WayfoldIndex,
+    points: *mut *mut WayfoldPoints,
+) -> Code {
+    call(|| {
+        // SAFETY: the caller's promise. Null at first: a pointer that cannot be written leaks no points.
+        unsafe { put(ptr::null_mut(), points, "points") }?;
+        let mut all = WayfoldPoints::empty(0);
+        // SAFETY: the caller's promise.
+        for point in unsafe { index_of(index) }?.scan()? {
+            all.push(&point?);
+        }
+        // SAFETY: the caller's promise.
+        unsafe { put(Box::into_raw(Box::new(all)), points, "points") }
+    })
+}
+
+/// Reads the points that were stored or changed after an answer that has seen this much, 0 for all, and the ids that
+/// were removed. Writes null if the index has forgotten some of it, as after 65,536 changes: scan it then.
+///
+/// Thread-safe.
+///
+/// # Safety
+/// `index` is a handle; `points` can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_index_changes(
+    index: *const WayfoldIndex,
+    seen: u64,
+    points: *mut *mut WayfoldPoints,
+) -> Code {
+    call(|| {
+        // SAFETY: the caller's promise. Null at first, as above.
+        unsafe { put(ptr::null_mut(), points, "points") }?;
+        // SAFETY: the caller's promise.
+        let changes = unsafe { index_of(index) }?.changes(client::Seen(seen))?;
+        let made = changes.map_or(ptr::null_mut(), |changes| {
+            let mut some = WayfoldPoints::empty(changes.seen.0);
+            changes.stored.iter().for_each(|point| some.push(point));
+            some.removed = changes.removed;
+            Box::into_raw(Box::new(some))
+        });
+        // SAFETY: the caller's promise.
+        unsafe { put(made, points, "points") }
+    })
+}
+
+/// The number of points. Thread-safe.
+///
+/// # Safety
+/// `points` is a handle.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_points_count(points: *const WayfoldPoints) -> usize {
+    // SAFETY: the caller's promise.
+    unsafe { points.as_ref() }.map_or(0, |points| points.ids.len())
+}
+
+/// The ids of the points, valid until the points are freed. Thread-safe.
+///
+/// # Safety
+/// `points` is a handle.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_points_ids(points: *const WayfoldPoints) -> *const u64 {
+    // SAFETY: the caller's promise.
+    unsafe { points.as_ref() }.map_or(ptr::null(), |points| points.ids.as_ptr())
+}
+
+/// The tags of the points, valid until the points are freed. Thread-safe.
+///
+/// # Safety
+/// `points` is a handle.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_points_tags(points: *const WayfoldPoints) -> *const u64 {
+    // SAFETY: the caller's promise.
+    unsafe { points.as_ref() }.map_or(ptr::null(), |points| points.tags.as_ptr())
+}
+
+/// The states of the points, one after the other, valid until the points are freed. Thread-safe.
+///
+/// # Safety
+/// `points` is a handle.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_points_states(points: *const WayfoldPoints) -> *const f64 {
+    // SAFETY: the caller's promise.
+    unsafe { points.as_ref() }.map_or(ptr::null(), |points| points.rows.as_ptr())
+}
+
+/// The removed ids, valid until the points are freed; writes their number. Thread-safe.
+///
+/// # Safety
+/// `points` is a handle; `count` can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_points_removed(
+    points: *const WayfoldPoints,
+    count: *mut usize,
+) -> *const u64 {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let removed = points.as_ref().map_or(&[][..], |points| &points.removed);
+        copy(&[removed.len()], count);
+        removed.as_ptr()
+    }
+}
+
+/// The mark after these changes, for the next call of `wayfold_index_changes`. Thread-safe.
+///
+/// # Safety
+/// `points` is a handle.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_points_seen(points: *const WayfoldPoints) -> u64 {
+    // SAFETY: the caller's promise.
+    unsafe { points.as_ref() }.map_or(0, |points| points.seen)
+}
+
+/// Frees points; null is ignored. No other thread may use them during this call or after it.
+///
+/// # Safety
+/// `points` is a handle that is not freed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_points_free(points: *mut WayfoldPoints) {
+    if !points.is_null() {
+        // SAFETY: made of a box, and the caller promises that it is not freed.
+        drop(unsafe { Box::from_raw(points) });
+    }
+}
+
+impl WayfoldPoints {
+    fn empty(seen: u64) -> WayfoldPoints {
+        WayfoldPoints {
+            ids: Vec::new(),
+            tags: Vec::new(),
+            rows: Vec::new(),
+            removed: Vec::new(),
+            seen,
+        }
+    }
+
+    fn push(&mut self, point: &client::StoredPoint) {
+        self.ids.push(point.id);
+        self.tags.push(point.tag);
+        self.rows.extend_from_slice(&point.state);
+    }
+}

@@ -1,0 +1,153 @@
+//! The functions that search.
+
+use std::cell::Cell;
+
+use client::{Index, Neighbor, Search};
+
+use super::{
+    index::WayfoldIndex,
+    pointers::{check_width, index_of, null, numbers, product, put},
+};
+use crate::{
+    code::Code,
+    failure::{Failure, call},
+    options::WayfoldSearch,
+};
+
+thread_local! {
+    /// The neighbours of the state that this thread asks about.
+    static FOUND: Cell<Vec<Neighbor>> = const { Cell::new(Vec::new()) };
+}
+
+/// Writes the id and the distance of the nearest point, or false to `found` if there are no points.
+///
+/// Thread-safe.
+///
+/// # Safety
+/// `state` has `width` numbers; `id`, `distance` and `found` can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_index_nearest(
+    index: *const WayfoldIndex,
+    state: *const f64,
+    width: usize,
+    id: *mut u64,
+    distance: *mut f64,
+    found: *mut bool,
+) -> Code {
+    call(|| {
+        // SAFETY: the caller's promise.
+        let (index, row) = unsafe { (index_of(index)?, numbers(state, width, "state")?) };
+        let nearest = index.nearest(row)?;
+        // SAFETY: the caller's promise.
+        unsafe {
+            if let Some(nearest) = nearest {
+                put(nearest.id, id, "id")?;
+                put(nearest.distance, distance, "distance")?;
+            }
+            put(nearest.is_some(), found, "found")
+        }
+    })
+}
+
+/// Answers a search of `count` states. Row i of `ids` and `distances`, of `capacity` numbers, gets the neighbours of
+/// state i, nearest first and at equal distances by id; `found[i]` is their number. If it exceeds `capacity`, the row has
+/// the nearest `capacity` of them. The rest of a row keeps its content. `ids` and `distances` may be null.
+///
+/// Thread-safe.
+///
+/// # Safety
+/// `states` has `count × width` numbers; `ids` and `distances` have room for `count × capacity`, `found` for `count`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_index_search(
+    index: *const WayfoldIndex,
+    states: *const f64,
+    count: usize,
+    width: usize,
+    search: *const WayfoldSearch,
+    capacity: usize,
+    ids: *mut u64,
+    distances: *mut f64,
+    found: *mut usize,
+) -> Code {
+    call(|| {
+        // SAFETY: the caller's promise.
+        let (index, rows) = unsafe {
+            (
+                index_of(index)?,
+                numbers(states, product(count, width)?, "states")?,
+            )
+        };
+        // SAFETY: the caller's promise.
+        let search = unsafe { search.as_ref() }
+            .ok_or_else(|| null("search"))?
+            .search();
+        product(count, capacity)?;
+        if found.is_null() {
+            return Err(null("found"));
+        }
+        if count == 1 {
+            return search_one(index, rows, &search, |neighbors| {
+                // SAFETY: the caller's promise.
+                unsafe {
+                    write_neighbors(neighbors, capacity, ids, distances);
+                    found.write(neighbors.len());
+                }
+            });
+        }
+        check_width(index, width)?;
+        let answers = index.search_many(rows.chunks_exact(width), &search)?;
+        for (row, neighbors) in answers.iter().enumerate() {
+            let at = row * capacity;
+            // SAFETY: the caller's promise; a null pointer stays null.
+            unsafe {
+                let ids = if ids.is_null() { ids } else { ids.add(at) };
+                let distances = if distances.is_null() {
+                    distances
+                } else {
+                    distances.add(at)
+                };
+                write_neighbors(neighbors, capacity, ids, distances);
+                found.add(row).write(neighbors.len());
+            }
+        }
+        Ok(())
+    })
+}
+
+/// Searches with this thread's buffer.
+fn search_one(
+    index: &Index,
+    row: &[f64],
+    search: &Search,
+    write: impl FnOnce(&[Neighbor]),
+) -> Result<(), Failure> {
+    let mut found = FOUND.take();
+    let searched = index.search_into(row, search, &mut found);
+    if searched.is_ok() {
+        write(&found);
+    }
+    FOUND.set(found);
+    searched?;
+    Ok(())
+}
+
+/// # Safety
+/// `ids` and `distances` have room for `capacity` each or are null.
+pub(super) unsafe fn write_neighbors(
+    neighbors: &[Neighbor],
+    capacity: usize,
+    ids: *mut u64,
+    distances: *mut f64,
+) {
+    for (at, neighbor) in neighbors.iter().take(capacity).enumerate() {
+        // SAFETY: `at` is below the capacity; the rest is the caller's promise.
+        unsafe {
+            if !ids.is_null() {
+                ids.add(at).write(neighbor.id);
+            }
+            if !distances.is_null() {
+                distances.add(at).write(neighbor.distance);
+            }
+        }
+    }
+}

@@ -1,0 +1,148 @@
+// A state space of OMPL as a space of Wayfold. wayfold/ompl.hpp includes it.
+#pragma once
+
+#include <ompl/base/StateSpace.h>
+#include <ompl/base/spaces/DiscreteStateSpace.h>
+#include <ompl/base/spaces/RealVectorStateSpace.h>
+#include <ompl/base/spaces/SO2StateSpace.h>
+#include <ompl/base/spaces/SO3StateSpace.h>
+#include <ompl/base/spaces/TimeStateSpace.h>
+#include <ompl/base/spaces/WrapperStateSpace.h>
+#include <ompl/util/Exception.h>
+
+#include <cstddef>
+#include <cstdio>
+#include <functional>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace wayfold {
+
+// Writes a state's row: the numbers of the space text, in order.
+using StateToRow = std::function<void(const ompl::base::State *, double *)>;
+
+// A state space of OMPL as a space text, and its states as rows. A compound space is the weighted sum of its parts;
+// nested ones are flattened.
+class OmplSpace {
+public:
+    explicit OmplSpace(const ompl::base::StateSpacePtr &space) : space_(space) {
+        if (!space->isMetricSpace()) {
+            throw ompl::Exception("wayfold: the distance of " + space->getName() +
+                                  " is not a metric; keep OMPL's own nearest neighbours for it");
+        }
+        root_ = part(space.get(), 1.0);
+        std::string sum;
+        for (const std::string &argument : arguments_) {
+            sum += (sum.empty() ? "" : ", ") + argument;
+        }
+        text_ = "sum(" + sum + ")";
+    }
+
+    const std::string &text() const { return text_; }
+    std::size_t width() const { return width_; }
+    void write(const ompl::base::State *state, double *row) const { write(root_, state, row); }
+
+private:
+    enum class Kind { compound, wrapper, real, so2, so3, time, discrete };
+
+    struct Part {
+        Kind kind;
+        unsigned int numbers;
+        std::vector<Part> parts;
+    };
+
+    Part part(const ompl::base::StateSpace *space, double weight) {
+        namespace ob = ompl::base;
+        if (const auto *wrapper = dynamic_cast<const ob::WrapperStateSpace *>(space)) {
+            return {Kind::wrapper, 0, {part(wrapper->getSpace().get(), weight)}};
+        }
+        if (const auto *compound = dynamic_cast<const ob::CompoundStateSpace *>(space)) {
+            Part all{Kind::compound, 0, {}};
+            for (unsigned int at = 0; at < compound->getSubspaceCount(); at++) {
+                const double own = compound->getSubspaceWeight(at);
+                all.parts.push_back(part(compound->getSubspace(at).get(), weight * own));
+            }
+            return all;
+        }
+        if (dynamic_cast<const ob::RealVectorStateSpace *>(space) != nullptr) {
+            const unsigned int n = space->getDimension();
+            return n == 0 ? Part{Kind::real, 0, {}} : leaf(Kind::real, n, "R" + std::to_string(n), weight);
+        }
+        if (dynamic_cast<const ob::SO2StateSpace *>(space) != nullptr) {
+            return leaf(Kind::so2, 1, "SO2", weight);
+        }
+        if (dynamic_cast<const ob::SO3StateSpace *>(space) != nullptr) {
+            return leaf(Kind::so3, 4, "SO3", weight);
+        }
+        if (dynamic_cast<const ob::TimeStateSpace *>(space) != nullptr) {
+            return leaf(Kind::time, 1, "R1", weight);
+        }
+        if (dynamic_cast<const ob::DiscreteStateSpace *>(space) != nullptr) {
+            return leaf(Kind::discrete, 1, "R1", weight);
+        }
+        throw ompl::Exception("wayfold: " + space->getName() +
+                              " is no space that Wayfold knows; give wayfold::use a space text and a function that "
+                              "writes a state's row");
+    }
+
+    Part leaf(Kind kind, unsigned int numbers, std::string text, double weight) {
+        if (weight != 1.0) {
+            char digits[32];
+            std::snprintf(digits, sizeof digits, ":%.17g", weight);
+            text += digits;
+        }
+        arguments_.push_back(std::move(text));
+        width_ += numbers;
+        return {kind, numbers, {}};
+    }
+
+    static double *write(const Part &part, const ompl::base::State *state, double *row) {
+        namespace ob = ompl::base;
+        switch (part.kind) {
+        case Kind::compound: {
+            const auto *compound = static_cast<const ob::CompoundState *>(state);
+            for (std::size_t at = 0; at < part.parts.size(); at++) {
+                row = write(part.parts[at], compound->components[at], row);
+            }
+            return row;
+        }
+        case Kind::wrapper:
+            return write(part.parts[0], static_cast<const ob::WrapperStateSpace::StateType *>(state)->getState(), row);
+        case Kind::real: {
+            const double *values = static_cast<const ob::RealVectorStateSpace::StateType *>(state)->values;
+            for (unsigned int at = 0; at < part.numbers; at++) {
+                *row++ = values[at];
+            }
+            return row;
+        }
+        case Kind::so2:
+            *row++ = static_cast<const ob::SO2StateSpace::StateType *>(state)->value;
+            return row;
+        case Kind::so3: {
+            const auto *rotation = static_cast<const ob::SO3StateSpace::StateType *>(state);
+            *row++ = rotation->x;
+            *row++ = rotation->y;
+            *row++ = rotation->z;
+            *row++ = rotation->w;
+            return row;
+        }
+        case Kind::time:
+            *row++ = static_cast<const ob::TimeStateSpace::StateType *>(state)->position;
+            return row;
+        case Kind::discrete:
+            *row++ = static_cast<const ob::DiscreteStateSpace::StateType *>(state)->value;
+            return row;
+        }
+        return row;
+    }
+
+    // Keeps the parts alive.
+    ompl::base::StateSpacePtr space_;
+    std::vector<std::string> arguments_;
+    std::string text_;
+    std::size_t width_{0};
+    Part root_{Kind::compound, 0, {}};
+};
+
+} // namespace wayfold
