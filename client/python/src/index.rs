@@ -2,30 +2,25 @@
 
 use std::{
     fmt,
-    hint::black_box,
     sync::atomic::{AtomicU64, Ordering},
-    time::Instant,
 };
 
-use numpy::{
-    PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, ndarray::ArrayD,
-};
+use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
 use pyo3::{
-    IntoPyObjectExt,
-    exceptions::PyTypeError,
     prelude::*,
     sync::PyOnceLock,
-    types::{PyBytes, PyList, PyTuple, PyType},
+    types::{PyBytes, PyTuple, PyType},
 };
-use wayfold::{Factor, InsertOptions, Neighbor as FoundNeighbor};
+use wayfold::InsertOptions;
 
 use crate::{
-    error::{OrRaise, invalid},
+    content::Content,
+    error::OrRaise,
     points::{
         Changes, Found, InsertedPoint, MeanwhileAnswers, Neighbor, Status, StoredPoint,
         StoredPoints, UnsentWrite, columns,
     },
-    query::{self, Ranks},
+    query,
     rows::{Rows, one_state, rows},
     search::{Radius, Search, k_of, seconds},
     space::{Space, names, of_argument},
@@ -45,12 +40,12 @@ pub(crate) enum Form {
 /// A dynamic set of states with exact nearest-neighbour search.
 #[pyclass(frozen, module = "wayfold")]
 pub(crate) struct Index {
-    index: wayfold::Index,
-    form: Form,
+    pub(crate) index: wayfold::Index,
+    pub(crate) form: Form,
     /// The names of the coordinates of a state.
     names: Py<PyTuple>,
     /// Above every id that the index in memory has given: `save` keeps it, so that no id is given twice.
-    next_id: AtomicU64,
+    pub(crate) next_id: AtomicU64,
 }
 
 impl Index {
@@ -63,7 +58,11 @@ impl Index {
         })
     }
 
-    fn in_memory(py: Python<'_>, space: &wayfold::Space, is_inline: bool) -> PyResult<Index> {
+    pub(crate) fn in_memory(
+        py: Python<'_>,
+        space: &wayfold::Space,
+        is_inline: bool,
+    ) -> PyResult<Index> {
         let index = match is_inline {
             true => wayfold::Index::in_memory_inline(space),
             false => wayfold::Index::in_memory(space),
@@ -75,7 +74,7 @@ impl Index {
         one_state(state, self.index.space(), self.names.bind(state.py()))
     }
 
-    fn rows(&self, states: &Bound<'_, PyAny>) -> PyResult<Rows> {
+    pub(crate) fn rows(&self, states: &Bound<'_, PyAny>) -> PyResult<Rows> {
         rows(states, self.index.space(), self.names.bind(states.py()))
     }
 
@@ -84,12 +83,18 @@ impl Index {
     }
 
     /// Runs a call without the interpreter's lock.
-    fn call<T: Send>(
+    pub(crate) fn call<T: Send>(
         &self,
         py: Python<'_>,
         call: impl FnOnce(&wayfold::Index) -> Result<T, wayfold::Error> + Send,
     ) -> PyResult<T> {
         py.detach(|| call(&self.index)).or_raise(py)
+    }
+
+    fn found(&self, state: &Bound<'_, PyAny>, search: &wayfold::Search) -> PyResult<Found> {
+        let (py, row) = (state.py(), self.one(state)?);
+        let found = self.call(py, |index| index.search(&row[..], search))?;
+        Ok(Found::of(py, &found.neighbors, found.seen.0))
     }
 }
 
@@ -115,7 +120,7 @@ impl Index {
 
     /// The form of the index: `memory`, `shared` or `remote`.
     #[getter]
-    fn form(&self) -> &'static str {
+    pub(crate) fn form(&self) -> &'static str {
         match self.form {
             Form::Memory { .. } => "memory",
             Form::Shared => "shared",
@@ -263,7 +268,7 @@ impl Index {
     }
 
     /// All points as they are now, by ascending id.
-    fn scan(&self, py: Python<'_>) -> PyResult<StoredPoints> {
+    pub(crate) fn scan(&self, py: Python<'_>) -> PyResult<StoredPoints> {
         let points = self.call(py, wayfold::Index::scan)?;
         Ok(StoredPoints::of(points, self.index.space().coordinates()))
     }
@@ -297,37 +302,17 @@ impl Index {
         distance_upper_bound: f64,
         workers: i64,
     ) -> PyResult<Bound<'py, PyTuple>> {
-        let (py, bound) = (x.py(), distance_upper_bound);
-        let Rows { numbers, mut shape } = self.rows(x)?;
-        let ranks = k.map_or(Ok(Ranks::First(1)), Ranks::of)?;
-        let search = query::search(py, ranks.k(), eps, bound)?;
-        if shape.is_empty() {
-            let found = self.call(py, |index| index.search(&numbers[..], &search))?;
-            let neighbors = query::within(&found.neighbors, bound);
-            return match ranks {
-                Ranks::First(1) => {
-                    let first = neighbors.first();
-                    let distance = first.map_or(f64::INFINITY, |first| first.distance);
-                    let id = first.map_or(-1, |first| first.id as i64);
-                    (distance, id).into_pyobject(py)
-                }
-                ranks => {
-                    let (distances, ids) = ranks.table([neighbors].into_iter());
-                    let distances = PyArray1::from_vec(py, distances);
-                    (distances, PyArray1::from_vec(py, ids)).into_pyobject(py)
-                }
-            };
-        }
-        let workers = query::workers(py, workers)?;
-        let (distances, ids) = self.call(py, |index| {
-            let found = query::search_many(index, &numbers, &search, workers)?;
-            let found = found.iter().map(|row| query::within(row, bound));
-            Ok(ranks.table(found))
-        })?;
-        if !matches!(ranks, Ranks::First(1)) {
-            shape.push(ranks.columns());
-        }
-        (array(py, &shape, distances)?, array(py, &shape, ids)?).into_pyobject(py)
+        let workers = query::workers(x.py(), workers)?;
+        query::nearest(
+            self,
+            x,
+            k,
+            &query::Nearest {
+                eps,
+                bound: distance_upper_bound,
+                workers,
+            },
+        )
     }
 
     /// The ids of all points at distance `r` or nearer, as scipy's `KDTree.query_ball_point`.
@@ -341,49 +326,14 @@ impl Index {
         return_sorted: Option<bool>,
         return_length: bool,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let py = x.py();
-        let Rows { numbers, shape } = self.rows(x)?;
-        query::check_eps(py, eps)?;
-        let workers = query::workers(py, workers)?;
-        let radii = radii(r, &shape)?;
-        for &radius in &radii {
-            query::check_number(py, "r", radius)?;
-        }
-        let width = self.index.space().coordinates();
-        let is_sorted = return_sorted.unwrap_or(!shape.is_empty());
-        let ids = self.call(py, |index| {
-            let within = |radius: f64| wayfold::Search::within(radius).epsilon(eps);
-            let found = match radii[..] {
-                [radius] => query::search_many(index, &numbers, &within(radius), workers)?,
-                _ => numbers
-                    .chunks_exact(width)
-                    .zip(&radii)
-                    .map(|(row, &radius)| Ok(index.search(row, &within(radius))?.neighbors))
-                    .collect::<Result<_, wayfold::Error>>()?,
-            };
-            let ids = found.into_iter().map(|found: Vec<FoundNeighbor>| {
-                let mut ids: Vec<u64> = found.iter().map(|found| found.id).collect();
-                if is_sorted {
-                    ids.sort_unstable();
-                }
-                ids
-            });
-            Ok(ids.collect::<Vec<_>>())
-        })?;
-        if return_length {
-            let lengths: Vec<i64> = ids.iter().map(|ids| ids.len() as i64).collect();
-            return match lengths[..] {
-                [length] if shape.is_empty() => length.into_bound_py_any(py),
-                _ => Ok(array(py, &shape, lengths)?.into_any()),
-            };
-        }
-        let mut lists = ids.into_iter();
-        if shape.is_empty() {
-            return lists.next().unwrap_or_default().into_bound_py_any(py);
-        }
-        static LISTS: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
-        let array_of_lists = LISTS.import(py, "wayfold._states", "array_of_lists")?;
-        array_of_lists.call1((PyList::new(py, lists)?, shape))
+        let workers = query::workers(x.py(), workers)?;
+        let ball = query::Ball {
+            eps,
+            workers,
+            is_sorted: return_sorted,
+            is_length: return_length,
+        };
+        query::ball(self, x, r, &ball)
     }
 
     /// Waits until the server has acknowledged every write before this call. Returns at once for the other forms.
@@ -481,181 +431,8 @@ impl Index {
 /// The neighbours of one state.
 type IdsAndDistances<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
 
-/// Everything that an index in memory holds: its space, inline, the next id, the ids, tags and states, the ids of the
-/// points with payloads, the ends of the payloads, and the payloads one after the other.
-type Content<'py> = (
-    String,
-    bool,
-    u64,
-    Bound<'py, PyAny>,
-    Bound<'py, PyAny>,
-    Bound<'py, PyAny>,
-    Bound<'py, PyArray1<u64>>,
-    Bound<'py, PyArray1<u64>>,
-    Bound<'py, PyBytes>,
-);
-
-impl Index {
-    fn content<'py>(&self, py: Python<'py>) -> PyResult<Content<'py>> {
-        let Form::Memory { is_inline } = self.form else {
-            return Err(PyTypeError::new_err(format!(
-                "a {} index is neither pickled nor saved: open it in the other process by its name",
-                self.form()
-            )));
-        };
-        // Read before the points: of what is stored meanwhile, the ids count below.
-        let next_id = self.next_id.load(Ordering::Relaxed);
-        let (ids, tags, states) = self.scan(py)?.columns(py)?;
-        let stored = ids.to_vec()?;
-        let next_id = next_id.max(stored.last().map_or(0, |last| last + 1));
-        let (holders, ends, bytes) = self.call(py, |index| {
-            let (mut holders, mut ends, mut bytes) = (Vec::new(), Vec::new(), Vec::new());
-            for id in stored {
-                let payload = index.payload(id)?.unwrap_or_default();
-                if !payload.is_empty() {
-                    bytes.extend(payload);
-                    holders.push(id);
-                    ends.push(bytes.len() as u64);
-                }
-            }
-            Ok((holders, ends, bytes))
-        })?;
-        Ok((
-            self.index.space().to_string(),
-            is_inline,
-            next_id,
-            ids.into_any(),
-            tags.into_any(),
-            states.into_any(),
-            PyArray1::from_vec(py, holders),
-            PyArray1::from_vec(py, ends),
-            PyBytes::new(py, &bytes),
-        ))
-    }
-}
-
-/// The index in memory with this content.
-#[pyfunction(name = "_restore")]
-#[expect(clippy::too_many_arguments, reason = "the parts of a content")]
-pub(crate) fn restore(
-    py: Python<'_>,
-    space: &Bound<'_, PyAny>,
-    is_inline: bool,
-    next_id: u64,
-    ids: PyReadonlyArray1<'_, u64>,
-    tags: PyReadonlyArray1<'_, u64>,
-    states: PyReadonlyArray2<'_, f64>,
-    holders: PyReadonlyArray1<'_, u64>,
-    ends: PyReadonlyArray1<'_, u64>,
-    bytes: &[u8],
-) -> PyResult<Index> {
-    let damaged = |what: &str| invalid(py, &format!("not the content of an index: {what}"));
-    let space = of_argument(space)?;
-    let width = space.coordinates();
-    let (ids, tags) = (ids.to_vec()?, tags.to_vec()?);
-    let (holders, ends) = (holders.to_vec()?, ends.to_vec()?);
-    let states: Vec<f64> = states.as_array().iter().copied().collect();
-    if tags.len() != ids.len() || states.len() != ids.len() * width {
-        return Err(damaged("its columns have different lengths"));
-    }
-    let mut payloads = Vec::with_capacity(holders.len());
-    let mut start = 0;
-    for (&id, &end) in holders.iter().zip(&ends) {
-        let end = usize::try_from(end).unwrap_or(usize::MAX);
-        let payload = bytes.get(start..end);
-        payloads.push((id, payload.ok_or_else(|| damaged("a payload is cut"))?));
-        start = end;
-    }
-    let index = Index::in_memory(py, &space, is_inline)?;
-    index.call(py, |index| {
-        for ((&id, &tag), row) in ids.iter().zip(&tags).zip(states.chunks_exact(width)) {
-            index.insert_with(row, InsertOptions::new().id(id).tag(tag))?;
-        }
-        for (id, payload) in payloads {
-            index.set_payload(id, payload)?;
-        }
-        // A point that comes and goes uses the ids up to its own.
-        if let Some(last) = next_id
-            .checked_sub(1)
-            .filter(|&last| ids.last() < Some(&last))
-        {
-            index.insert_with(any_state(&space), InsertOptions::new().id(last))?;
-            index.remove(last)?;
-        }
-        Ok(())
-    })?;
-    index.next_id.store(next_id, Ordering::Relaxed);
-    Ok(index)
-}
-
-/// The seconds that Rust takes for the `k` nearest of all states: in one call, or one after the other. The benchmark
-/// compares `query` with it.
-#[pyfunction(name = "_seconds_in_rust")]
-pub(crate) fn seconds_in_rust(
-    index: &Bound<'_, Index>,
-    states: &Bound<'_, PyAny>,
-    k: u32,
-    is_one_call: bool,
-) -> PyResult<f64> {
-    let (py, index) = (states.py(), index.get());
-    let numbers = index.rows(states)?.numbers;
-    let (width, search) = (index.index.space().coordinates(), wayfold::Search::k(k));
-    index.call(py, |index| {
-        let began = Instant::now();
-        if is_one_call {
-            black_box(index.search_many(numbers.chunks_exact(width), &search)?);
-        } else {
-            for row in numbers.chunks_exact(width) {
-                black_box(index.search(row, &search)?);
-            }
-        }
-        Ok(began.elapsed().as_secs_f64())
-    })
-}
-
 fn options(id: Option<u64>, tag: u64, payload: Option<&[u8]>) -> InsertOptions<'_> {
     let options = InsertOptions::new().tag(tag);
     let options = id.map_or(options, |id| options.id(id));
     options.payload(payload.unwrap_or_default())
-}
-
-/// Some state of the space.
-fn any_state(space: &wayfold::Space) -> Vec<f64> {
-    let mut row = Vec::with_capacity(space.coordinates());
-    for term in space.groups().iter().flat_map(|group| &group.terms) {
-        match term.factor {
-            Factor::RealVector(n) => row.extend(std::iter::repeat_n(0.0, n)),
-            Factor::SO2 { .. } => row.push(0.0),
-            Factor::SO3 => row.extend([0.0, 0.0, 0.0, 1.0]),
-        }
-    }
-    row
-}
-
-/// One radius for all states, or one for each.
-fn radii(r: &Bound<'_, PyAny>, shape: &[usize]) -> PyResult<Vec<f64>> {
-    if let Ok(radius) = r.extract() {
-        return Ok(vec![radius]);
-    }
-    static BROADCAST: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
-    let broadcast = BROADCAST.import(r.py(), "wayfold._states", "broadcast")?;
-    broadcast.call1((r, shape.to_vec()))?.extract()
-}
-
-fn array<'py, T: numpy::Element>(
-    py: Python<'py>,
-    shape: &[usize],
-    cells: Vec<T>,
-) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
-    let array = ArrayD::from_shape_vec(shape.to_vec(), cells);
-    let array = array.map_err(|error| invalid(py, &format!("the answer has no shape: {error}")))?;
-    Ok(PyArrayDyn::from_owned_array(py, array))
-}
-
-impl Index {
-    fn found(&self, state: &Bound<'_, PyAny>, search: &wayfold::Search) -> PyResult<Found> {
-        let (py, row) = (state.py(), self.one(state)?);
-        let found = self.call(py, |index| index.search(&row[..], search))?;
-        Ok(Found::of(py, &found.neighbors, found.seen.0))
-    }
 }

@@ -1,12 +1,13 @@
 //! The extension module `wayfold._wayfold` of the Python package `wayfold`.
 //!
 //! `index` is the class of all three forms, `open` connects the two that have a server, and `query` answers in the
-//! shapes of scipy's `KDTree`. `rows` reads states from arrays, `points` and `search` hold what goes in and comes out,
-//! and `error` raises. Every call of the index releases the interpreter's lock, and works on copies: another thread of
-//! Python may write to an array meanwhile.
+//! shapes of scipy's `KDTree`. `content` is what pickling keeps. `rows` reads states from arrays, `points` and `search`
+//! hold what goes in and comes out, and `error` raises. Every call of the index releases the interpreter's lock, and
+//! works on copies: another thread of Python may write to an array meanwhile.
 
 #![forbid(unsafe_code)]
 
+mod content;
 mod error;
 mod index;
 mod open;
@@ -15,6 +16,7 @@ mod query;
 mod rows;
 mod search;
 mod space;
+mod timing;
 
 use pyo3::prelude::pymodule;
 
@@ -22,7 +24,8 @@ use pyo3::prelude::pymodule;
 mod _wayfold {
     #[pymodule_export]
     use crate::{
-        index::{Index, restore, seconds_in_rust},
+        content::restore,
+        index::Index,
         open::{remote, shared},
         points::{
             Changes, Found, InsertedPoint, Meanwhile, MeanwhileAnswers, Neighbor, Status,
@@ -30,5 +33,6 @@ mod _wayfold {
         },
         search::{ScaledRadius, Scaling, Search},
         space::Space,
+        timing::seconds_in_rust,
     };
 }

@@ -2,13 +2,136 @@
 
 use std::{num::NonZero, panic, sync::Arc, thread};
 
-use pyo3::prelude::*;
-use wayfold::{Error, Index, Neighbor, Search};
+use numpy::{PyArray1, PyArrayDyn, ndarray::ArrayD};
+use pyo3::{
+    IntoPyObjectExt,
+    prelude::*,
+    sync::PyOnceLock,
+    types::{PyList, PyTuple},
+};
+use wayfold::{Error, Neighbor, Search};
 
-use crate::{error::invalid, search::k_of};
+use crate::{error::invalid, index::Index, rows::Rows, search::k_of};
+
+/// The arguments of `query` besides the states and `k`.
+pub(crate) struct Nearest {
+    pub(crate) eps: f64,
+    /// Neighbours at this distance or farther are left out.
+    pub(crate) bound: f64,
+    pub(crate) workers: usize,
+}
+
+/// The arguments of `query_ball_point` besides the states and the radii.
+pub(crate) struct Ball {
+    pub(crate) eps: f64,
+    pub(crate) workers: usize,
+    /// Without it, the ids of several states are sorted and those of one are not.
+    pub(crate) is_sorted: Option<bool>,
+    /// Only the numbers of ids are returned.
+    pub(crate) is_length: bool,
+}
+
+/// The distances and the ids of the nearest neighbours of states.
+pub(crate) fn nearest<'py>(
+    index: &Index,
+    x: &Bound<'py, PyAny>,
+    k: Option<&Bound<'py, PyAny>>,
+    &Nearest {
+        eps,
+        bound,
+        workers,
+    }: &Nearest,
+) -> PyResult<Bound<'py, PyTuple>> {
+    let py = x.py();
+    let Rows { numbers, mut shape } = index.rows(x)?;
+    let ranks = k.map_or(Ok(Ranks::First(1)), Ranks::of)?;
+    let search = search(py, ranks.k(), eps, bound)?;
+    if shape.is_empty() {
+        let found = index.call(py, |index| index.search(&numbers[..], &search))?;
+        let neighbors = within(&found.neighbors, bound);
+        return match ranks {
+            Ranks::First(1) => {
+                let first = neighbors.first();
+                let distance = first.map_or(f64::INFINITY, |first| first.distance);
+                let id = first.map_or(-1, |first| first.id as i64);
+                (distance, id).into_pyobject(py)
+            }
+            ranks => {
+                let (distances, ids) = ranks.table([neighbors].into_iter());
+                let distances = PyArray1::from_vec(py, distances);
+                (distances, PyArray1::from_vec(py, ids)).into_pyobject(py)
+            }
+        };
+    }
+    let (distances, ids) = index.call(py, |index| {
+        let found = search_many(index, &numbers, &search, workers)?;
+        let found = found.iter().map(|row| within(row, bound));
+        Ok(ranks.table(found))
+    })?;
+    if !matches!(ranks, Ranks::First(1)) {
+        shape.push(ranks.columns());
+    }
+    (array(py, &shape, distances)?, array(py, &shape, ids)?).into_pyobject(py)
+}
+
+/// The ids of all points within the radius of each state.
+pub(crate) fn ball<'py>(
+    index: &Index,
+    x: &Bound<'py, PyAny>,
+    r: &Bound<'py, PyAny>,
+    &Ball {
+        eps,
+        workers,
+        is_sorted,
+        is_length,
+    }: &Ball,
+) -> PyResult<Bound<'py, PyAny>> {
+    let py = x.py();
+    let Rows { numbers, shape } = index.rows(x)?;
+    check_eps(py, eps)?;
+    let radii = radii(r, &shape)?;
+    for &radius in &radii {
+        check_number(py, "r", radius)?;
+    }
+    let is_sorted = is_sorted.unwrap_or(!shape.is_empty());
+    let ids = index.call(py, |index| {
+        let width = index.space().coordinates();
+        let within = |radius: f64| Search::within(radius).epsilon(eps);
+        let found = match radii[..] {
+            [radius] => search_many(index, &numbers, &within(radius), workers)?,
+            _ => numbers
+                .chunks_exact(width)
+                .zip(&radii)
+                .map(|(row, &radius)| Ok(index.search(row, &within(radius))?.neighbors))
+                .collect::<Result<_, Error>>()?,
+        };
+        let ids = found.into_iter().map(|found: Vec<Neighbor>| {
+            let mut ids: Vec<u64> = found.iter().map(|found| found.id).collect();
+            if is_sorted {
+                ids.sort_unstable();
+            }
+            ids
+        });
+        Ok(ids.collect::<Vec<_>>())
+    })?;
+    if is_length {
+        let lengths: Vec<i64> = ids.iter().map(|ids| ids.len() as i64).collect();
+        return match lengths[..] {
+            [length] if shape.is_empty() => length.into_bound_py_any(py),
+            _ => Ok(array(py, &shape, lengths)?.into_any()),
+        };
+    }
+    let mut lists = ids.into_iter();
+    if shape.is_empty() {
+        return lists.next().unwrap_or_default().into_bound_py_any(py);
+    }
+    static LISTS: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
+    let array_of_lists = LISTS.import(py, "wayfold._states", "array_of_lists")?;
+    array_of_lists.call1((PyList::new(py, lists)?, shape))
+}
 
 /// The ranks of the neighbours that a query returns.
-pub(crate) enum Ranks {
+enum Ranks {
     /// The `k` nearest.
     First(usize),
     /// The neighbours of these ranks, from 1.
@@ -16,7 +139,7 @@ pub(crate) enum Ranks {
 }
 
 impl Ranks {
-    pub(crate) fn of(k: &Bound<'_, PyAny>) -> PyResult<Ranks> {
+    fn of(k: &Bound<'_, PyAny>) -> PyResult<Ranks> {
         let py = k.py();
         let one = |k: i64| k_of(py, k).map(|k| k as usize);
         if let Ok(k) = k.extract() {
@@ -31,7 +154,7 @@ impl Ranks {
     }
 
     /// The number of nearest neighbours to search for.
-    pub(crate) fn k(&self) -> u32 {
+    fn k(&self) -> u32 {
         let k = match self {
             Ranks::First(k) => *k,
             Ranks::Each(ranks) => ranks.iter().copied().max().unwrap_or(1),
@@ -41,7 +164,7 @@ impl Ranks {
     }
 
     /// The number of neighbours that a state has in the answer.
-    pub(crate) fn columns(&self) -> usize {
+    fn columns(&self) -> usize {
         match self {
             Ranks::First(k) => *k,
             Ranks::Each(ranks) => ranks.len(),
@@ -49,7 +172,7 @@ impl Ranks {
     }
 
     /// The distances and the ids of the neighbours of states, one row after the other.
-    pub(crate) fn table<'a>(
+    fn table<'a>(
         &self,
         rows: impl ExactSizeIterator<Item = &'a [Neighbor]>,
     ) -> (Vec<f64>, Vec<i64>) {
@@ -73,19 +196,19 @@ impl Ranks {
 }
 
 /// The search of a query. The bound itself is left out by [`within`].
-pub(crate) fn search(py: Python<'_>, k: u32, eps: f64, bound: f64) -> PyResult<Search> {
+fn search(py: Python<'_>, k: u32, eps: f64, bound: f64) -> PyResult<Search> {
     check_number(py, "distance_upper_bound", bound)?;
     check_eps(py, eps)?;
     Ok(Search::k(k).radius(bound).epsilon(eps))
 }
 
 /// Leaves out neighbours at exactly the bound, as scipy does.
-pub(crate) fn within(neighbors: &[Neighbor], bound: f64) -> &[Neighbor] {
+fn within(neighbors: &[Neighbor], bound: f64) -> &[Neighbor] {
     let at = neighbors.partition_point(|neighbor| neighbor.distance < bound);
     &neighbors[..at]
 }
 
-pub(crate) fn check_eps(py: Python<'_>, eps: f64) -> PyResult<()> {
+fn check_eps(py: Python<'_>, eps: f64) -> PyResult<()> {
     match eps.is_finite() {
         true => check_number(py, "eps", eps),
         false => Err(invalid(py, &format!("eps: {eps}; it is finite"))),
@@ -93,7 +216,7 @@ pub(crate) fn check_eps(py: Python<'_>, eps: f64) -> PyResult<()> {
 }
 
 /// Refuses NaN and negative numbers.
-pub(crate) fn check_number(py: Python<'_>, field: &str, number: f64) -> PyResult<()> {
+fn check_number(py: Python<'_>, field: &str, number: f64) -> PyResult<()> {
     match number >= 0.0 {
         true => Ok(()),
         false => Err(invalid(py, &format!("{field}: {number}; it is at least 0"))),
@@ -113,8 +236,8 @@ pub(crate) fn workers(py: Python<'_>, workers: i64) -> PyResult<usize> {
 }
 
 /// Searches for the neighbours of many rows by several threads, each of which sees one state of the index.
-pub(crate) fn search_many(
-    index: &Index,
+fn search_many(
+    index: &wayfold::Index,
     rows: &[f64],
     search: &Search,
     workers: usize,
@@ -154,4 +277,24 @@ fn later_row(error: Error, first: usize) -> Error {
         },
         error => error,
     }
+}
+
+/// One radius for all states, or one for each.
+fn radii(r: &Bound<'_, PyAny>, shape: &[usize]) -> PyResult<Vec<f64>> {
+    if let Ok(radius) = r.extract() {
+        return Ok(vec![radius]);
+    }
+    static BROADCAST: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
+    let broadcast = BROADCAST.import(r.py(), "wayfold._states", "broadcast")?;
+    broadcast.call1((r, shape.to_vec()))?.extract()
+}
+
+fn array<'py, T: numpy::Element>(
+    py: Python<'py>,
+    shape: &[usize],
+    cells: Vec<T>,
+) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+    let array = ArrayD::from_shape_vec(shape.to_vec(), cells);
+    let array = array.map_err(|error| invalid(py, &format!("the answer has no shape: {error}")))?;
+    Ok(PyArrayDyn::from_owned_array(py, array))
 }
