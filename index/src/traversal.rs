@@ -305,15 +305,15 @@ impl<'a> Traversal<'a> {
     /// Measures all candidates and keeps the nearest. Returns whether that lowered the limit.
     #[cold]
     fn resolve_candidates(&mut self) -> bool {
+        let before = self.limit();
         let mut nearest: Vec<Candidate<'_>> = self.candidates.drain().collect();
         nearest.retain_mut(|candidate| self.measure(candidate) <= self.search.radius);
         nearest.sort_unstable_by(|a, b| a.distance.total_cmp(&b.distance).then(a.id.cmp(&b.id)));
         nearest.truncate(self.search.k);
-        let mut is_nearer = false;
         for candidate in nearest {
-            is_nearer |= self.candidates.offer(candidate);
+            self.candidates.offer(candidate);
         }
-        is_nearer
+        self.limit() < before
     }
 
     /// Counts a leaf about to be visited; false if the search is out of time.
@@ -351,7 +351,11 @@ impl<'a> Traversal<'a> {
                 });
             }
         }
-        neighbors.sort_unstable();
+        // No distance is negative, so its bits are in its order, and one number is compared without a branch.
+        neighbors.sort_unstable_by_key(|one| {
+            u128::from(one.distance.to_bits()) << 64 | u128::from(one.id)
+        });
+        debug_assert!(neighbors.is_sorted());
         neighbors.truncate(self.search.k);
         Ok(Answer { neighbors })
     }
