@@ -7,5 +7,6 @@ mod conformance;
 mod extremes;
 mod forest_model;
 mod growing;
+mod large_k;
 mod refusals;
 mod searches;
