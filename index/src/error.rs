@@ -26,7 +26,7 @@ pub enum PointsError {
         /// The problem of the row.
         error: StateError,
     },
-    /// Two rows have the same id.
+    /// Two points have the same id.
     #[error("id {0} stands twice among the points")]
     DuplicateId(u64),
 }

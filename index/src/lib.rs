@@ -45,6 +45,7 @@ mod overlay;
 mod points;
 mod quantize;
 mod scaling;
+mod scan_policy;
 mod search;
 mod space;
 mod traversal;

@@ -7,9 +7,9 @@ use arrayvec::ArrayVec;
 use crate::{
     Answer, Filter, Neighbor, Points, Search, SearchError, Space,
     candidates::{Candidate, Candidates},
-    kdtree::ScanPolicy,
     kernel::{self, BLOCK_ROWS, Isa, KeyScale, MAX_CHILDREN},
     quantize::{self, QuantizedQuery, Quantizer},
+    scan_policy::ScanPolicy,
 };
 
 /// The number of leaves visited between two reads of the clock. One read costs about a tenth of a leaf.

@@ -33,7 +33,9 @@ impl Status {
                 "the command failed: the server refused a call, a file cannot be read or written,\n     \
                  or a signal ended it"
             }
-            Status::NoAnswer => "no server was reached, or it did not answer in time",
+            Status::NoAnswer => {
+                "no server was reached, it did not answer in time, or it answered UNAVAILABLE"
+            }
         }
     }
 

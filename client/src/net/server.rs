@@ -51,6 +51,8 @@ pub struct Limits {
     pub max_payload_bytes: usize,
     /// The most indices of the server.
     pub max_indexes: u64,
+    /// The most ids that one call reserves for a writer session.
+    pub max_reserved_ids: u64,
 }
 
 impl Limits {
@@ -63,6 +65,7 @@ impl Limits {
         max_answer_bytes: usize::MAX,
         max_payload_bytes: usize::MAX,
         max_indexes: u64::MAX,
+        max_reserved_ids: u64::MAX,
     };
 }
 
@@ -93,6 +96,7 @@ impl ServerInfo {
                 max_answer_bytes: size(limits.max_answer_bytes),
                 max_payload_bytes: size(limits.max_payload_bytes),
                 max_indexes: limits.max_indexes,
+                max_reserved_ids: limits.max_reserved_ids,
             },
         })
     }

@@ -27,7 +27,8 @@ use std::sync::{
 };
 
 use crate::{
-    Answer, ApplyError, KdTree, Point, Points, Search, SearchError, Space, kernel::KeyScale,
+    Answer, ApplyError, KdTree, Point, Points, PointsError, Search, SearchError, Space,
+    kernel::KeyScale,
 };
 use growing::Growing;
 use level::Level;
@@ -200,10 +201,14 @@ impl Forest {
     /// in the forest.
     ///
     /// # Errors
-    /// The rows are not canonical states of the space, two have the same id, or there are more than
-    /// [`KdTree::MAX_POINTS`]; nothing is changed then.
+    /// The rows are not canonical states of the space, two have the same id, one has an id of the forest, or there are
+    /// more than [`KdTree::MAX_POINTS`]; nothing is changed then.
     pub fn load(&mut self, points: &Points) -> Result<(), ApplyError> {
         points.check(&self.head.space)?;
+        let mut ids = points.ids().iter();
+        if let Some(&id) = ids.find(|&&id| self.contains(id)) {
+            return Err(PointsError::DuplicateId(id).into());
+        }
         self.store(points);
         Ok(())
     }
@@ -326,7 +331,7 @@ impl Forest {
 
     fn begin(&mut self, due: &[usize]) -> Merge {
         let sources: Vec<Arc<Level>> = due.iter().map(|&at| self.head.levels[at].clone()).collect();
-        // Of all forests, so that no forest takes the merge of another one for its own.
+        // The counter is global: no forest takes the merge of another one for its own.
         static MERGES: AtomicU64 = AtomicU64::new(0);
         let token = MERGES.fetch_add(1, Ordering::Relaxed);
         self.running.push(Running {

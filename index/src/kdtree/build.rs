@@ -6,13 +6,14 @@
 
 use std::{ops::Range, sync::Arc};
 
-use super::{KdTree, Node, ScanPolicy};
+use super::{KdTree, Node};
 use crate::{
     Points, Space,
     blocks::Blocks,
     boxes::{Boxes, around_rows},
     kernel::{BLOCK_ROWS, KeyScale, MAX_CHILDREN},
     quantize::QuantizedRows,
+    scan_policy::ScanPolicy,
 };
 
 /// The number of points sampled to find the coordinate in which a larger set spreads most.

@@ -17,7 +17,6 @@
 
 mod build;
 mod query;
-mod scan_policy;
 mod validate;
 
 use std::sync::Arc;
@@ -28,10 +27,10 @@ use crate::{
     boxes::Boxes,
     kernel::{BLOCK_ROWS, Isa, KeyScale, Task},
     quantize::QuantizedRows,
+    scan_policy::ScanPolicy,
     traversal::Traversal,
 };
 pub(crate) use query::TreeSearch;
-pub(crate) use scan_policy::ScanPolicy;
 pub use validate::TreeReport;
 
 /// The children of a node: `count` consecutive nodes or, at the bottom, leaves.

@@ -2,10 +2,11 @@
 
 use std::ops::Range;
 
-use super::{KdTree, ScanPolicy};
+use super::KdTree;
 use crate::{
     kernel::{BLOCK_ROWS, Isa, prefetch},
     quantize::{QuantizedQuery, ROW_BLOCKS},
+    scan_policy::ScanPolicy,
     traversal::{Frontier, Traversal, Tree},
 };
 

@@ -29,12 +29,11 @@ const MARGIN: f64 = 1.0 + 1e-13;
 /// the bound of a rotation leaves out the rest of a series.
 #[derive(Clone, Copy, Debug, Default)]
 struct Shortfall {
-    /// The rest is at most the key, times this, times the eighth power of the largest angle that such a distance can be
-    /// ...
+    /// The rest is at most the key, times this, times the eighth power of the largest angle at that key.
     rest: f64,
-    /// ... which is the key times this or, in a space of one group, the root of that, ...
+    /// The largest angle is the key times this; in a space of one group, its square is.
     per_weight: f64,
-    /// ... and at most this share of the key.
+    /// The rest is at most this share of the key.
     max_share: f64,
     /// The slack of the cosine, and the losses that are not relative.
     slack: f64,

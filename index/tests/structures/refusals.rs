@@ -124,6 +124,21 @@ fn an_id_is_stored_once_in_a_mutation() {
 }
 
 #[test]
+fn a_stored_id_is_not_loaded_again() {
+    let row = good_row();
+    let mut forest = Forest::new(space(), ForestOptions::for_space(&space()));
+    forest.load(&points(&[(3, &row), (5, &row)])).unwrap();
+    let error = forest.load(&points(&[(7, &row), (5, &row)])).unwrap_err();
+    assert_eq!(error, ApplyError::Points(PointsError::DuplicateId(5)));
+    assert_eq!(forest.len(), 2);
+    // An id that was removed is free again.
+    forest.apply(1, &Points::new(7), &[5]).unwrap();
+    forest.load(&points(&[(5, &row)])).unwrap();
+    assert_eq!(forest.len(), 2);
+    forest.validate().unwrap();
+}
+
+#[test]
 fn a_revision_is_applied_once() {
     let mut forest = Forest::new(space(), ForestOptions::for_space(&space()));
     forest.apply(5, &Points::new(7), &[]).unwrap();

@@ -23,7 +23,7 @@ use tracing::warn;
 
 use self::{
     bytes::ByteBudget,
-    turns::{Asked, FlowNumber, MAX_AT_ONCE, Stage, Turns},
+    turns::{FlowNumber, MAX_AT_ONCE, Stage, TurnRequest, Turns},
 };
 use crate::config::AdmissionConfig;
 pub(crate) use turns::Overloaded;
@@ -73,8 +73,8 @@ pub(crate) struct Flow {
 const UNKNOWN: u64 = u64::MAX;
 
 impl Admission {
-    /// As many calls compute at a time as there are `threads`. There is room for a message of `message_bytes`, whatever
-    /// the settings are.
+    /// At most `threads` calls compute at once. There is room for a message of `message_bytes`, whatever the settings
+    /// are.
     pub(crate) fn new(config: &AdmissionConfig, threads: usize, message_bytes: usize) -> Self {
         let turns = Turns::new(
             threads,
@@ -281,7 +281,7 @@ pub(crate) struct CallTurns {
     /// Its work since it last went behind others of its flow.
     at_once: Duration,
     /// The turn of the next slice.
-    next: Option<Asked>,
+    next: Option<TurnRequest>,
     /// The time since which it asks for that turn.
     asked: Instant,
     /// The time that it has waited for turns.
@@ -335,14 +335,14 @@ impl CallTurns {
         work: impl FnOnce(&mut Context<'_>) -> Poll<T>,
     ) -> Poll<Result<T, Overloaded>> {
         self.ask()?;
-        if let Some(Asked::Waits(granted)) = &mut self.next {
+        if let Some(TurnRequest::Waits(granted)) = &mut self.next {
             let granted = ready!(Pin::new(granted).poll(context));
             self.next = None;
             // The sender is dropped only with the flow, which this call keeps.
             let turn = granted.unwrap_or(Err(Overloaded(Duration::ZERO)))?;
-            self.next = Some(Asked::Granted(turn));
+            self.next = Some(TurnRequest::Granted(turn));
         }
-        let Some(Asked::Granted(turn)) = self.next.take() else {
+        let Some(TurnRequest::Granted(turn)) = self.next.take() else {
             return Poll::Pending;
         };
         GOES_ON.set(None);
@@ -358,7 +358,7 @@ impl CallTurns {
             self.at_once = Duration::ZERO;
             self.stage = Stage::GoesBehind;
         }
-        // Work that is polled for a task of its own has another waker.
+        // A task of its own polls its work with another waker.
         let goes_on = GOES_ON
             .take()
             .is_some_and(|waker| waker.will_wake(context.waker()));

@@ -36,7 +36,7 @@ const SHORT_TURNS: usize = 128;
 /// A flow whose turns take longer on average has long turns.
 const MAX_SHORT_NS: u64 = 50_000;
 
-/// A call gives way to the others of its flow after so much work.
+/// A call yields to the others of its flow after this much work.
 pub(super) const MAX_AT_ONCE: Duration = Duration::from_millis(25);
 
 /// The mean of a flow's turns covers about this many of them.
@@ -90,7 +90,7 @@ struct Flow {
     waiting: VecDeque<Waiting>,
     /// Those that have computed for long.
     behind: VecDeque<Waiting>,
-    /// One of these is due: they and the others take turns.
+    /// True if the next turn goes to `behind`: they and the others take turns.
     behind_is_due: bool,
 }
 
@@ -126,7 +126,7 @@ pub(super) struct Turn {
 
 /// A request for a turn.
 #[derive(Debug)]
-pub(super) enum Asked {
+pub(super) enum TurnRequest {
     /// There is a turn now.
     Granted(Turn),
     /// There will be one.
@@ -134,7 +134,7 @@ pub(super) enum Asked {
 }
 
 impl Turns {
-    /// The turns on so many threads.
+    /// Turns for `threads` threads.
     pub(super) fn new(threads: usize, target: Duration, burst: Duration) -> Arc<Self> {
         Arc::new(Self {
             state: Mutex::new(State {
@@ -189,13 +189,13 @@ impl Turns {
         stage: Stage,
         behind: Duration,
         now: Instant,
-    ) -> Result<Asked, Overloaded> {
+    ) -> Result<TurnRequest, Overloaded> {
         let mut state = self.state.lock();
         let size = state.size(flow, stage);
         let is_free = state.order.is_empty() && state.free >= size;
         state.look(now);
         if stage == Stage::New && size == SHORT_TURNS {
-            // Another call of a flow whose calls wait for long would wait in vain.
+            // The flow's calls already wait for too long; one more is refused now instead of later.
             let wait = state.flows.get(&flow).map_or(Duration::ZERO, Flow::wait);
             let (limit, stands) = self.limit(&mut state, behind, now);
             if stands && (behind > limit || 2 * wait > limit) {
@@ -206,9 +206,9 @@ impl Turns {
         if is_free {
             state.free -= size;
             state.begin(flow);
-            return Ok(Asked::Granted(self.turn(flow, size)));
+            return Ok(TurnRequest::Granted(self.turn(flow, size)));
         }
-        Ok(Asked::Waits(state.enqueue(flow, stage, now)))
+        Ok(TurnRequest::Waits(state.enqueue(flow, stage, now)))
     }
 
     /// Charges the flow of `turn` for work that goes on. The turn is handed on if others wait.
@@ -217,7 +217,7 @@ impl Turns {
         mut turn: Turn,
         took: Duration,
         stage: Stage,
-    ) -> Asked {
+    ) -> TurnRequest {
         let now = Instant::now();
         let mut state = self.state.lock();
         state.charge(turn.flow, took);
@@ -227,12 +227,12 @@ impl Turns {
         if state.order.is_empty() && state.free >= more {
             state.free -= more;
             turn.size = SHORT_TURNS;
-            return Asked::Granted(turn);
+            return TurnRequest::Granted(turn);
         }
         let granted = state.enqueue(turn.flow, stage, now);
         drop(state);
         turn.took = Duration::ZERO;
-        Asked::Waits(granted)
+        TurnRequest::Waits(granted)
     }
 
     /// The longest wait for a first turn where some call has waited for `wait`, and whether the queue stands.

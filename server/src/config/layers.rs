@@ -8,6 +8,7 @@ use std::{
 };
 
 use config::{File, FileFormat, Source, Value, ValueKind};
+use wayfold_index::ForestOptions;
 
 use super::{Config, ConfigError, DEFAULTS, OFF, ON, nearest::nearest};
 
@@ -185,20 +186,22 @@ fn check(origin: &str, key: &str, default: &Value, value: &Value) -> Result<(), 
     let expected = match (&default.kind, &value.kind) {
         (ValueKind::I64(_), ValueKind::I64(number)) => {
             let least = i64::from(!MAY_BE_ZERO.contains(&key));
-            if key.ends_with("_percent") && *number > 100 {
-                return Err(ConfigError::Value {
-                    origin: origin.to_owned(),
-                    key: key.to_owned(),
-                    problem: format!("{number} is too large; at most 100"),
-                });
-            }
-            if *number >= least {
+            let most = match key {
+                "index.growing_rows" => ForestOptions::MAX_GROWING_ROWS as i64,
+                _ if key.ends_with("_percent") => 100,
+                _ => i64::MAX,
+            };
+            let problem = if *number < least {
+                format!("{number} is too small; at least {least}")
+            } else if *number > most {
+                format!("{number} is too large; at most {most}")
+            } else {
                 return Ok(());
-            }
+            };
             return Err(ConfigError::Value {
                 origin: origin.to_owned(),
                 key: key.to_owned(),
-                problem: format!("{number} is too small; at least {least}"),
+                problem,
             });
         }
         (ValueKind::String(_), ValueKind::String(text)) if text.is_empty() => {

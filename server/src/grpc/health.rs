@@ -1,5 +1,5 @@
-//! `grpc.health.v1`: NOT_SERVING until the server answers calls, and again once it begins to stop. One name tells apart
-//! whether points can be added.
+//! `grpc.health.v1`: NOT_SERVING until the server answers calls, and again once it begins to stop. The name
+//! `wayfold.writing` is NOT_SERVING while points cannot be added.
 
 use std::{pin::Pin, time::Duration};
 

@@ -82,7 +82,7 @@ impl KnnStreams {
             max_message_bytes: self.max_message_bytes,
             ended: false,
         };
-        let ahead = Ahead {
+        let ahead = UnreadAnswers {
             service: self.service.clone(),
             flow: Arc::clone(&flow),
             others: Arc::new(()),
@@ -106,14 +106,14 @@ impl KnnStreams {
 
 /// The bytes of answers by which a stream is ahead of its client.
 #[derive(Clone)]
-struct Ahead {
+struct UnreadAnswers {
     service: Service,
     flow: Arc<Flow>,
     /// A clone for each request that is evaluated.
     others: Arc<()>,
 }
 
-impl Ahead {
+impl UnreadAnswers {
     /// Waits for room for the answer to a request. The room is given back as the answer leaves the stream, where it
     /// counts as unread.
     async fn hold(self, read: Read) -> (Read, (HeldBytes, Arc<()>)) {

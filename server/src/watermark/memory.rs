@@ -93,7 +93,7 @@ fn give_back() {
 
 #[expect(unsafe_code, reason = "a function of the allocator")]
 unsafe extern "C" {
-    /// Of mimalloc: frees what it keeps, and if forced gives all of it back to the system.
+    /// mimalloc frees the memory that it keeps unused; with `force` it returns all of it to the system.
     fn mi_collect(force: bool);
 }
 

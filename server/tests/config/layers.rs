@@ -189,6 +189,17 @@ fn a_value_out_of_range_is_named() {
 }
 
 #[test]
+fn a_growing_tree_has_no_more_rows_than_the_index_library_takes() {
+    let load = |rows: usize| load_file(&format!("[index]\ngrowing_rows = {rows}"));
+    assert_eq!(load(1 << 20).unwrap().index.growing_rows, 1 << 20);
+    let text = load((1 << 20) + 1).unwrap_err().to_string();
+    assert!(
+        text.contains("`index.growing_rows`: 1048577 is too large; at most 1048576"),
+        "{text}"
+    );
+}
+
+#[test]
 fn a_percentage_is_at_most_100() {
     assert!(load_file("[memory]\nhigh_percent = 100").is_ok());
     let error = load_file("[memory]\nhigh_percent = 101").unwrap_err();

@@ -23,6 +23,7 @@ struct LimitsLine {
     max_answer_bytes: usize,
     max_payload_bytes: usize,
     max_indexes: u64,
+    max_reserved_ids: u64,
 }
 
 /// The name of the setting `data.durability`, and the failures that a write survives.
@@ -58,6 +59,7 @@ pub(crate) async fn server(context: &mut Context) -> Result<(), Failure> {
                 max_answer_bytes: limits.max_answer_bytes,
                 max_payload_bytes: limits.max_payload_bytes,
                 max_indexes: limits.max_indexes,
+                max_reserved_ids: limits.max_reserved_ids,
             },
         })?);
     }
@@ -80,5 +82,9 @@ pub(crate) async fn server(context: &mut Context) -> Result<(), Failure> {
         bytes(limits.max_payload_bytes)
     ))?;
     output.text(format_args!("indices     {}", limits.max_indexes))?;
+    output.text(format_args!(
+        "a session   {} ids at once",
+        limits.max_reserved_ids
+    ))?;
     Ok(())
 }

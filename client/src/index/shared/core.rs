@@ -27,10 +27,7 @@ use crate::{
     net::request::LONGEST_WAIT,
 };
 
-/// Ids are asked for when fewer than this are left.
-const MIN_IDS: u64 = 1 << 15;
-
-/// The ids that are asked for at once.
+/// The ids that are reserved at once, unless the server reserves fewer. The next ones are asked for when half are left.
 pub(super) const ID_BLOCK: u64 = 1 << 16;
 
 /// The order of locks: `writer`, `points`, `published`, `connection`.
@@ -41,6 +38,9 @@ pub(super) struct Core {
     pub(super) timeout: Duration,
     pub(super) max_pending_bytes: usize,
     pub(super) max_payload_bytes: usize,
+    /// The ids that are reserved at once.
+    pub(super) id_block: u64,
+    max_reserved_ids: u64,
     pub(super) writer: Mutex<Writer>,
     /// Wakes callers that wait for `writer`.
     pub(super) progress: Condvar,
@@ -65,6 +65,8 @@ pub(super) struct Settings {
     pub(super) timeout: Duration,
     pub(super) max_pending_bytes: usize,
     pub(super) max_payload_bytes: usize,
+    pub(super) id_block: u64,
+    pub(super) max_reserved_ids: u64,
 }
 
 /// The reports of the tasks.
@@ -72,7 +74,7 @@ pub(super) struct Settings {
 struct Connection {
     behind: u64,
     is_reloading: bool,
-    /// The time and the cause of the loss of the feed, and of the way for writes.
+    /// When and why the feed was lost, and the connection for writes.
     lost: [Option<(Instant, Arc<Error>)>; 2],
 }
 
@@ -99,6 +101,8 @@ impl Core {
             timeout: settings.timeout,
             max_pending_bytes: settings.max_pending_bytes,
             max_payload_bytes: settings.max_payload_bytes,
+            id_block: settings.id_block,
+            max_reserved_ids: settings.max_reserved_ids,
             writer: Mutex::new(writer),
             progress: Condvar::new(),
             work: Notify::new(),
@@ -218,10 +222,13 @@ impl Core {
     }
 
     /// The number of ids to reserve now.
-    pub(super) fn reserve_count(writer: &Writer) -> u64 {
+    pub(super) fn reserve_count(&self, writer: &Writer) -> u64 {
         match writer.ids.len() {
-            left if left < writer.wanted_ids => ID_BLOCK.max(writer.wanted_ids),
-            left if left < MIN_IDS => ID_BLOCK,
+            left if left < writer.wanted_ids => {
+                let missing = writer.wanted_ids - left;
+                missing.clamp(self.id_block, self.max_reserved_ids)
+            }
+            left if left < self.id_block / 2 => self.id_block,
             _ => 0,
         }
     }

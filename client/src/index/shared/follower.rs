@@ -16,7 +16,7 @@ use crate::{
     index::local::{LocalPoints, NewRow},
 };
 
-/// The time for which no index may have the name: one that is deleted and created again has it soon.
+/// The time for which the name may be missing before the index counts as deleted: it may be created again at once.
 const MISSING_TIME: Duration = Duration::from_secs(5);
 
 /// The changes that a copy which is read again skips, so that writes go on while it is read.

@@ -123,7 +123,8 @@ impl OpenShared {
         let mut writer = Writer::new(index.coordinates());
         writer.limit(limits.max_rows_per_call, limits.max_request_bytes);
         let operation_id = fresh_operation_id();
-        let opened = link.open_session(&index, ID_BLOCK, &operation_id).await?;
+        let id_block = ID_BLOCK.min(limits.max_reserved_ids);
+        let opened = link.open_session(&index, id_block, &operation_id).await?;
         writer.open(opened.session, opened.reserved);
         let mut points = LocalPoints::new(index.space());
         let (forest, revision) = link.load(&index, points.seen().0 + 1).await?;
@@ -138,6 +139,8 @@ impl OpenShared {
                 timeout: self.timeout,
                 max_pending_bytes: self.max_pending_bytes,
                 max_payload_bytes: limits.max_payload_bytes,
+                id_block,
+                max_reserved_ids: limits.max_reserved_ids,
             },
         ))
     }

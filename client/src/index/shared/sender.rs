@@ -6,15 +6,14 @@ use tokio::time::{Instant, sleep_until};
 use wayfold_proto::v1;
 
 use super::{
-    core::{Core, ID_BLOCK, Task},
+    core::{Core, Task},
     link::is_transient,
     served_index::ServedIndex,
 };
 use crate::{Code, Error, net::request::fresh_operation_id};
 
-/// The time between the beginnings of two batches while no one waits for them. A call costs server and client more
-/// than its rows: with a batch at a time as fast as they go, planners of a maze on two cores lost a quarter of their
-/// speed to the calls.
+/// The least time between the beginnings of two batches that no caller waits for. A call costs server and client more
+/// than its rows: batches sent back to back cost planners of a maze on two cores a quarter of their speed.
 const BATCH_INTERVAL: Duration = Duration::from_millis(2);
 
 /// The next thing to send.
@@ -84,7 +83,7 @@ fn next(core: &Core, index: &ServedIndex) -> Next {
         let Some(session) = writer.session else {
             return Next::Session;
         };
-        let reserve_count = Core::reserve_count(&writer);
+        let reserve_count = core.reserve_count(&writer);
         // If the index was made again meanwhile, the next look finds no session.
         if core.is_current(index)
             && let Some(mut request) = writer.next(session, reserve_count)
@@ -101,7 +100,7 @@ fn next(core: &Core, index: &ServedIndex) -> Next {
 async fn open(core: &Core, index: &ServedIndex, operation_id: &str) -> Result<(), Error> {
     let opened = core
         .link
-        .open_session(index, ID_BLOCK, operation_id)
+        .open_session(index, core.id_block, operation_id)
         .await?;
     let mut writer = core.writer.lock();
     if core.is_current(index) {

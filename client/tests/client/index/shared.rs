@@ -97,6 +97,23 @@ tests!(
     a_closed_index_takes_no_writes_and_gives_none_back,
 );
 
+/// A server that reserves few ids at once gives them several times.
+#[test]
+fn blocks_of_ids_keep_to_the_limit_of_the_server() {
+    let server = Server::with(|config| config.limits.max_reserved_ids = 10);
+    let space = "R1".parse().unwrap();
+    let index = Index::shared(&server.uri, "arm").create(&space).open();
+    let index = index.unwrap();
+    let mut ids: Vec<u64> = (0..50)
+        .map(|number| index.insert([f64::from(number)]).unwrap())
+        .collect();
+    let rows: Vec<[f64; 1]> = (0..35).map(|number| [f64::from(number)]).collect();
+    ids.extend(index.insert_many(&rows).unwrap());
+    index.flush().unwrap();
+    assert!(ids.is_sorted_by(|a, b| a < b), "{ids:?}");
+    assert_eq!(index.len(), ids.len());
+}
+
 /// The feed of the copy and two foreign ones hold what a server for one message of 20 kB allows. A shared index with 2 MB
 /// of pending writes and a client with one call wait until there is room.
 #[test]

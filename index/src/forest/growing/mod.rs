@@ -37,8 +37,8 @@ use std::sync::Arc;
 use super::{level::PointsById, tombstones::Tombstones};
 use crate::{
     Point, PointRef, Points, Space,
-    kdtree::ScanPolicy,
     kernel::Isa,
+    scan_policy::ScanPolicy,
     traversal::{Frontier, Labels, MAX_HEIGHT, Traversal, Tree},
 };
 use branch::{Branch, Cell, Insertion};

@@ -10,7 +10,7 @@ fn take(turns: &Arc<Turns>, flow: FlowNumber) -> Turn {
         .ask(flow, New, Duration::ZERO, Instant::now())
         .unwrap()
     {
-        Asked::Granted(turn) => turn,
+        TurnRequest::Granted(turn) => turn,
         other => panic!("{other:?}"),
     }
 }
@@ -26,7 +26,7 @@ fn wait(
         .ask(flow, stage, Duration::ZERO, Instant::now() - ago)
         .unwrap()
     {
-        Asked::Waits(granted) => granted,
+        TurnRequest::Waits(granted) => granted,
         other => panic!("{other:?}"),
     }
 }
@@ -97,12 +97,12 @@ fn work_that_goes_on_gives_way_only_if_others_wait() {
     let turns = Turns::new(1, TARGET, BURST);
     let (heavy, light) = (turns.open(), turns.open());
     let turn = match turns.give_way(take(&turns, heavy), 5 * MS, GoesOn) {
-        Asked::Granted(turn) => turn,
+        TurnRequest::Granted(turn) => turn,
         waits => panic!("{waits:?}"),
     };
     let mut first = wait(&turns, light, New, MS);
     let mut going_on = match turns.give_way(turn, 5 * MS, GoesOn) {
-        Asked::Waits(waits) => waits,
+        TurnRequest::Waits(waits) => waits,
         granted => panic!("{granted:?}"),
     };
     assert!(going_on.try_recv().is_err());
@@ -143,7 +143,7 @@ fn one_long_call_alone_is_no_queue() {
     let flow = turns.open();
     let turn = take(&turns, flow);
     turns.state.lock().was_empty -= 2 * TARGET;
-    let Asked::Granted(turn) = turns.give_way(turn, 2 * TARGET, GoesOn) else {
+    let TurnRequest::Granted(turn) = turns.give_way(turn, 2 * TARGET, GoesOn) else {
         panic!("nobody else waits");
     };
     let mut waits = wait(&turns, flow, New, TARGET / 2);
