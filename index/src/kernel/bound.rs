@@ -84,6 +84,23 @@ pub(super) struct PointRows<'a> {
     pub(super) columns: &'a [f64],
 }
 
+/// A block of points, whose distances are computed instead of bounded.
+pub(super) struct MeasuredRows<'a>(pub(super) PointRows<'a>);
+
+impl Terms<f64, BLOCK_ROWS> for MeasuredRows<'_> {
+    #[inline(always)]
+    fn term<I: Isa>(&self, place: usize, part: &Part) -> Lanes<I, f64, BLOCK_ROWS> {
+        let (PointRows { state, columns }, axes) = (&self.0, part.axes());
+        match part.factor {
+            Factor::SO3 => {
+                let columns = &columns[axes.start * BLOCK_ROWS..axes.end * BLOCK_ROWS];
+                so3::distances_2(&state[axes], columns)
+            }
+            _ => self.0.term(place, part),
+        }
+    }
+}
+
 impl Terms<f64, MAX_CHILDREN> for BoxTerms<'_> {
     #[inline(always)]
     fn term<I: Isa>(&self, _: usize, part: &Part) -> Lanes<I, f64, MAX_CHILDREN> {

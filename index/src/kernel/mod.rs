@@ -2,9 +2,11 @@
 //! that the processor has is chosen when the program runs.
 //!
 //! A whole search is compiled once for each set, with its kernels inlined: calls would spend more on passing operands
-//! than on the arithmetic. A kernel only bounds a distance that includes a rotation or quantised numbers; any other
-//! distance it computes by the operations of [`Space::distance`]. So every set gives the same answers, to the bit.
+//! than on the arithmetic. The kernels of boxes and points only bound a distance that includes a rotation or quantised
+//! numbers; any other distance they compute by the operations of [`Space::distance`], and [`Measurement`] computes every
+//! one so. So every set gives the same answers, to the bit.
 
+mod asin;
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
@@ -19,6 +21,7 @@ pub(crate) mod tests;
 use std::sync::OnceLock;
 
 use crate::Space;
+pub(crate) use asin::asin;
 pub(crate) use bound::{BLOCK_ROWS, MAX_CHILDREN, Rows, keys};
 pub(crate) use isa::{Isa, Task, prefetch};
 pub(crate) use key::KeyScale;
@@ -46,6 +49,28 @@ pub(crate) fn points<I: Isa>(
 ) -> ([f64; BLOCK_ROWS], u32) {
     let keys = keys::<I, f64, BLOCK_ROWS>(space, &bound::PointRows { state, columns }).0;
     (keys, I::at_most(&keys, limit))
+}
+
+/// Computes the distances of a block of points as [`Space::distance`] does.
+pub(crate) struct Measurement<'a> {
+    pub(crate) space: &'a Space,
+    pub(crate) state: &'a [f64],
+    pub(crate) columns: &'a [f64],
+}
+
+impl Task for Measurement<'_> {
+    type Output = [f64; BLOCK_ROWS];
+
+    #[inline(always)]
+    fn run<I: Isa>(self) -> Self::Output {
+        let (state, columns) = (self.state, self.columns);
+        let rows = bound::MeasuredRows(bound::PointRows { state, columns });
+        let sums = keys::<I, f64, BLOCK_ROWS>(self.space, &rows);
+        match self.space.groups() {
+            [group] => (Lanes::splat(group.weight) * sums.sqrt()).0,
+            _ => sums.0,
+        }
+    }
 }
 
 /// The instruction set that a search is compiled for.
