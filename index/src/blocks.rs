@@ -1,6 +1,6 @@
 //! Rows in blocks, with the numbers of one coordinate side by side, in the form that the kernels read.
 
-use crate::{aligned::AlignedNumbers, kernel::BLOCK_ROWS};
+use crate::{aligned::AlignedNumbers, lanes::BLOCK_ROWS};
 
 /// A table of rows in blocks of [`BLOCK_ROWS`], coordinate by coordinate. An unwritten place holds zeros.
 #[derive(Clone, Debug)]

@@ -1,7 +1,7 @@
 //! The bounding boxes of the children of a node, side by side, coordinate by coordinate, in the form that the kernels
 //! read.
 
-use crate::{aligned::AlignedNumbers, kernel::MAX_CHILDREN};
+use crate::{aligned::AlignedNumbers, lanes::MAX_CHILDREN};
 
 /// The boxes of the children of some nodes. A node has, for each coordinate, the lower ends of [`MAX_CHILDREN`] boxes
 /// and then their upper ends.

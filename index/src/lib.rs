@@ -10,8 +10,8 @@
 //! - [`Forest`], dynamic, with frozen [`Snapshot`]s for readers while one owner writes.
 //!
 //! Nothing here does I/O, waits, or starts a thread. Reading order: `space` (the metric), `points` and `neighbor`
-//! (points stored and found), `search` and `traversal` (a request, and a search under way), `candidates`, `kernel` and
-//! `quantize` (bounds of many boxes or points at once), `kdtree`, `forest`, `overlay` (changes that a snapshot does not
+//! (points stored and found), `search` and `traversal` (a request, and a search under way), `candidates`, `lanes`, `kernel`
+//! and `quantize` (bounds of many boxes or points at once), `kdtree`, `forest`, `overlay` (changes that a snapshot does not
 //! have yet).
 //!
 //! ```
@@ -37,6 +37,7 @@ mod error;
 mod forest;
 mod kdtree;
 mod kernel;
+mod lanes;
 mod linear;
 mod mpnn;
 mod nearest_neighbors;
@@ -53,7 +54,7 @@ mod traversal;
 pub use error::{ApplyError, PointsError, SearchError};
 pub use forest::{Forest, ForestOptions, ForestReport, Merge, Merged, ReplacedLevels, Snapshot};
 pub use kdtree::{KdTree, TreeReport};
-pub use kernel::Kernels;
+pub use lanes::Kernels;
 pub use linear::Linear;
 pub use mpnn::Mpnn;
 pub use nearest_neighbors::{Changes, NearestNeighbors, NewPoint, Question, ScannedPoints, Seen};

@@ -13,6 +13,15 @@ pub struct Neighbor {
     pub id: u64,
 }
 
+impl Neighbor {
+    /// One number in the order of neighbours, which is compared without a branch. No distance is negative, so its bits
+    /// are in its order.
+    #[inline]
+    pub(crate) fn order(&self) -> u128 {
+        u128::from(self.distance.to_bits()) << 64 | u128::from(self.id)
+    }
+}
+
 impl Ord for Neighbor {
     fn cmp(&self, other: &Self) -> Ordering {
         self.distance

@@ -6,8 +6,9 @@ use arrayvec::ArrayVec;
 
 use crate::{
     Answer, Filter, Neighbor, Points, Search, SearchError, Space,
-    candidates::{Candidate, Candidates},
-    kernel::{self, BLOCK_ROWS, Isa, KeyScale, MAX_CHILDREN},
+    candidates::{Candidate, Few, MAX_FEW, Many},
+    kernel::{self, KeyScale},
+    lanes::{BLOCK_ROWS, Isa, MAX_CHILDREN},
     quantize::{self, QuantizedQuery, Quantizer},
     scan_policy::ScanPolicy,
 };
@@ -25,6 +26,9 @@ pub(crate) const MAX_HEIGHT: usize = 11;
 /// The ratio of a candidate's upper bound to its key above which its distance is computed at once: a larger bound would
 /// admit more candidates than computing one exact distance costs.
 const MAX_BOUND_RATIO: f64 = 1.001;
+
+/// The number of points of a block from which on it costs less to measure them all, side by side.
+const MIN_MEASURED_TOGETHER: u32 = 3;
 
 /// A tree of a structure, as one search sees it. `'a` is the lifetime of its points.
 pub(crate) trait Tree<'a> {
@@ -80,8 +84,12 @@ pub(crate) struct Traversal<'a> {
     space: &'a Space,
     state: &'a [f64],
     search: &'a Search<'a>,
-    candidates: Candidates<'a>,
+    few: Few<'a>,
+    /// Takes the place of `few` where many neighbours are asked for.
+    many: Option<Many>,
     scale: &'a KeyScale,
+    /// A point with a greater key is farther than the candidates held.
+    limit: f64,
     /// Greater keys are given up for `epsilon`: the limit times `epsilon_factor`.
     epsilon_limit: f64,
     epsilon_factor: f64,
@@ -101,16 +109,22 @@ impl<'a> Traversal<'a> {
         state: &'a [f64],
         search: &'a Search<'a>,
     ) -> Self {
-        let candidates = Candidates::new(search.k, scale.limit(search.radius));
+        let limit = match search.k {
+            0 => f64::NEG_INFINITY,
+            _ => scale.limit(search.radius),
+        };
+        let many = (search.k > MAX_FEW).then(|| Many::new(search.k, search.radius));
         let epsilon_factor = scale.epsilon_factor(search.epsilon);
         Self {
             space,
             state,
             search,
-            epsilon_limit: candidates.limit() * epsilon_factor,
-            epsilon_factor,
-            candidates,
+            few: Few::new(if many.is_some() { 0 } else { search.k }, limit),
+            many,
             scale,
+            limit,
+            epsilon_limit: limit * epsilon_factor,
+            epsilon_factor,
             leaves_visited: 0,
             is_late: false,
             row: Vec::new(),
@@ -138,10 +152,14 @@ impl<'a> Traversal<'a> {
             tree.prefetch(&frontier);
         }
         if let Some(policy) = policy
-            && self.candidates.len() <= MAX_OBSERVED_NEIGHBORS
+            && self.candidate_count() <= MAX_OBSERVED_NEIGHBORS
         {
             policy.observe(tree.scan_is_cheaper(self.leaves_visited - visited));
         }
+    }
+
+    fn candidate_count(&self) -> usize {
+        self.many.as_ref().map_or(self.few.len(), Many::len)
     }
 
     /// The revision after which a point's state must have been stored.
@@ -164,7 +182,7 @@ impl<'a> Traversal<'a> {
         query: &mut Option<QuantizedQuery<'a>>,
         codes: &[u16],
     ) -> u32 {
-        let limit = self.limit();
+        let limit = self.limit;
         if limit == f64::INFINITY {
             return !0;
         }
@@ -185,9 +203,12 @@ impl<'a> Traversal<'a> {
         slot: impl Fn(usize) -> usize,
         is_visible: impl Fn(usize) -> bool,
     ) {
-        let (keys, within) = kernel::points::<I>(self.space, self.state, block, self.limit());
-        let filter = self.search.filter;
+        let (keys, within) = kernel::points::<I>(self.space, self.state, block, self.limit);
         let mut remaining = within & !(!0 << lanes);
+        if self.many.is_some() {
+            self.scan_many::<I>(&keys, remaining, block, labels, slot, is_visible);
+            return;
+        }
         while remaining != 0 {
             // The nearest first: a near candidate rules out the others.
             let lane = if remaining & (remaining - 1) == 0 {
@@ -197,21 +218,67 @@ impl<'a> Traversal<'a> {
             };
             remaining &= !(1 << lane);
             let slot = slot(lane);
-            if !is_visible(slot)
-                || filter != Filter::default()
-                    && !filter.admits(labels.tag(slot), labels.revision(slot))
-            {
+            if !is_visible(slot) || !self.admits(labels, slot) {
                 continue;
             }
-            let id = labels.id(slot);
-            if self.search.excludes(id) {
-                continue;
-            }
-            self.add_candidate(keys[lane], id, &block[lane..]);
+            self.add_candidate(keys[lane], labels.id(slot), &block[lane..]);
             if remaining != 0 {
-                remaining &= I::at_most(&keys, self.limit());
+                remaining &= I::at_most(&keys, self.limit);
             }
         }
+    }
+
+    /// Acts like the rest of [`Traversal::scan_block`] where many neighbours are asked for: measures the `remaining`
+    /// points and adds those that are visible and pass the filter.
+    #[inline(never)]
+    fn scan_many<I: Isa>(
+        &mut self,
+        keys: &[f64; BLOCK_ROWS],
+        mut remaining: u32,
+        block: &[f64],
+        labels: &impl Labels,
+        slot: impl Fn(usize) -> usize,
+        is_visible: impl Fn(usize) -> bool,
+    ) {
+        if remaining == 0 {
+            return;
+        }
+        let distances = if remaining.count_ones() >= MIN_MEASURED_TOGETHER {
+            I::run(kernel::Measurement {
+                space: self.space,
+                state: self.state,
+                columns: block,
+            })
+        } else {
+            [f64::NAN; BLOCK_ROWS]
+        };
+        while remaining != 0 {
+            let lane = remaining.trailing_zeros() as usize % BLOCK_ROWS;
+            remaining &= remaining - 1;
+            let slot = slot(lane);
+            if !is_visible(slot) || !self.admits(labels, slot) {
+                continue;
+            }
+            let mut distance = distances[lane];
+            if distance.is_nan() {
+                distance = self.distance(keys[lane], &block[lane..]);
+            }
+            let id = labels.id(slot);
+            let many = self.many.as_mut();
+            let lower = many.and_then(|many| many.offer(Neighbor { distance, id }));
+            if let Some(farthest) = lower {
+                self.lower_limit(self.scale.limit(farthest));
+                remaining &= I::at_most(keys, self.limit);
+            }
+        }
+    }
+
+    /// True if the search is for points such as the one in this slot.
+    #[inline(always)]
+    fn admits(&self, labels: &impl Labels, slot: usize) -> bool {
+        let filter = self.search.filter;
+        (filter == Filter::default() || filter.admits(labels.tag(slot), labels.revision(slot)))
+            && !self.search.excludes(labels.id(slot))
     }
 
     /// Adds a node to the frontier, with its children among `lanes` that are near enough.
@@ -223,7 +290,7 @@ impl<'a> Traversal<'a> {
         lanes: u32,
         node: N,
     ) {
-        let (keys, within) = kernel::boxes::<I>(self.space, self.state, boxes, self.limit());
+        let (keys, within) = kernel::boxes::<I>(self.space, self.state, boxes, self.limit);
         let remaining = within & lanes;
         if remaining != 0 {
             let nearest = I::lowest(&keys, remaining);
@@ -243,7 +310,7 @@ impl<'a> Traversal<'a> {
             let (node, child) = (open.node, open.nearest);
             let key = open.keys[child];
             // A cell *at* the worst distance is visited: one of its points may win by its id.
-            if key <= self.limit() && key <= self.epsilon_limit && !self.is_late {
+            if key <= self.limit && key <= self.epsilon_limit && !self.is_late {
                 open.remaining &= !(1 << child);
                 if open.remaining == 0 {
                     frontier.0.pop();
@@ -258,10 +325,11 @@ impl<'a> Traversal<'a> {
         None
     }
 
-    /// A point with a greater key is farther than the candidates held.
-    #[inline(always)]
-    fn limit(&self) -> f64 {
-        self.candidates.limit()
+    /// Lowers the limit, unless it is lower already.
+    #[inline]
+    fn lower_limit(&mut self, limit: f64) {
+        self.limit = self.limit.min(limit);
+        self.epsilon_limit = self.limit * self.epsilon_factor;
     }
 
     #[inline]
@@ -276,12 +344,12 @@ impl<'a> Traversal<'a> {
         if candidate.upper_bound > candidate.key * MAX_BOUND_RATIO {
             self.measure(&mut candidate);
         }
-        let mut is_nearer = self.candidates.offer(candidate);
-        if self.candidates.is_overfull() {
-            is_nearer |= self.resolve_candidates();
+        let mut is_lower = self.few.offer(candidate);
+        if self.few.is_overfull() {
+            is_lower |= self.resolve_candidates();
         }
-        if is_nearer {
-            self.epsilon_limit = self.limit() * self.epsilon_factor;
+        if is_lower {
+            self.lower_limit(self.few.limit());
         }
     }
 
@@ -290,30 +358,35 @@ impl<'a> Traversal<'a> {
         if !candidate.distance.is_nan() {
             return candidate.distance;
         }
-        let distance = self.scale.distance(candidate.key).unwrap_or_else(|| {
-            // The row is read from its block, which is still in the cache.
-            self.row.clear();
-            let numbers = candidate.lane.iter().step_by(BLOCK_ROWS);
-            self.row.extend(numbers.take(self.state.len()));
-            self.space.distance(self.state, &self.row)
-        });
+        let distance = self.distance(candidate.key, candidate.lane);
         candidate.distance = distance;
         candidate.upper_bound = self.scale.limit(distance);
         distance
     }
 
+    /// The distance of a point with this key, in a block from its lane on.
+    fn distance(&mut self, key: f64, lane: &[f64]) -> f64 {
+        self.scale.distance(key).unwrap_or_else(|| {
+            // The row is read from its block, which is still in the cache.
+            self.row.clear();
+            let numbers = lane.iter().step_by(BLOCK_ROWS);
+            self.row.extend(numbers.take(self.state.len()));
+            self.space.distance(self.state, &self.row)
+        })
+    }
+
     /// Measures all candidates and keeps the nearest. Returns whether that lowered the limit.
     #[cold]
     fn resolve_candidates(&mut self) -> bool {
-        let before = self.limit();
-        let mut nearest: Vec<Candidate<'_>> = self.candidates.drain().collect();
+        let before = self.few.limit();
+        let mut nearest: Vec<Candidate<'_>> = self.few.drain().collect();
         nearest.retain_mut(|candidate| self.measure(candidate) <= self.search.radius);
         nearest.sort_unstable_by(|a, b| a.distance.total_cmp(&b.distance).then(a.id.cmp(&b.id)));
         nearest.truncate(self.search.k);
         for candidate in nearest {
-            self.candidates.offer(candidate);
+            self.few.offer(candidate);
         }
-        self.limit() < before
+        self.few.limit() < before
     }
 
     /// Counts a leaf about to be visited; false if the search is out of time.
@@ -341,8 +414,12 @@ impl<'a> Traversal<'a> {
         if self.is_late {
             return Err(SearchError::TimedOut);
         }
-        let mut neighbors = Vec::with_capacity(self.candidates.len());
-        for mut candidate in self.candidates.drain() {
+        if let Some(many) = &mut self.many {
+            let neighbors = many.take_sorted();
+            return Ok(Answer { neighbors });
+        }
+        let mut neighbors = Vec::with_capacity(self.few.len());
+        for mut candidate in self.few.drain() {
             let distance = self.measure(&mut candidate);
             if distance <= self.search.radius {
                 neighbors.push(Neighbor {
@@ -351,10 +428,7 @@ impl<'a> Traversal<'a> {
                 });
             }
         }
-        // No distance is negative, so its bits are in its order, and one number is compared without a branch.
-        neighbors.sort_unstable_by_key(|one| {
-            u128::from(one.distance.to_bits()) << 64 | u128::from(one.id)
-        });
+        neighbors.sort_unstable_by_key(Neighbor::order);
         debug_assert!(neighbors.is_sorted());
         neighbors.truncate(self.search.k);
         Ok(Answer { neighbors })

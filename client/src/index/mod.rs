@@ -75,8 +75,8 @@ thread_local! {
 }
 
 impl Index {
-    /// An empty index in this process, without a server. A thread of this process, which all indices share, merges the
-    /// levels of its trees.
+    /// An empty index in this process, without a server. Two threads of this process, which all indices share, merge the
+    /// levels of its trees and swap the results in.
     ///
     /// # Errors
     /// None today.

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::{growing::Growing, packed::Packed};
-use crate::{Point, Points, TreeReport, kernel::Isa, traversal::Traversal};
+use crate::{Point, Points, TreeReport, lanes::Isa, traversal::Traversal};
 
 /// Points by ascending id.
 pub(super) type PointsById<'a> = Box<dyn Iterator<Item = Point> + Send + 'a>;

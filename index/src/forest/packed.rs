@@ -7,7 +7,7 @@ use super::{
     tombstones::{LATEST, Tombstones},
 };
 use crate::{
-    KdTree, Point, Points, Space, TreeReport, kdtree::TreeSearch, kernel::Isa, traversal::Traversal,
+    KdTree, Point, Points, Space, TreeReport, kdtree::TreeSearch, lanes::Isa, traversal::Traversal,
 };
 
 /// The ids are distinct.

@@ -5,7 +5,8 @@ use std::{iter::Peekable, sync::Arc};
 use super::{growing::Growing, level::Level};
 use crate::{
     Answer, Kernels, Point, Search, SearchError, Space,
-    kernel::{Isa, KeyScale, Task},
+    kernel::KeyScale,
+    lanes::{Isa, Task},
     traversal::Traversal,
 };
 

@@ -11,7 +11,8 @@ use crate::{
     Points, Space,
     blocks::Blocks,
     boxes::{Boxes, around_rows},
-    kernel::{BLOCK_ROWS, KeyScale, MAX_CHILDREN},
+    kernel::KeyScale,
+    lanes::{BLOCK_ROWS, MAX_CHILDREN},
     quantize::QuantizedRows,
     scan_policy::ScanPolicy,
 };

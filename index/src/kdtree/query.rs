@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::KdTree;
 use crate::{
-    kernel::{BLOCK_ROWS, Isa, prefetch},
+    lanes::{BLOCK_ROWS, Isa, prefetch},
     quantize::{QuantizedQuery, ROW_BLOCKS},
     scan_policy::ScanPolicy,
     traversal::{Frontier, Traversal, Tree},

@@ -2,7 +2,7 @@
 
 use super::KdTree;
 use crate::{
-    kernel::{BLOCK_ROWS, MAX_CHILDREN},
+    lanes::{BLOCK_ROWS, MAX_CHILDREN},
     quantize::CODE_ROWS,
 };
 

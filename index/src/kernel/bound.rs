@@ -7,21 +7,11 @@
 //! its counterpart, except that of a rotation, which may by 1e-14. (For quantised points, see `quantize`.) No key is
 //! NaN: coordinates are small enough for their squares to have a finite sum, and weights for one another.
 
-use super::{
-    isa::Isa,
-    lanes::{Lanes, Number, Operations},
-};
 use crate::{
     Factor, Space,
+    lanes::{BLOCK_ROWS, Isa, Lanes, MAX_CHILDREN, Number, Operations, Rows},
     space::{Part, real_vector, so2, so3},
 };
-
-/// The greatest number of children of a node: the lanes of a box kernel, two registers of eight. A search waits for one
-/// node after another more than it computes; with eight children it took 1.05 to 1.2 times as long.
-pub(crate) const MAX_CHILDREN: usize = 16;
-
-/// The number of points in a block: the lanes of a point kernel.
-pub(crate) const BLOCK_ROWS: usize = 16;
 
 /// Lower bounds of the squared distances in one factor, to `N` boxes or points. (These are traits, because a closure
 /// called from two places would be compiled separately, for the oldest processor.)
@@ -43,19 +33,11 @@ pub(crate) trait Terms<T: Number, const N: usize> {
 }
 
 /// A block of `N` points, coordinate by coordinate, and the query in the same numbers.
-pub(crate) trait Rows<T: Number, const N: usize> {
-    /// A number of a column.
-    type Stored;
-
-    /// Twice the maximum amount by which the cosine of two equal rotations is below 1.
-    const CHORD_SLACK: f64;
-
+pub(crate) trait Block<T: Number, const N: usize>: Rows<T, N> {
     /// The query's numbers.
     fn query(&self) -> &[T];
     /// The points' numbers: `N` for each coordinate.
     fn columns(&self) -> &[Self::Stored];
-    /// The numbers of one column.
-    fn load<I: Isa + Operations<T>>(column: &[Self::Stored]) -> Lanes<I, T, N>;
     /// A period in the unit of the numbers.
     fn period(period: f64) -> T;
     /// The part of the cosines in the factor at `place` that is the same for all points.
@@ -84,6 +66,23 @@ pub(super) struct PointRows<'a> {
     pub(super) columns: &'a [f64],
 }
 
+/// A block of points, whose distances are computed instead of bounded.
+pub(super) struct MeasuredRows<'a>(pub(super) PointRows<'a>);
+
+impl Terms<f64, BLOCK_ROWS> for MeasuredRows<'_> {
+    #[inline(always)]
+    fn term<I: Isa>(&self, place: usize, part: &Part) -> Lanes<I, f64, BLOCK_ROWS> {
+        let (PointRows { state, columns }, axes) = (&self.0, part.axes());
+        match part.factor {
+            Factor::SO3 => {
+                let columns = &columns[axes.start * BLOCK_ROWS..axes.end * BLOCK_ROWS];
+                so3::distances_2(&state[axes], columns)
+            }
+            _ => self.0.term(place, part),
+        }
+    }
+}
+
 impl Terms<f64, MAX_CHILDREN> for BoxTerms<'_> {
     #[inline(always)]
     fn term<I: Isa>(&self, _: usize, part: &Part) -> Lanes<I, f64, MAX_CHILDREN> {
@@ -98,7 +97,7 @@ impl Terms<f64, MAX_CHILDREN> for BoxTerms<'_> {
     }
 }
 
-impl<T: Number, const N: usize, R: Rows<T, N>> Terms<T, N> for R {
+impl<T: Number, const N: usize, R: Block<T, N>> Terms<T, N> for R {
     #[inline(always)]
     fn term<I: Isa + Operations<T>>(&self, place: usize, part: &Part) -> Lanes<I, T, N> {
         let axes = part.axes();
@@ -117,12 +116,12 @@ impl<T: Number, const N: usize, R: Rows<T, N>> Terms<T, N> for R {
 
     #[inline(always)]
     fn weight(&self, place: usize, part: &Part) -> T {
-        Rows::weight(self, place, part)
+        Block::weight(self, place, part)
     }
 
     #[inline(always)]
     fn group_weight(&self, space: &Space, group: usize) -> T {
-        Rows::group_weight(self, space, group)
+        Block::group_weight(self, space, group)
     }
 }
 
@@ -135,6 +134,13 @@ impl Rows<f64, BLOCK_ROWS> for PointRows<'_> {
     const CHORD_SLACK: f64 = 32.0 * f64::EPSILON;
 
     #[inline(always)]
+    fn load<I: Isa>(column: &[f64]) -> Lanes<I, f64, BLOCK_ROWS> {
+        Lanes::load(column)
+    }
+}
+
+impl Block<f64, BLOCK_ROWS> for PointRows<'_> {
+    #[inline(always)]
     fn query(&self) -> &[f64] {
         self.state
     }
@@ -142,11 +148,6 @@ impl Rows<f64, BLOCK_ROWS> for PointRows<'_> {
     #[inline(always)]
     fn columns(&self) -> &[f64] {
         self.columns
-    }
-
-    #[inline(always)]
-    fn load<I: Isa>(column: &[f64]) -> Lanes<I, f64, BLOCK_ROWS> {
-        Lanes::load(column)
     }
 
     #[inline(always)]

@@ -4,8 +4,8 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{BLOCK_ROWS, Isa, Kernels, KeyScale, MAX_CHILDREN, Task};
-use crate::{Factor, Group, Space, Term, space::tests::cases};
+use super::{BLOCK_ROWS, Isa, KeyScale, MAX_CHILDREN, Measurement, Task};
+use crate::{Factor, Group, Kernels, Space, Term, space::tests::cases};
 
 const WEIGHTS: [f64; 6] = [1.0, 0.15, 15.0, 1e-3, 0.0, 2.0];
 
@@ -121,8 +121,10 @@ proptest! {
             let (keys, within) = kernels.run(OfPoints(&space, &query, &columns, f64::INFINITY));
             prop_assert_eq!(within, (1 << BLOCK_ROWS) - 1);
             prop_assert_eq!(keys.map(f64::to_bits), *portable.get_or_insert(keys.map(f64::to_bits)));
+            let measured = kernels.run(Measurement { space: &space, state: &query, columns: &columns });
             for (lane, row) in rows.iter().enumerate() {
                 let distance = space.distance(&query, row);
+                prop_assert_eq!(measured[lane].to_bits(), distance.to_bits(), "{}", space);
                 prop_assert!(keys[lane] <= scale.limit(distance), "{} {} {}", space, keys[lane], distance);
                 // A bound is low by no more than the slack of a rotation and the end of its series.
                 let low = scale.limit(0.99 * distance - 1e-5);

@@ -22,7 +22,8 @@ mod query;
 use crate::{
     Kernels, Points, Space,
     blocks::Blocks,
-    kernel::{self, BLOCK_ROWS, Isa},
+    kernel,
+    lanes::{BLOCK_ROWS, Isa},
 };
 pub(crate) use quantizer::Quantizer;
 pub(crate) use query::{CODE_ROWS, QuantizedQuery};

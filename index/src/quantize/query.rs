@@ -10,7 +10,8 @@
 use super::quantizer::{MAX_CODE, Quantizer};
 use crate::{
     Factor, Space,
-    kernel::{Isa, Lanes, Rows},
+    kernel::Block,
+    lanes::{Isa, Lanes, Rows},
     space::Part,
 };
 
@@ -82,6 +83,16 @@ impl Rows<f32, CODE_ROWS> for Codes<'_> {
     const CHORD_SLACK: f64 = 8e-5;
 
     #[inline(always)]
+    fn load<I: Isa>(column: &[u16]) -> Lanes<I, f32, CODE_ROWS> {
+        let column = column.first_chunk();
+        Lanes::of(I::from_codes(
+            column.expect("a column has a code for each lane"),
+        ))
+    }
+}
+
+impl Block<f32, CODE_ROWS> for Codes<'_> {
+    #[inline(always)]
     fn query(&self) -> &[f32] {
         &self.query.numbers
     }
@@ -89,14 +100,6 @@ impl Rows<f32, CODE_ROWS> for Codes<'_> {
     #[inline(always)]
     fn columns(&self) -> &[u16] {
         self.codes
-    }
-
-    #[inline(always)]
-    fn load<I: Isa>(column: &[u16]) -> Lanes<I, f32, CODE_ROWS> {
-        let column = column.first_chunk();
-        Lanes::of(I::from_codes(
-            column.expect("a column has a code for each lane"),
-        ))
     }
 
     #[inline(always)]
@@ -131,9 +134,10 @@ mod tests {
     use crate::{
         Kernels, Points,
         kernel::{
-            Isa, KeyScale, Task,
+            KeyScale,
             tests::{scene, space},
         },
+        lanes::{Isa, Task},
         quantize,
         space::tests::cases,
     };

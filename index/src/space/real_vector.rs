@@ -1,7 +1,7 @@
 //! R^n: Euclidean distance, canonical form.
 
 use super::error::{StateError, StateProblem};
-use crate::kernel::{Isa, Lanes, MAX_CHILDREN, Number, Operations, Rows};
+use crate::lanes::{Isa, Lanes, MAX_CHILDREN, Number, Operations, Rows};
 
 /// Coordinates above this magnitude are refused: 256 squared differences of them still have a finite sum.
 pub(super) const MAX_MAGNITUDE: f64 = 1e150;

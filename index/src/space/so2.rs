@@ -1,7 +1,7 @@
 //! The circle S¹ of a period: arc length, wrapping.
 
 use super::{error::StateError, real_vector};
-use crate::kernel::{Isa, Lanes, MAX_CHILDREN, Number, Operations, Rows};
+use crate::lanes::{Isa, Lanes, MAX_CHILDREN, Number, Operations, Rows};
 
 /// The periods that are accepted: their squares, and those of the distances that matter, neither overflow nor vanish.
 const PERIODS: std::ops::RangeInclusive<f64> = 1e-150..=1e150;

@@ -4,7 +4,7 @@ use super::{
     error::{StateError, StateProblem},
     real_vector,
 };
-use crate::kernel::{Isa, Lanes, MAX_CHILDREN, Number, Operations, Rows};
+use crate::lanes::{BLOCK_ROWS, Isa, Lanes, MAX_CHILDREN, Number, Operations, Rows, asin};
 use std::f64::consts::FRAC_PI_2;
 
 /// The greatest difference of a norm from 1: with a greater one the numbers are most likely no quaternion.
@@ -40,6 +40,24 @@ fn chord_2(a: &[f64], b: &[f64]) -> f64 {
         plus_2 += plus * plus;
     }
     f64::min(minus_2, plus_2)
+}
+
+/// The squared angles to a block of canonical quaternions: the bits of [`distance_2`].
+#[inline(always)]
+pub(crate) fn distances_2<I: Isa>(q: &[f64], columns: &[f64]) -> Lanes<I, f64, BLOCK_ROWS> {
+    let zero = Lanes::splat(0.0);
+    let (mut minus_2, mut plus_2) = (zero, zero);
+    for (&x, column) in q.iter().zip(columns.chunks_exact(BLOCK_ROWS)) {
+        let (x, y) = (Lanes::splat(x), Lanes::load(column));
+        let (minus, plus) = (x - y, x + y);
+        minus_2 = minus_2 + minus * minus;
+        plus_2 = plus_2 + plus * plus;
+    }
+    // Half of the smaller chord is at most sin(π/4), but for the roundings of norms.
+    let half_chord = minus_2.min(plus_2).sqrt() * Lanes::splat(0.5);
+    let angle = Lanes::splat(2.0) * asin::<I, BLOCK_ROWS>(half_chord);
+    let angle = angle.min(Lanes::splat(FRAC_PI_2));
+    angle * angle
 }
 
 /// A lower bound of the squared angle to a box, from the chord to the nearer of q and −q.

@@ -323,9 +323,11 @@ where
         request
             .extensions_mut()
             .insert(Arc::clone(self.held.flow()));
+        let activity = request.extensions().get::<Activity>().cloned();
         let (parts, body) = request.into_parts();
         let held = Arc::clone(&self.held);
-        let body = RequestBody::new(body, &self.limits, held, self.is_stream, self.arrived);
+        let (is_stream, arrived) = (self.is_stream, self.arrived);
+        let body = RequestBody::new(body, &self.limits, held, activity, is_stream, arrived);
         let body = match self.is_stream {
             true => Body::new(body),
             false => Body::new(body.collect().await.map_err(unless_left)?),

@@ -2,7 +2,8 @@
 //!
 //! A client that only holds connections cannot lock others out: once all places are taken, a new connection gets the
 //! place of one without a call under way. Connections that never made a call go first, then those whose last call is
-//! the longest ago. A client reconnects at its next call. Health and reflection are no calls of this kind.
+//! the longest ago. If all have calls, the one that has been silent for the longest time goes, such as one with an idle
+//! stream. A client reconnects at its next call. Health and reflection are no calls of this kind.
 
 use std::{
     collections::BTreeMap,
@@ -28,6 +29,10 @@ use crate::admission::{Admission, Flow};
 /// the end of an answer is about to leave.
 const MIN_IDLE: Duration = Duration::from_millis(100);
 
+/// A connection with calls keeps its place for this long after its last sign of life: the beginning or end of a call, a
+/// part of a request that arrived, a part of an answer that left.
+const MAX_SILENCE: Duration = Duration::from_secs(10);
+
 /// The calls of a connection that was given up.
 const GIVEN_UP: usize = usize::MAX;
 
@@ -48,10 +53,10 @@ pub(super) struct Connections {
 struct State {
     /// The calls under way, or [`GIVEN_UP`].
     calls: AtomicUsize,
-    /// The connection of the least rank makes room first: the number of its last event, and [`HAS_CALLED`].
+    /// The idle connection of the least rank makes room first: the number of its last event, and [`HAS_CALLED`].
     rank: AtomicU64,
-    /// The time of that event.
-    idle_since: Mutex<Instant>,
+    /// The time of its last sign of life.
+    active_at: Mutex<Instant>,
     /// True while its client does not read an answer.
     is_stalled: AtomicBool,
     cut: CancellationToken,
@@ -115,7 +120,7 @@ impl Connections {
         let state = Arc::new(State {
             calls: AtomicUsize::new(0),
             rank: AtomicU64::new(number),
-            idle_since: Mutex::new(Instant::now()),
+            active_at: Mutex::new(Instant::now()),
             is_stalled: AtomicBool::new(false),
             cut,
             peer,
@@ -150,27 +155,33 @@ impl Connections {
         }
     }
 
-    /// Gives up the first connection without calls; false if there is none, or not for long enough.
+    /// Gives up the first connection without calls or, if all have some, the one that is silent for the longest time;
+    /// false if it is not for long enough.
     fn give_one_up(&self) -> bool {
         let open = self.open.lock();
         let idle = open
             .values()
             .filter(|state| state.calls.load(SeqCst) == 0 && !state.is_stalled.load(SeqCst));
-        let first = idle.min_by_key(|state| state.rank.load(SeqCst));
+        let Some(first) = idle.min_by_key(|state| state.rank.load(SeqCst)) else {
+            let silent = open.values().filter(|state| !state.cut.is_cancelled());
+            let first = silent.min_by_key(|state| *state.active_at.lock());
+            let given_up = first.filter(|state| state.silence() >= MAX_SILENCE);
+            if let Some(state) = given_up {
+                debug!(peer = ?state.peer, "a silent connection makes room for another");
+                state.cut.cancel();
+            }
+            return given_up.is_some();
+        };
         // A younger one is waited for: one that has called does not leave in its place.
-        let given_up = first.filter(|state| {
-            let is_old = state.idle_since.lock().elapsed() >= MIN_IDLE;
-            is_old
-                && state
-                    .calls
-                    .compare_exchange(0, GIVEN_UP, SeqCst, SeqCst)
-                    .is_ok()
-        });
-        if let Some(state) = given_up {
-            debug!(peer = ?state.peer, "an idle connection makes room for another");
-            state.cut.cancel();
+        let is_given_up = first.silence() >= MIN_IDLE
+            && (first.calls)
+                .compare_exchange(0, GIVEN_UP, SeqCst, SeqCst)
+                .is_ok();
+        if is_given_up {
+            debug!(peer = ?first.peer, "an idle connection makes room for another");
+            first.cut.cancel();
         }
-        given_up.is_some()
+        is_given_up
     }
 
     /// Cuts each connection whose client reads nothing of its answers for `most`.
@@ -186,6 +197,17 @@ impl Connections {
                 }
             }
         }
+    }
+}
+
+impl State {
+    fn note_activity(&self) {
+        *self.active_at.lock() = Instant::now();
+    }
+
+    /// The time since the last sign of life.
+    fn silence(&self) -> Duration {
+        self.active_at.lock().elapsed()
     }
 }
 
@@ -207,7 +229,13 @@ impl Activity {
     pub(super) fn begin(&self) -> Option<ActiveCall> {
         let count = |calls| (calls != GIVEN_UP).then(|| calls + 1);
         self.state.calls.fetch_update(SeqCst, SeqCst, count).ok()?;
+        self.state.note_activity();
         Some(ActiveCall(self.clone()))
+    }
+
+    /// Notes that a part of a request has arrived.
+    pub(super) fn note_arrival(&self) {
+        self.state.note_activity();
     }
 
     /// Notes that its client does not read what the server sends, or reads again.
@@ -251,6 +279,7 @@ impl Drop for Sending {
         let mut unread = self.0.unread.lock();
         unread.frames -= 1;
         unread.since = Instant::now();
+        self.0.note_activity();
     }
 }
 
@@ -259,7 +288,43 @@ impl Drop for ActiveCall {
         let Activity { connections, state } = &self.0;
         let event = connections.events.fetch_add(1, SeqCst);
         state.rank.store(event | HAS_CALLED, SeqCst);
-        *state.idle_since.lock() = Instant::now();
+        state.note_activity();
         state.calls.fetch_sub(1, SeqCst);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::pin::pin;
+
+    use futures_util::poll;
+    use tokio::time::advance;
+
+    use super::*;
+    use crate::config::Config;
+
+    /// Two connections fill the table. Each has a stream: one is silent, over the other an answer leaves now and then.
+    #[tokio::test(start_paused = true)]
+    async fn a_silent_stream_makes_room_only_after_its_time() {
+        let admission = Admission::new(&Config::default().admission, 1, 0);
+        let connections = Connections::new(2, admission);
+        let cuts = [CancellationToken::new(), CancellationToken::new()];
+        let silent = connections.open(None, cuts[0].clone()).await;
+        let live = connections.open(None, cuts[1].clone()).await;
+        let _streams = [silent.activity().begin(), live.activity().begin()];
+        let mut third = pin!(connections.open(None, CancellationToken::new()));
+        let step = MAX_SILENCE / 10;
+        for _ in 0..9 {
+            assert!(poll!(third.as_mut()).is_pending());
+            assert!(!cuts[0].is_cancelled());
+            drop(live.activity().send());
+            advance(step).await;
+        }
+        advance(step).await;
+        assert!(poll!(third.as_mut()).is_pending());
+        assert!(cuts[0].is_cancelled() && !cuts[1].is_cancelled());
+        drop(silent);
+        third.await;
+        assert!(!cuts[1].is_cancelled());
     }
 }

@@ -1,5 +1,5 @@
 //! `grpc.health.v1`: NOT_SERVING until the server answers calls, and again once it begins to stop. The name
-//! `wayfold.writing` is NOT_SERVING while points cannot be added.
+//! `wayfold.writing` is NOT_SERVING while points cannot be added; `wayfold.reading` is not affected by that.
 
 use std::{pin::Pin, time::Duration};
 
@@ -17,9 +17,10 @@ use crate::{
     service::Service,
 };
 
-/// The names of the health service: the server as a whole and its services, which share one state.
-const NAMES: [&str; 3] = [
+/// The names of the health service that share one state: the server as a whole, its services, and reads.
+const NAMES: [&str; 4] = [
     "",
+    "wayfold.reading",
     index_service_server::SERVICE_NAME,
     point_service_server::SERVICE_NAME,
 ];
@@ -195,7 +196,7 @@ mod tests {
             (Phase::Stopping, ServingStatus::NotServing),
         ] {
             lifecycle.advance(phase);
-            for name in ["", "wayfold.v1.IndexService", "wayfold.v1.PointService"] {
+            for name in NAMES {
                 assert_eq!(check(&health, name).await, expected, "{phase:?} {name}");
             }
         }

@@ -15,7 +15,7 @@ use http_body::{Body as HttpBody, Frame, SizeHint};
 use tokio::time::Sleep;
 use tonic::{Status, body::Body};
 
-use super::refusals;
+use super::{connections::Activity, refusals};
 use crate::{admission::HeldBytes, status};
 
 /// Bytes before each message: a flag and the length.
@@ -35,6 +35,7 @@ pub(super) struct RequestBody {
     inner: Body,
     limits: RequestLimits,
     held: Arc<HeldBytes>,
+    activity: Option<Activity>,
     /// True if the request is a stream: it holds the bytes of the message on its way in only.
     is_stream: bool,
     messages: Messages,
@@ -44,11 +45,12 @@ pub(super) struct RequestBody {
 }
 
 impl RequestBody {
-    /// The body of a call that began at `began`, and whose bytes are `held`.
+    /// The body of a call on the connection of `activity` that began at `began`, and whose bytes are `held`.
     pub(super) fn new(
         inner: Body,
         limits: &RequestLimits,
         held: Arc<HeldBytes>,
+        activity: Option<Activity>,
         is_stream: bool,
         began: Instant,
     ) -> Self {
@@ -56,6 +58,7 @@ impl RequestBody {
             inner,
             limits: limits.clone(),
             held,
+            activity,
             is_stream,
             messages: Messages::default(),
             began,
@@ -64,6 +67,9 @@ impl RequestBody {
     }
 
     fn receive(&mut self, bytes: &Bytes) -> Result<(), Status> {
+        if let Some(activity) = &self.activity {
+            activity.note_arrival();
+        }
         let before = (self.messages.unfinished, self.messages.ended);
         self.messages.advance(bytes);
         if before.0 == 0 || self.messages.ended > before.1 {

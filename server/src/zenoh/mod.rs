@@ -153,10 +153,11 @@ impl ZenohFace {
         drop(self.announcing);
         self.queries.under_way.close();
         self.queries.under_way.wait().await;
+        // The queryable refuses those who ask meanwhile: without it they would get no reply.
+        linger(&self.session).await;
         if let Err(error) = self.queryable.undeclare().await {
             debug!(%error, "the queryable was gone already");
         }
-        linger(&self.session).await;
         if let Err(error) = self.session.close().await {
             warn!(%error, "the Zenoh session did not close well");
         }

@@ -199,7 +199,7 @@ impl Link {
 }
 
 /// True if the same call may succeed later. So may one whose outcome is unknown: repeating a session's newest batch does
-/// nothing twice.
+/// nothing twice. Damaged data stay damaged until an operator restores the index, which is another one then.
 pub(super) fn is_transient(error: &Error) -> bool {
     match error {
         Error::Connection { .. } | Error::Timeout { .. } | Error::Protocol { .. } => true,
@@ -209,7 +209,6 @@ pub(super) fn is_transient(error: &Error) -> bool {
                 Code::Unavailable
                     | Code::DeadlineExceeded
                     | Code::Internal
-                    | Code::DataLoss
                     | Code::Unknown
                     | Code::Cancelled
             );
@@ -223,5 +222,32 @@ pub(super) fn protocol(problem: String) -> Error {
     Error::Protocol {
         call: "shared",
         problem,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Refusal;
+
+    #[test]
+    fn a_refusal_is_final_unless_it_may_end_by_itself() {
+        let transient = [
+            Code::Unavailable,
+            Code::DeadlineExceeded,
+            Code::Internal,
+            Code::Unknown,
+            Code::Cancelled,
+        ];
+        for number in 1..=16 {
+            let status = wayfold_proto::v1::Status {
+                code: number,
+                ..Default::default()
+            };
+            let refusal = Refusal::from_message(&status);
+            let expected = transient.contains(&refusal.code);
+            let error = Error::Refused(Box::new(refusal));
+            assert_eq!(is_transient(&error), expected, "{number}");
+        }
     }
 }

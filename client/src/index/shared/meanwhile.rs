@@ -60,6 +60,8 @@ pub(super) struct Question {
     bound: f64,
     /// The radius of the question, which bounds all neighbours.
     radius: f64,
+    /// The neighbours that the insert found.
+    found: Vec<Neighbor>,
     /// The change that stored the point in the copy.
     at: u64,
     /// The number of published points before the insert, once it is published.
@@ -87,6 +89,7 @@ impl Question {
             k: search.k,
             bound: farthest.map_or(search.radius, |farthest| farthest.distance),
             radius: search.radius,
+            found: found.to_vec(),
             at,
             points_before: 0,
             is_reloaded: false,
@@ -256,7 +259,7 @@ impl Answerable {
             points_before: question.points_before,
             neighbors: match question.is_reloaded {
                 false => self.arrived(question, space),
-                true => self.superset(question),
+                true => self.superset(question, space),
             },
             is_superset: question.is_reloaded,
         })
@@ -289,17 +292,70 @@ impl Answerable {
         neighbors
     }
 
-    /// All points within the bound.
-    fn superset(&self, question: &Question) -> Vec<Neighbor> {
-        let mut search = Search::nearest_r(question.bound);
+    /// All points within the bound, or within the radius if a point of the insert's answer has left or moved.
+    fn superset(&self, question: &Question, space: &Space) -> Vec<Neighbor> {
+        let Some(points) = &self.snapshot else {
+            return Vec::new();
+        };
+        let stays = |found: &Neighbor| {
+            points.get(found.id).is_some_and(|point| {
+                point.tag & question.filter.tag_mask == question.filter.tag_value
+                    && space.distance(&question.row, &point.row) == found.distance
+            })
+        };
+        let mut search = Search::nearest_r(match question.found.iter().all(stays) {
+            true => question.bound,
+            false => question.radius,
+        });
         search.filter = question.filter;
-        let answer = self
-            .snapshot
-            .as_ref()
-            .map(|points| points.search(&question.row, &search));
-        let neighbors = answer.and_then(Result::ok).map(|answer| answer.neighbors);
-        let mut neighbors = neighbors.unwrap_or_default();
+        let answer = points.search(&question.row, &search);
+        let mut neighbors = answer.map_or_else(|_| Vec::new(), |answer| answer.neighbors);
         neighbors.retain(|neighbor| neighbor.id != question.id);
         neighbors
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use wayfold_index::{Forest, ForestOptions, Points};
+
+    use super::*;
+
+    /// The insert of 0 found the point 1 at distance 1. While the copy was read again, the point stayed, left, moved or
+    /// lost its tag; the point 2, at distance 3, is its nearest neighbour then.
+    #[test]
+    fn a_reload_misses_no_neighbour_in_place_of_one_that_left() {
+        let space: Space = "R1".parse().unwrap();
+        let mut search = Search::nearest_k(1);
+        (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
+        let found = [Neighbor {
+            distance: 1.0,
+            id: 1,
+        }];
+        let answer = |first: Option<(u64, f64)>| {
+            let mut points = Points::new(1);
+            let others = [(0, 1, 0.0), (2, 1, 3.0)];
+            for (id, tag, x) in first.map(|(tag, x)| (1, tag, x)).into_iter().chain(others) {
+                points.push(id, tag, 1, &[x]);
+            }
+            let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
+            forest.apply(1, &points, &[]).unwrap();
+            let mut question = Question::new((0, 0), &[0.0], &search, &found, 1);
+            question.reloaded();
+            let answerable = Answerable {
+                questions: vec![question],
+                arrived: Vec::new(),
+                departure: 0,
+                snapshot: Some(forest.snapshot()),
+            };
+            let answer = answerable.answers(&space).next().unwrap();
+            assert!(answer.is_superset);
+            let ids = answer.neighbors.iter().map(|neighbor| neighbor.id);
+            ids.collect::<Vec<u64>>()
+        };
+        assert_eq!(answer(Some((1, 1.0))), [1]);
+        assert_eq!(answer(None), [2]);
+        assert_eq!(answer(Some((1, 5.0))), [2, 1]);
+        assert_eq!(answer(Some((0, 1.0))), [2]);
     }
 }

@@ -111,7 +111,7 @@ fn blocks_of_ids_keep_to_the_limit_of_the_server() {
     ids.extend(index.insert_many(&rows).unwrap());
     index.flush().unwrap();
     assert!(ids.is_sorted_by(|a, b| a < b), "{ids:?}");
-    assert_eq!(index.len(), ids.len());
+    assert_eq!(index.len().unwrap(), ids.len());
 }
 
 /// The feed of the copy and two foreign ones hold what a server for one message of 20 kB allows. A shared index with 2 MB

@@ -8,7 +8,7 @@ use super::leaf::{Label, Leaf};
 use crate::{
     boxes::Boxes,
     forest::{policy::MIN_ROWS, tombstones::Tombstones},
-    kernel::MAX_CHILDREN,
+    lanes::MAX_CHILDREN,
 };
 
 /// A subtree: the points in the region that the cuts above it leave.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::{
     Point, PointRef, Points,
     blocks::Blocks,
-    kernel::{BLOCK_ROWS, Isa},
+    lanes::{BLOCK_ROWS, Isa},
     traversal::{Labels, Traversal},
 };
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::{
     boxes::extent,
     forest::tombstones::{LATEST, Tombstones},
-    kernel::BLOCK_ROWS,
+    lanes::BLOCK_ROWS,
 };
 
 /// The id and the slot of a point in a leaf.

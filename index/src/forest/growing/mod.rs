@@ -37,7 +37,7 @@ use std::sync::Arc;
 use super::{level::PointsById, tombstones::Tombstones};
 use crate::{
     Point, PointRef, Points, Space,
-    kernel::Isa,
+    lanes::Isa,
     scan_policy::ScanPolicy,
     traversal::{Frontier, Labels, MAX_HEIGHT, Traversal, Tree},
 };

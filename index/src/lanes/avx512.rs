@@ -11,7 +11,7 @@ use std::arch::x86_64::*;
 
 use super::{
     isa::{Isa, Task},
-    lanes::Operations,
+    numbers::Operations,
 };
 
 /// The number of `f64` in a register; twice as many `f32` fit.
@@ -34,6 +34,11 @@ pub(super) fn run<T: Task>(task: T) -> T::Output {
 }
 
 impl Isa for Avx512 {
+    fn run<T: Task>(task: T) -> T::Output {
+        // SAFETY: only the function of this name names this set, so the processor has the instructions.
+        unsafe { run(task) }
+    }
+
     /// Without a branch: the number of remaining lanes depends on the data, so a loop over them would be mispredicted.
     #[inline(always)]
     fn lowest<const N: usize>(keys: &[f64; N], lanes: u32) -> usize {
@@ -130,6 +135,7 @@ instructions! {
     add: _mm512_add_pd(x, y);
     sub: _mm512_sub_pd(x, y);
     mul: _mm512_mul_pd(x, y);
+    div: _mm512_div_pd(x, y);
     max: _mm512_max_pd(x, y);
     min: _mm512_min_pd(x, y);
     abs: _mm512_abs_pd(x);
@@ -141,6 +147,7 @@ instructions! {
     add: _mm512_add_ps(x, y);
     sub: _mm512_sub_ps(x, y);
     mul: _mm512_mul_ps(x, y);
+    div: _mm512_div_ps(x, y);
     max: _mm512_max_ps(x, y);
     min: _mm512_min_ps(x, y);
     abs: _mm512_abs_ps(x);
@@ -190,6 +197,7 @@ mod tests {
                         finite(I::add(x, y)),
                         finite(I::sub(x, y)),
                         finite(I::mul(x, y)),
+                        finite(I::div(x, y)),
                         I::max(x, y),
                         I::min(x, y),
                         I::abs(x),

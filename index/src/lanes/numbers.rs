@@ -3,12 +3,17 @@
 
 use std::{
     marker::PhantomData,
-    ops::{Add, Mul, Sub},
+    ops::{Add, Div, Mul, Sub},
 };
 
 /// The type of the numbers: `f64`, or `f32` for quantised rows.
 pub(crate) trait Number:
-    Copy + PartialOrd + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
+    Copy
+    + PartialOrd
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
 {
     /// The number nearest to `x`.
     fn near(x: f64) -> Self;
@@ -77,6 +82,7 @@ operations! {
     add: |x, y| x + y;
     sub: |x, y| x - y;
     mul: |x, y| x * y;
+    div: |x, y| x / y;
     max: |x, y| if x > y { x } else { y };
     min: |x, y| if x < y { x } else { y };
     abs: |x| x.abs();
@@ -153,6 +159,15 @@ impl<S: Operations<T>, T: Number, const N: usize> Sub for Lanes<S, T, N> {
     #[inline(always)]
     fn sub(self, other: Self) -> Self {
         Self(S::sub(self.0, other.0), PhantomData)
+    }
+}
+
+impl<S: Operations<T>, T: Number, const N: usize> Div for Lanes<S, T, N> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        Self(S::div(self.0, other.0), PhantomData)
     }
 }
 

@@ -9,7 +9,7 @@
     )
 )]
 
-use super::{Kernels, lanes::Operations};
+use super::{Kernels, numbers::Operations};
 #[cfg(target_arch = "x86_64")]
 use super::{avx2, avx512};
 
@@ -24,6 +24,44 @@ pub(crate) trait Isa: Operations<f64> + Operations<f32> {
             *number = f32::from(code);
         }
         numbers
+    }
+
+    /// Runs a task compiled for this set, from code that is not: a call, where inlining the task would make the rest of a
+    /// search slower.
+    fn run<T: Task>(task: T) -> T::Output
+    where
+        Self: Sized,
+    {
+        task.run::<Self>()
+    }
+
+    /// In each lane `below` if `x` is below the bound, otherwise `other`.
+    #[inline(always)]
+    fn where_below<const N: usize>(
+        x: &[f64; N],
+        bound: f64,
+        below: &[f64; N],
+        other: &[f64; N],
+    ) -> [f64; N] {
+        let mut chosen = *other;
+        for lane in 0..N {
+            chosen[lane] = if x[lane] < bound {
+                below[lane]
+            } else {
+                other[lane]
+            };
+        }
+        chosen
+    }
+
+    /// The numbers without the lower half of their bits.
+    #[inline(always)]
+    fn high_words<const N: usize>(x: &[f64; N]) -> [f64; N] {
+        let mut high = *x;
+        for number in &mut high {
+            *number = f64::from_bits(number.to_bits() & !0 << 32);
+        }
+        high
     }
 
     /// The lane of the lowest key among those with a bit in `lanes`, at least one; the first of several equal ones.

@@ -8,7 +8,7 @@ use std::arch::x86_64::*;
 
 use super::{
     isa::{Isa, Task},
-    lanes::Operations,
+    numbers::Operations,
 };
 
 /// The set for registers of four numbers. Private, so that only [`run`] names it.
@@ -20,7 +20,12 @@ pub(super) fn run<T: Task>(task: T) -> T::Output {
     task.run::<Avx2>()
 }
 
-impl Isa for Avx2 {}
+impl Isa for Avx2 {
+    fn run<T: Task>(task: T) -> T::Output {
+        // SAFETY: only the function of this name names this set, so the processor has the instructions.
+        unsafe { run(task) }
+    }
+}
 
 macro_rules! comparison {
     ($type:ident x $width:literal, $load:ident, $set:ident, $compare:ident, $bits:ident) => {
