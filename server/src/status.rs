@@ -3,11 +3,12 @@
 //! [`v1::Status`] is a google.rpc.Status field for field, with details of google.rpc; each face puts it into its own
 //! form.
 
+mod details;
+
 use std::{collections::HashMap, time::Duration};
 
-use prost::Message;
-use prost_types::Any;
-use tonic_types::pb;
+pub(crate) use details::{DETAIL_DESCRIPTORS, number};
+
 use tracing::error;
 use wayfold_proto::v1;
 
@@ -19,9 +20,6 @@ use crate::{
 
 /// The domain of every `ErrorInfo`.
 pub(crate) const DOMAIN: &str = "wayfold";
-
-/// The descriptors of the details, the messages of google.rpc.
-pub(crate) const DETAIL_DESCRIPTORS: &[u8] = pb::FILE_DESCRIPTOR_SET;
 
 /// The pause that a busy server asks for: most calls take a few milliseconds.
 const BUSY_PAUSE: Duration = Duration::from_millis(50);
@@ -344,101 +342,6 @@ impl Status {
         let shown: Vec<String> = ids.iter().take(MAX_IDS).map(u64::to_string).collect();
         self.metadata.insert("ids".to_owned(), shown.join(","));
         self.set("ids_total", ids.len());
-    }
-
-    /// The status as a message.
-    pub(crate) fn to_message(&self) -> v1::Status {
-        let info = pb::ErrorInfo {
-            reason: self.reason.to_owned(),
-            domain: DOMAIN.to_owned(),
-            metadata: self.metadata.clone(),
-        };
-        let mut details = vec![any("ErrorInfo", &info)];
-        details.extend(self.detail.as_ref().map(|detail| self.encoded(detail)));
-        details.extend(self.retry_delay.map(|delay| {
-            let retry_delay = prost_types::Duration::try_from(delay).ok();
-            any("RetryInfo", &pb::RetryInfo { retry_delay })
-        }));
-        v1::Status {
-            code: number(self.code),
-            message: self.message.clone(),
-            details,
-        }
-    }
-
-    fn encoded(&self, detail: &Detail) -> Any {
-        let description = bounded(&self.message, MAX_TEXT_BYTES);
-        match detail {
-            Detail::Fields(violations) => {
-                let field_violations = violations.iter().map(field_violation).collect();
-                any("BadRequest", &pb::BadRequest { field_violations })
-            }
-            Detail::Resource(kind, name) => {
-                let resource = pb::ResourceInfo {
-                    resource_type: (*kind).to_owned(),
-                    resource_name: bounded(name, MAX_TEXT_BYTES),
-                    owner: String::new(),
-                    description,
-                };
-                any("ResourceInfo", &resource)
-            }
-            Detail::Precondition(index) => {
-                let violation = pb::precondition_failure::Violation {
-                    r#type: self.reason.to_owned(),
-                    subject: bounded(index, MAX_TEXT_BYTES),
-                    description,
-                };
-                let violations = vec![violation];
-                any(
-                    "PreconditionFailure",
-                    &pb::PreconditionFailure { violations },
-                )
-            }
-            Detail::Quota(limit, value) => {
-                let violation = pb::quota_failure::Violation {
-                    subject: (*limit).to_owned(),
-                    description,
-                    quota_value: i64::try_from(*value).unwrap_or(i64::MAX),
-                    ..Default::default()
-                };
-                let violations = vec![violation];
-                any("QuotaFailure", &pb::QuotaFailure { violations })
-            }
-        }
-    }
-}
-
-/// The code as google.rpc.Code numbers it.
-pub(crate) fn number(code: Code) -> i32 {
-    match code {
-        Code::InvalidArgument => 3,
-        Code::DeadlineExceeded => 4,
-        Code::NotFound => 5,
-        Code::AlreadyExists => 6,
-        Code::PermissionDenied => 7,
-        Code::ResourceExhausted => 8,
-        Code::FailedPrecondition => 9,
-        Code::Internal => 13,
-        Code::Unavailable => 14,
-        Code::DataLoss => 15,
-        Code::Unauthenticated => 16,
-    }
-}
-
-fn field_violation(violation: &Violation) -> pb::bad_request::FieldViolation {
-    pb::bad_request::FieldViolation {
-        field: bounded(&violation.field, MAX_TEXT_BYTES),
-        description: bounded(&violation.description, MAX_TEXT_BYTES),
-        reason: violation.reason.to_owned(),
-        ..Default::default()
-    }
-}
-
-/// A message of google.rpc as a detail.
-fn any(name: &str, message: &impl Message) -> Any {
-    Any {
-        type_url: format!("type.googleapis.com/google.rpc.{name}"),
-        value: message.encode_to_vec(),
     }
 }
 

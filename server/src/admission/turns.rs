@@ -17,8 +17,9 @@
 //! A thread has one long turn at a time, or many short ones: they wait for it together while it reads and writes, and a
 //! bystander waits for their sum at most.
 
+mod queue;
+
 use std::{
-    collections::{BTreeSet, HashMap, VecDeque},
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -26,21 +27,15 @@ use std::{
 use parking_lot::Mutex;
 use tokio::sync::oneshot;
 
+pub(super) use queue::Stage;
+use queue::{Flow, SHORT_TURNS, State, Waiting};
+
 /// A call was refused because it waited for its first turn for too long, by the target that it carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Overloaded(pub(crate) Duration);
 
-/// The most short turns at a time for each thread.
-const SHORT_TURNS: usize = 128;
-
-/// A flow whose turns take longer on average has long turns.
-const MAX_SHORT_NS: u64 = 50_000;
-
 /// A call yields to the others of its flow after this much work.
 pub(super) const MAX_AT_ONCE: Duration = Duration::from_millis(25);
-
-/// The mean of a flow's turns covers about this many of them.
-const MEAN_TURNS: u64 = 8;
 
 /// The result of the wait for a turn.
 pub(super) type Granted = Result<Turn, Overloaded>;
@@ -56,60 +51,6 @@ pub(super) struct Turns {
     target: Duration,
     /// The time that it waits otherwise.
     burst: Duration,
-}
-
-#[derive(Debug)]
-struct State {
-    /// The short turns that nobody has. A long one takes [`SHORT_TURNS`] of them.
-    free: usize,
-    flows: HashMap<FlowNumber, Flow>,
-    /// The flows with waiting calls, in the order of their turns: by `used_ns`, then by number.
-    order: BTreeSet<(u64, FlowNumber)>,
-    /// The `used_ns` at which the last turn began.
-    clock_ns: u64,
-    /// The waiting calls that have not begun.
-    new: usize,
-    /// The last time that there were none.
-    was_empty: Instant,
-    /// The queue stands until then.
-    stands_until: Instant,
-    next_flow: FlowNumber,
-    /// The calls that were refused.
-    refused: u64,
-}
-
-#[derive(Debug, Default)]
-struct Flow {
-    /// The time that its turns have taken, and what others took while it was idle.
-    used_ns: u64,
-    /// The mean time of its turns; None before the first.
-    mean_ns: Option<u64>,
-    /// The wait of the last of its calls that has begun.
-    last_wait: Duration,
-    /// Those that have not begun, after one that goes on.
-    waiting: VecDeque<Waiting>,
-    /// Those that have computed for long.
-    behind: VecDeque<Waiting>,
-    /// True if the next turn goes to `behind`: they and the others take turns.
-    behind_is_due: bool,
-}
-
-#[derive(Debug)]
-struct Waiting {
-    since: Instant,
-    stage: Stage,
-    granted: oneshot::Sender<Granted>,
-}
-
-/// How far a call has come.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Stage {
-    /// It has not begun, and can be refused.
-    New,
-    /// It goes on before the other calls of its flow.
-    GoesOn,
-    /// It goes on after them, as one of those that have computed for long.
-    GoesBehind,
 }
 
 /// The right to compute, until it is dropped.
@@ -139,8 +80,8 @@ impl Turns {
         Arc::new(Self {
             state: Mutex::new(State {
                 free: threads.max(1).saturating_mul(SHORT_TURNS),
-                flows: HashMap::new(),
-                order: BTreeSet::new(),
+                flows: Default::default(),
+                order: Default::default(),
                 clock_ns: 0,
                 new: 0,
                 was_empty: Instant::now(),
@@ -294,131 +235,6 @@ impl Turns {
             state.free += size;
         }
         state.look(now);
-    }
-}
-
-impl Flow {
-    /// The wait of a call that comes now, by that of the last one that has begun.
-    fn wait(&self) -> Duration {
-        match self.waiting.is_empty() {
-            true => Duration::ZERO,
-            false => self.last_wait,
-        }
-    }
-
-    /// True if none of its calls waits.
-    fn is_idle(&self) -> bool {
-        self.waiting.is_empty() && self.behind.is_empty()
-    }
-
-    /// The stage of the call that has the next turn.
-    fn next_stage(&self) -> Option<Stage> {
-        let first = self.waiting.front().map(|waiting| waiting.stage);
-        match first {
-            Some(Stage::GoesOn) => first,
-            Some(_) if self.behind.is_empty() || !self.behind_is_due => first,
-            _ => self.behind.front().map(|waiting| waiting.stage),
-        }
-    }
-
-    fn pop(&mut self, stage: Stage) -> Option<Waiting> {
-        match stage {
-            Stage::GoesOn => self.waiting.pop_front(),
-            Stage::New => {
-                self.behind_is_due = true;
-                self.waiting.pop_front()
-            }
-            Stage::GoesBehind => {
-                self.behind_is_due = false;
-                self.behind.pop_front()
-            }
-        }
-    }
-}
-
-impl State {
-    /// Notes whether a call waits that has not begun.
-    fn look(&mut self, now: Instant) {
-        if self.new == 0 {
-            self.was_empty = now;
-        }
-    }
-
-    /// A turn of `flow` begins, for which nobody waited.
-    fn begin(&mut self, flow: FlowNumber) {
-        let flow = self.flows.entry(flow).or_default();
-        flow.used_ns = flow.used_ns.max(self.clock_ns);
-        self.clock_ns = flow.used_ns;
-    }
-
-    fn enqueue(
-        &mut self,
-        number: FlowNumber,
-        stage: Stage,
-        since: Instant,
-    ) -> oneshot::Receiver<Granted> {
-        let flow = self.flows.entry(number).or_default();
-        if flow.is_idle() {
-            flow.used_ns = flow.used_ns.max(self.clock_ns);
-            self.order.insert((flow.used_ns, number));
-        }
-        let (granted, receiver) = oneshot::channel();
-        let waiting = Waiting {
-            since,
-            stage,
-            granted,
-        };
-        match stage {
-            Stage::GoesOn => flow.waiting.push_front(waiting),
-            Stage::New => {
-                self.new += 1;
-                flow.waiting.push_back(waiting);
-            }
-            Stage::GoesBehind => flow.behind.push_back(waiting),
-        }
-        receiver
-    }
-
-    /// Takes the next call out of the queue if there is a turn for it.
-    fn next(&mut self, now: Instant) -> Option<(FlowNumber, usize, Waiting)> {
-        let &(used_ns, number) = self.order.first()?;
-        let stage = self.flows.get(&number)?.next_stage()?;
-        let size = self.size(number, stage);
-        self.free = self.free.checked_sub(size)?;
-        let flow = self.flows.get_mut(&number)?;
-        let next = flow.pop(stage)?;
-        if stage == Stage::New {
-            self.new -= 1;
-            flow.last_wait = now.saturating_duration_since(next.since);
-        }
-        if flow.is_idle() {
-            self.order.remove(&(used_ns, number));
-        }
-        self.clock_ns = used_ns;
-        Some((number, size, next))
-    }
-
-    /// The short turns that a turn of this flow takes.
-    fn size(&self, number: FlowNumber, stage: Stage) -> usize {
-        let mean_ns = self.flows.get(&number).and_then(|flow| flow.mean_ns);
-        match mean_ns {
-            Some(mean_ns) if stage == Stage::New && mean_ns <= MAX_SHORT_NS => 1,
-            _ => SHORT_TURNS,
-        }
-    }
-
-    fn charge(&mut self, number: FlowNumber, took: Duration) {
-        // A closed flow pays nothing.
-        let Some(flow) = self.flows.get_mut(&number) else {
-            return;
-        };
-        let (before, took_ns) = (flow.used_ns, took.as_nanos() as u64);
-        flow.used_ns = before.saturating_add(took_ns);
-        let mean_ns = flow.mean_ns.unwrap_or(took_ns);
-        flow.mean_ns = Some(mean_ns - mean_ns / MEAN_TURNS + took_ns / MEAN_TURNS);
-        if self.order.remove(&(before, number)) {
-            self.order.insert((flow.used_ns, number));
-        }
     }
 }
 

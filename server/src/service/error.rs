@@ -1,4 +1,4 @@
-//! The errors of a call, typed: cause, place and remedy.
+//! The errors of a call, typed: cause, place and remedy. [`code`](super::code) has the kind and the reason of each.
 
 use std::fmt;
 
@@ -6,55 +6,9 @@ use thiserror::Error;
 use wayfold_index::SearchError;
 
 use crate::{
-    identity::{Denial, Stranger},
+    identity::Denial,
     watermark::{Full, Resource},
 };
-
-/// The kinds of failure a caller can tell apart: the eleven codes of the contract, named as gRPC names them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Code {
-    /// A field of the request is wrong, independent of the index.
-    InvalidArgument,
-    /// The index or points do not exist.
-    NotFound,
-    /// Another index or other points exist under the name or ids.
-    AlreadyExists,
-    /// The index is not in the state that the request requires.
-    FailedPrecondition,
-    /// The call exceeds a limit of the server, or its memory or disk is full.
-    ResourceExhausted,
-    /// The server is starting or stopping, its disk cannot be written, or it has no memory for the index: try again.
-    Unavailable,
-    /// The call ran out of time.
-    DeadlineExceeded,
-    /// The caller is not identified.
-    Unauthenticated,
-    /// The caller may not do this.
-    PermissionDenied,
-    /// Stored data is damaged.
-    DataLoss,
-    /// A bug.
-    Internal,
-}
-
-impl Code {
-    /// Its name as gRPC spells it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Code::InvalidArgument => "INVALID_ARGUMENT",
-            Code::NotFound => "NOT_FOUND",
-            Code::AlreadyExists => "ALREADY_EXISTS",
-            Code::FailedPrecondition => "FAILED_PRECONDITION",
-            Code::ResourceExhausted => "RESOURCE_EXHAUSTED",
-            Code::Unavailable => "UNAVAILABLE",
-            Code::DeadlineExceeded => "DEADLINE_EXCEEDED",
-            Code::Unauthenticated => "UNAUTHENTICATED",
-            Code::PermissionDenied => "PERMISSION_DENIED",
-            Code::DataLoss => "DATA_LOSS",
-            Code::Internal => "INTERNAL",
-        }
-    }
-}
 
 /// One field that is wrong.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -363,91 +317,6 @@ impl From<SearchError> for Error {
             refused => Error::Internal {
                 what: format!("a search that was checked is refused: {refused}"),
             },
-        }
-    }
-}
-
-impl Error {
-    /// The kind of failure.
-    pub fn code(&self) -> Code {
-        match self {
-            Error::InvalidArgument { .. }
-            | Error::OperationMismatch { .. }
-            | Error::BatchMismatch { .. } => Code::InvalidArgument,
-            Error::IndexNotFound { .. } | Error::PointsNotFound { .. } => Code::NotFound,
-            Error::IndexExists { .. }
-            | Error::NameTaken { .. }
-            | Error::PointsExist { .. }
-            | Error::IdsReserved { .. } => Code::AlreadyExists,
-            Error::UidMismatch { .. }
-            | Error::RevisionConflict { .. }
-            | Error::ScanEnded { .. }
-            | Error::SessionRefused { .. } => Code::FailedPrecondition,
-            Error::LimitExceeded { .. }
-            | Error::Full { .. }
-            | Error::QuotaExceeded { .. }
-            | Error::IdsExhausted { .. }
-            | Error::ScanTooLong { .. }
-            | Error::HeldTooLong { .. } => Code::ResourceExhausted,
-            Error::Unavailable { .. } | Error::StorageFailed { .. } | Error::NotLoaded { .. } => {
-                Code::Unavailable
-            }
-            Error::Denied { why } => match why {
-                Denial::Unknown(Stranger::TooManyCalls(_)) => Code::ResourceExhausted,
-                Denial::Unknown(_) => Code::Unauthenticated,
-                Denial::Role { .. } | Denial::Index { .. } => Code::PermissionDenied,
-            },
-            Error::DeadlineExceeded { .. } => Code::DeadlineExceeded,
-            Error::DataLoss { .. } => Code::DataLoss,
-            Error::Internal { .. } => Code::Internal,
-        }
-    }
-
-    /// The reason in UPPER_SNAKE_CASE; of several violations, the first one's.
-    pub fn reason(&self) -> &'static str {
-        match self {
-            Error::InvalidArgument { violations } => violations
-                .first()
-                .map_or("INVALID_ARGUMENT", |violation| violation.reason),
-            Error::IndexNotFound { .. } => "INDEX_NOT_FOUND",
-            Error::PointsNotFound { .. } => "POINTS_NOT_FOUND",
-            Error::IndexExists { .. } | Error::NameTaken { .. } => "INDEX_EXISTS",
-            Error::PointsExist { .. } => "POINTS_EXIST",
-            Error::IdsReserved { .. } => "IDS_RESERVED",
-            Error::SessionRefused { newest: None, .. } => "SESSION_ENDED",
-            Error::SessionRefused { .. } => "BATCH_OUT_OF_ORDER",
-            Error::BatchMismatch { .. } => "BATCH_MISMATCH",
-            Error::UidMismatch { .. } => "UID_MISMATCH",
-            Error::RevisionConflict { .. } => "REVISION_CONFLICT",
-            Error::LimitExceeded { .. } => "LIMIT_EXCEEDED",
-            Error::Full { full } => match full.resource {
-                Resource::Memory => "MEMORY_FULL",
-                Resource::Disk => "DISK_FULL",
-            },
-            Error::QuotaExceeded { .. } => "QUOTA_EXCEEDED",
-            Error::NotLoaded { .. } => "NOT_LOADED",
-            Error::IdsExhausted { .. } => "IDS_EXHAUSTED",
-            Error::ScanTooLong { .. } => "SCAN_TOO_LONG",
-            Error::ScanEnded { .. } => "SCAN_ENDED",
-            Error::HeldTooLong { .. } => "HELD_TOO_LONG",
-            Error::Unavailable { why } => match why {
-                Unavailability::Starting => "STARTING",
-                Unavailability::Stopping => "STOPPING",
-            },
-            Error::Denied { why } => match why {
-                Denial::Unknown(Stranger::NoCredential) => "NO_CREDENTIAL",
-                Denial::Unknown(Stranger::WrongCredential) => "WRONG_CREDENTIAL",
-                Denial::Unknown(Stranger::Expired) => "IDENTITY_EXPIRED",
-                Denial::Unknown(Stranger::Revoked) => "IDENTITY_REVOKED",
-                Denial::Unknown(Stranger::TooManyCalls(_)) => "TOO_MANY_CALLS",
-                Denial::Role { .. } => "ROLE_TOO_LOW",
-                Denial::Index { .. } => "INDEX_NOT_ALLOWED",
-            },
-            Error::DeadlineExceeded { .. } => "DEADLINE_EXCEEDED",
-            Error::OperationMismatch { .. } => "OPERATION_MISMATCH",
-            Error::StorageFailed { .. } => "STORAGE_FAILED",
-            Error::DataLoss { .. } => "DATA_LOSS",
-            Error::Internal { .. } => "INTERNAL",
         }
     }
 }

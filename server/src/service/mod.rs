@@ -14,12 +14,13 @@
 //! - `stored`: reads of the store on threads that may block;
 //! - `answer`: columns that never outgrow their limit;
 //! - `held_scans`: scans page by page, at a revision that is held between the pages;
-//! - `error`, `error_map`, `limits`.
+//! - `error`, `code`, `error_map`, `limits`.
 
 mod answer;
 mod call;
 mod catalog_watch;
 mod check;
+mod code;
 mod error;
 mod error_map;
 mod get;
@@ -64,7 +65,8 @@ use crate::{
 };
 pub use call::Call;
 pub use catalog_watch::CatalogWatch;
-pub use error::{Code, Error, Unavailability, Violation};
+pub use code::Code;
+pub use error::{Error, Unavailability, Violation};
 pub use indexes::{Damaged, Listing};
 pub use limits::Limits;
 pub use restore::Restoring;

@@ -2,6 +2,10 @@
 
 use std::collections::BTreeSet;
 
+use prost::Message;
+use prost_types::Any;
+use tonic_types::pb;
+
 use super::*;
 use crate::{
     service::Unavailability,
