@@ -10,9 +10,9 @@
 //! - [`Forest`], dynamic, with frozen [`Snapshot`]s for readers while one owner writes.
 //!
 //! Nothing here does I/O, waits, or starts a thread. Reading order: `space` (the metric), `points` and `neighbor`
-//! (points stored and found), `search` and `traversal` (a request, and a search under way), `candidates`, `lanes`, `kernel`
-//! and `quantize` (bounds of many boxes or points at once), `kdtree`, `forest`, `overlay` (changes that a snapshot does not
-//! have yet).
+//! (points stored and found), `search` and `traversal` (a request, and a search under way), `candidates`, `lanes`,
+//! `kernel` and `quantize` (bounds of many boxes or points at once), `kdtree`, `forest`, `overlay` (changes that a
+//! snapshot does not have yet).
 //!
 //! ```
 //! use wayfold_index::{Forest, ForestOptions, Points, Search, Space};

@@ -55,8 +55,9 @@ pub struct Changes {
 
 /// A dynamic set of points of one space, which any number of threads search and change.
 ///
-/// Rows are canonical states of the space ([`Space::canonicalize`]); the methods refuse others. Answers are exact unless
-/// epsilon is above 0, in the order (distance, id), and equal brute force in ids and in the bits of the distances.
+/// Rows are canonical states of the space ([`Space::canonicalize`]); the methods refuse others. Answers are exact
+/// unless epsilon is above 0, in the order (distance, id), and equal brute force in ids and in the bits of the
+/// distances.
 pub trait NearestNeighbors: fmt::Debug + Send + Sync {
     /// The error of a call.
     type Error;

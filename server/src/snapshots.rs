@@ -206,8 +206,8 @@ impl Schedule {
         Ok(Some(path))
     }
 
-    /// True if an index needs a snapshot: its content is not that of the newest one, which is old enough. The newest one
-    /// is no measure if its time is yet to come.
+    /// True if an index needs a snapshot: its content is not that of the newest one, which is old enough. The newest
+    /// one is no measure if its time is yet to come.
     fn is_due(&self, newest: Option<&str>, content: &str, now: SystemTime) -> bool {
         let Some(newest) = newest else {
             return true;

@@ -138,8 +138,8 @@ impl LocalPoints {
         Ok(())
     }
 
-    /// Replaces all points by those of `forest`, whose revision is above that of this one. Returns the old forest, which
-    /// takes long to drop.
+    /// Replaces all points by those of `forest`, whose revision is above that of this one. Returns the old forest,
+    /// which takes long to drop.
     pub(super) fn replace(&mut self, forest: Forest) -> Forest {
         self.history.forget(forest.revision());
         self.unmerged = MERGE_INTERVAL;

@@ -43,7 +43,8 @@ use shared::SharedIndex;
 /// A dynamic set of states with exact nearest-neighbour search, for planners.
 ///
 /// Clones share the points. All methods take `&self`, from any number of threads. States are checked and brought into
-/// canonical form on their way in; a wrong width, a NaN or a quaternion that is not one is an error and changes nothing.
+/// canonical form on their way in; a wrong width, a NaN or a quaternion that is not one is an error and changes
+/// nothing.
 ///
 /// ```
 /// use wayfold::{Index, InsertOptions, Search};
@@ -75,8 +76,8 @@ thread_local! {
 }
 
 impl Index {
-    /// An empty index in this process, without a server. Two threads of this process, which all indices share, merge the
-    /// levels of its trees and swap the results in.
+    /// An empty index in this process, without a server. Two threads of this process, which all indices share, merge
+    /// the levels of its trees and swap the results in.
     ///
     /// # Errors
     /// None today.
@@ -84,8 +85,8 @@ impl Index {
         Ok(Index::of(Memory::new(space, Merges::Background)))
     }
 
-    /// Acts like [`Index::in_memory`], but starts no thread: an insert that fills a level merges it itself. Most inserts
-    /// take a microsecond, and one in thousands takes as long as building a tree of a part of all points.
+    /// Acts like [`Index::in_memory`], but starts no thread: an insert that fills a level merges it itself. Most
+    /// inserts take a microsecond, and one in thousands takes as long as building a tree of a part of all points.
     ///
     /// # Errors
     /// None today.

@@ -65,9 +65,10 @@ impl<'a> InsertOptions<'a> {
 
     /// This id, below 2^63. The insert fails if a point has it.
     ///
-    /// A shared index looks in its copy: of two processes that store the same id at once, the later one replaces the point.
-    /// Ids in a block that the server reserved for another process are refused, which ends the writes of this one until
-    /// [`Index::take_unsent`](crate::Index::take_unsent): keep given ids far above those that the index assigns.
+    /// A shared index looks in its copy: of two processes that store the same id at once, the later one replaces the
+    /// point. Ids in a block that the server reserved for another process are refused, which ends the writes of this
+    /// one until [`Index::take_unsent`](crate::Index::take_unsent): keep given ids far above those that the index
+    /// assigns.
     pub fn id(mut self, id: u64) -> InsertOptions<'a> {
         self.id = Some(id);
         self

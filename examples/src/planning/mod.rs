@@ -1,6 +1,7 @@
 //! The common code of the planners: sampling-based planning on a `wayfold::Index`.
 //!
-//! Reading order: `source` (the index and the scans that it is compared with), `problem` (the interface of a scene), `rrt`, `rrt_star` and `prm_star` (the planners), `account` (their time), `path` (their result, checked
+//! Reading order: `source` (the index and the scans that it is compared with), `problem` (the interface of a scene),
+//! `rrt`, `rrt_star` and `prm_star` (the planners), `account` (their time), `path` (their result, checked
 //! independently), `comparison` (one problem with every source), `example` (the program around it), `report` (the table
 //! and the JSON), `drawing` and `panels` (the common parts of all pictures). For several workers: `processes` (starting
 //! workers and reading their messages) and `shared_trees` (RRTConCon by several workers together).

@@ -4,8 +4,8 @@
 //! A milestone's edges lead to earlier milestones: to the k(n) nearest of the n earlier ones, if the motion is free.
 //! The insert that makes the milestone contains its edges, except those to milestones that its worker did not know. The
 //! index tells these later, and until the worker has checked them too, the milestone is **pending**. Every edge of a
-//! pending milestone is free; only edges to its youngest neighbours may be missing. If its worker dies, any other worker
-//! can complete it: its candidates follow from the states, ids and revisions in the index.
+//! pending milestone is free; only edges to its youngest neighbours may be missing. If its worker dies, any other
+//! worker can complete it: its candidates follow from the states, ids and revisions in the index.
 
 use bytes::Bytes;
 

@@ -6,8 +6,8 @@
 //! same states in that order.
 //!
 //! A worker does not wait for that order. It inserts a milestone with the motions that it has checked, and goes on. A
-//! shared index tells it later how many milestones came before, and which of the nearest it could not see then. A remote
-//! index tells it with the insert.
+//! shared index tells it later how many milestones came before, and which of the nearest it could not see then. A
+//! remote index tells it with the insert.
 
 mod completion;
 

@@ -126,8 +126,8 @@ async fn a_worker_that_dies_leaves_no_milestone_without_its_edges() {
     // A worker that dies before it inserts leaves nothing behind.
     let state = doomed.sample();
     drop(doomed.look(state).unwrap());
-    // A worker dies after it inserted several by one call; other milestones arrived meanwhile, the first of them next to
-    // one of these.
+    // A worker dies after it inserted several by one call; other milestones arrived meanwhile, the first of them next
+    // to one of these.
     let states: Vec<_> = (0..3).map(|_| doomed.sample()).collect();
     let checked = states.iter().map(|state| doomed.look(state.clone()));
     let checked: Vec<CheckedState> = checked.map(|checked| checked.unwrap().unwrap()).collect();

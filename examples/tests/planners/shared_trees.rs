@@ -1,5 +1,5 @@
-//! Two trees that several workers grow together are trees, and each search found the nearest vertex of a revision and of
-//! the worker's own before it, by a comparison with brute force.
+//! Two trees that several workers grow together are trees, and each search found the nearest vertex of a revision and
+//! of the worker's own before it, by a comparison with brute force.
 
 use std::{collections::BTreeSet, sync::LazyLock, thread, time::Duration};
 

@@ -26,8 +26,8 @@ pub(crate) trait Isa: Operations<f64> + Operations<f32> {
         numbers
     }
 
-    /// Runs a task compiled for this set, from code that is not: a call, where inlining the task would make the rest of a
-    /// search slower.
+    /// Runs a task compiled for this set, from code that is not: a call, where inlining the task would make the rest of
+    /// a search slower.
     fn run<T: Task>(task: T) -> T::Output
     where
         Self: Sized,

@@ -47,8 +47,8 @@ const MAX_READ_BYTES: usize = 8 * 1024;
 /// The same while no call comes with them. Requests as large take their own time to come: they do not wait.
 const MAX_BODY_BYTES: usize = 64 * 1024;
 
-/// The connections made to `listener`, at most as many at a time as `connections` has room for: a further one waits until
-/// an idle one has made room. `cut` fails all of them.
+/// The connections made to `listener`, at most as many at a time as `connections` has room for: a further one waits
+/// until an idle one has made room. `cut` fails all of them.
 pub(crate) fn incoming(
     listener: TcpListener,
     connections: Arc<Connections>,

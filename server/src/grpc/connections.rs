@@ -25,8 +25,8 @@ use tracing::debug;
 
 use crate::admission::{Admission, Flow};
 
-/// A connection keeps its place for this long after it was opened and after a call: its client may be about to call, and
-/// the end of an answer is about to leave.
+/// A connection keeps its place for this long after it was opened and after a call: its client may be about to call,
+/// and the end of an answer is about to leave.
 const MIN_IDLE: Duration = Duration::from_millis(100);
 
 /// A connection with calls keeps its place for this long after its last sign of life: the beginning or end of a call, a

@@ -35,7 +35,8 @@ pub(crate) struct Times {
     /// The wait for turns to compute.
     pub(crate) queued: Duration,
     pub(crate) computed: Duration,
-    /// The time until the answer was made. What is missing in it was spent on waits for the log, the disk or a revision.
+    /// The time until the answer was made. What is missing in it was spent on waits for the log, the disk or a
+    /// revision.
     pub(crate) answered: Duration,
 }
 

@@ -20,8 +20,8 @@ use crate::{
 };
 
 impl Service {
-    /// Accepts a call of an index, as [`Service::accept`] does, and finds the index, which must have `uid` unless that is
-    /// empty.
+    /// Accepts a call of an index, as [`Service::accept`] does, and finds the index, which must have `uid` unless that
+    /// is empty.
     pub(super) fn index(
         &self,
         call: &Call,

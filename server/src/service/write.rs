@@ -188,9 +188,8 @@ impl Steps {
         ids
     }
 
-    /// The effects on the writer's newest state, and the number of removals, tags, payloads and replacements of ids that
-    /// were not stored.
-    /// `stored` has the points that get a tag or a payload.
+    /// The effects on the writer's newest state, and the number of removals, tags, payloads and replacements of ids
+    /// that were not stored. `stored` has the points that get a tag or a payload.
     async fn net(
         &self,
         hosted: &Hosted,

@@ -4,8 +4,8 @@ use std::{io, path::Path, sync::Arc};
 
 use super::{Level, Resource, Watermark};
 
-/// A watermark that leaves `min_free_bytes` of the disk of `directory` free, but at most a tenth of it, and accepts growth
-/// again at a quarter more. None if `min_free_bytes` is 0.
+/// A watermark that leaves `min_free_bytes` of the disk of `directory` free, but at most a tenth of it, and accepts
+/// growth again at a quarter more. None if `min_free_bytes` is 0.
 pub fn disk(directory: &Path, min_free_bytes: u64) -> Option<Arc<Watermark>> {
     let directory = directory.to_path_buf();
     let level = move || {

@@ -45,7 +45,8 @@ struct CreateArgs {
     /// The rights: read; write, which includes read; admin, which includes both
     #[arg(long, value_enum)]
     role: Role,
-    /// The indices by name; * stands for any characters. Give it again for more; without it there are none, as for /metrics
+    /// The indices by name; * stands for any characters. Give it again for more; without it there are none, as for
+    /// /metrics
     #[arg(long = "index", value_name = "PATTERN")]
     indexes: Vec<String>,
     /// The end of its rights: 2027-01-31T00:00:00Z

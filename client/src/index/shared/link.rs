@@ -198,8 +198,8 @@ impl Link {
     }
 }
 
-/// True if the same call may succeed later. So may one whose outcome is unknown: repeating a session's newest batch does
-/// nothing twice. Damaged data stay damaged until an operator restores the index, which is another one then.
+/// True if the same call may succeed later. So may one whose outcome is unknown: repeating a session's newest batch
+/// does nothing twice. Damaged data stay damaged until an operator restores the index, which is another one then.
 pub(super) fn is_transient(error: &Error) -> bool {
     match error {
         Error::Connection { .. } | Error::Timeout { .. } | Error::Protocol { .. } => true,

@@ -170,7 +170,8 @@ impl Arrivals {
         self.departure = at;
     }
 
-    /// True if the points that others stored take too much memory: the open questions are to be answered from all points.
+    /// True if the points that others stored take too much memory: the open questions are to be answered from all
+    /// points.
     pub(super) fn is_full(&self) -> bool {
         self.stored.len() > MAX_ARRIVALS
     }

@@ -89,8 +89,8 @@ impl OpenShared {
         self
     }
 
-    /// The certificates and the token of the connection: none unless set. Over Zenoh only the token counts; the session has
-    /// its own certificates.
+    /// The certificates and the token of the connection: none unless set. Over Zenoh only the token counts; the session
+    /// has its own certificates.
     pub fn credentials(mut self, credentials: Credentials) -> OpenShared {
         self.credentials = credentials;
         self

@@ -50,7 +50,8 @@ pub(super) struct Writer {
     /// The number of writes that the server has acknowledged, or that were given back.
     pub(super) settled: u64,
     pub(super) arrivals: Arrivals,
-    /// The reason for which the server takes no more writes, until the caller has taken back those that it did not take.
+    /// The reason for which the server takes no more writes, until the caller has taken back those that it did not
+    /// take.
     pub(super) refused: Option<Arc<Error>>,
     /// The number of refusals so far.
     pub(super) refusals: u64,

@@ -59,7 +59,8 @@ impl ClientBuilder {
     /// `http://HOST:PORT`, or just `HOST:PORT`.
     ///
     /// # Errors
-    /// [`Error::Address`]; [`Error::Argument`]: a token that is none; or [`Error::Connection`] if no attempt reaches a server within the timeout.
+    /// [`Error::Address`]; [`Error::Argument`]: a token that is none; or [`Error::Connection`] if no attempt reaches a
+    /// server within the timeout.
     pub async fn connect(self, uri: &str) -> Result<Client, Error> {
         const CALL: &str = "connect";
         let bearer = self.credentials.bearer()?;

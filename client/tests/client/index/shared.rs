@@ -114,8 +114,8 @@ fn blocks_of_ids_keep_to_the_limit_of_the_server() {
     assert_eq!(index.len().unwrap(), ids.len());
 }
 
-/// The feed of the copy and two foreign ones hold what a server for one message of 20 kB allows. A shared index with 2 MB
-/// of pending writes and a client with one call wait until there is room.
+/// The feed of the copy and two foreign ones hold what a server for one message of 20 kB allows. A shared index with 2
+/// MB of pending writes and a client with one call wait until there is room.
 #[test]
 fn a_busy_server_takes_the_writes_later() {
     let server = Server::with(|config| {

@@ -5,7 +5,8 @@
 //! worker and every reader can read both trees completely, and a worker that dies leaves no vertex without a parent.
 //!
 //! Reading order: `vertex` (the stored form of a vertex), `store` (the indices), `meeting` (the end of the search),
-//! `worker` (the planner), `trees` (the result of all workers), `job` (the job of a process), `solve` (one problem from empty indices to the path), `report`.
+//! `worker` (the planner), `trees` (the result of all workers), `job` (the job of a process), `solve` (one problem from
+//! empty indices to the path), `report`.
 
 pub mod account;
 pub mod job;

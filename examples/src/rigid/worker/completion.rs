@@ -141,8 +141,8 @@ impl Worker<'_> {
         Ok(())
     }
 
-    /// Completes the stored milestones that are pending, those of one worker or of all: with the same result as if their
-    /// workers had done it. Returns their number.
+    /// Completes the stored milestones that are pending, those of one worker or of all: with the same result as if
+    /// their workers had done it. Returns their number.
     ///
     /// Live workers are not disturbed: they would write the same completion.
     pub async fn adopt(&mut self, of: Option<usize>) -> Result<usize, PlanningError> {

@@ -97,7 +97,8 @@ enum Scenario {
     Silent,
     /// Queries over Zenoh whose client has left.
     Left,
-    /// Twice the load that the server can answer, by processes that are killed in turn; `--seconds 600` for ten minutes.
+    /// Twice the load that the server can answer, by processes that are killed in turn; `--seconds 600` for ten
+    /// minutes.
     Soak,
 }
 

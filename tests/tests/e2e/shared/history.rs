@@ -228,8 +228,8 @@ impl History {
         points
     }
 
-    /// Asserts that each of these contents of one copy, in their order, holds the effect of a prefix of the calls, which
-    /// never becomes shorter.
+    /// Asserts that each of these contents of one copy, in their order, holds the effect of a prefix of the calls,
+    /// which never becomes shorter.
     pub(super) fn check_prefixes<'a>(&self, contents: impl IntoIterator<Item = &'a Content>) {
         let ids: BTreeSet<u64> = self.changes.iter().map(|change| change.0).collect();
         let mut changes = self.changes.iter().peekable();
