@@ -20,7 +20,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (points, k): (usize, u32) = (points.parse()?, k.parse()?);
     let bytes = fs::read(file)?;
     let (numbers, _) = bytes.as_chunks();
-    let numbers: Vec<f64> = numbers.iter().map(|bytes| f64::from_ne_bytes(*bytes)).collect();
+    let numbers: Vec<f64> = numbers
+        .iter()
+        .map(|bytes| f64::from_ne_bytes(*bytes))
+        .collect();
     let index = Index::in_memory_inline(&"R3*SO3:0.15".parse()?)?;
     let width = 7;
     let (stored, asked) = numbers.split_at(points * width);
