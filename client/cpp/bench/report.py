@@ -59,6 +59,9 @@ def grow(programs, planner, space, vertices, seeds, directory):
                     merging[variant].append(got["others"])
                 if structure == "gnat":
                     structures[variant] = got["structure"]
+                    # The program's own GNAT would replace the library's without a word.
+                    if (got["structure"] == "race-bare") != (variant == "bare"):
+                        sys.exit(f"error: {planner}, {variant}: GNAT is that of {got['structure']}")
     row = {"planner": planner, "space": space, "vertices": vertices}
     for variant in VARIANTS:
         of = times[variant]
