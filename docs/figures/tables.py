@@ -1,55 +1,9 @@
 """The tables of the pages, by the names of their marks. Each is a function of the saved figures in this directory."""
 
-import json
-import textwrap
-from pathlib import Path
 from statistics import median
 
-FIGURES = Path(__file__).resolve().parent
-
-
-class Missing(Exception):
-    """No file has these figures yet."""
-
-
-def read(name):
-    path = FIGURES / f"{name}.json"
-    if not path.exists():
-        raise Missing(name)
-    return json.loads(path.read_text())
-
-
-def of(name):
-    return read(name)["data"]
-
-
-def table(names, header, rows):
-    """A table under its origin."""
-    origins = {}
-    for saved in map(read, names):
-        origin = "Commit {commit}, {date}; {processor}".format(**saved)
-        origin += "".join(f", {saved[key]} {key}" for key in ("cores", "rounds") if saved.get(key))
-        origin += f"; {saved['note']}" if "note" in saved else ""
-        commands = origins.setdefault(origin, [])
-        if "command" in saved:
-            commands.append(f"`{saved['command']}`")
-    sources = (f"{origin}. Command: {', '.join(commands)}" if commands else origin for origin, commands in origins.items())
-    text = textwrap.fill(f"*{'. '.join(sources)}.*", 128, break_long_words=False, break_on_hyphens=False)
-    shown = [f"| {' | '.join(row)} |" for row in (header, *rows)]
-    shown.insert(1, "|---" * len(header) + "|")
-    return f"\n{text}\n\n" + "\n".join(shown) + "\n"
-
-
-def digits(value):
-    """Two digits, or the whole number."""
-    return f"{value:,.0f}" if value >= 9.95 else f"{value:.1f}" if value >= 1 else f"{value:.2f}" if value >= 0.1 else f"{value:.2g}"
-
-
-def ratio(value):
-    if value is None:
-        return "–"
-    return digits(value) if value >= 1 else f"**{value:.2f}**"
-
+from cpp import CPP
+from saved import FIGURES, Missing, digits, of, ratio, read, table
 
 METRICS = {
     "SE3": "SE3, `R3*SO3:0.15`", "SE3-SUM": "SE3-SUM, `sum(R3, SO3)`", "SE2": "SE2, `R2*SO2`", "SO3": "`SO3`", "R3": "`R3`",
@@ -428,5 +382,6 @@ TABLES = {
     "memory": lambda: digits(of("index")["SE3"]["50000"]["uniform"]["memory"]["wayfold-rest"]) + " bytes",
     "roadmap-two": roadmap_two, "roadmap-wait": roadmap_wait,
     "grpc-call": lambda: digits(of("load")["asking"]["one_in_flight"]["server"]["p50_ms"]) + " ms",
+    **CPP,
     "zenoh-call": lambda: digits(of("robots")["forms"]["json"]["one_in_flight_p50_us"]["server"] / 1e3) + " ms",
 }

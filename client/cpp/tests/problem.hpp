@@ -37,8 +37,8 @@ inline ob::RealVectorBounds box(unsigned int n) {
     return bounds;
 }
 
-inline Problem se3() {
-    auto space = std::make_shared<ob::SE3StateSpace>();
+// `space` may be derived from OMPL's.
+inline Problem se3_in(const std::shared_ptr<ob::SE3StateSpace> &space) {
     space->setBounds(box(3));
     auto problem = make_problem(space, [](const ob::State *s) { return s->as<ob::SE3StateSpace::StateType>()->getX(); });
     ob::ScopedState<ob::SE3StateSpace> start(space), goal(space);
@@ -51,8 +51,9 @@ inline Problem se3() {
     return problem;
 }
 
-inline Problem se2() {
-    auto space = std::make_shared<ob::SE2StateSpace>();
+inline Problem se3() { return se3_in(std::make_shared<ob::SE3StateSpace>()); }
+
+inline Problem se2_in(const std::shared_ptr<ob::SE2StateSpace> &space) {
     space->setBounds(box(2));
     auto problem = make_problem(space, [](const ob::State *s) { return s->as<ob::SE2StateSpace::StateType>()->getX(); });
     ob::ScopedState<ob::SE2StateSpace> start(space), goal(space);
@@ -64,3 +65,5 @@ inline Problem se2() {
     problem.definition->setStartAndGoalStates(start, goal);
     return problem;
 }
+
+inline Problem se2() { return se2_in(std::make_shared<ob::SE2StateSpace>()); }
