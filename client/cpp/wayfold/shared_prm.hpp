@@ -26,8 +26,9 @@
 namespace wayfold {
 
 // Solves and grows like PRM; use it through this type or a base::Planner, because og::PRM's own methods that grow the
-// roadmap do not report errors of the index. Start and goal states are vertices of this process alone. An error of the
-// index ends the call, which throws it (wayfold::Error); so do all further calls until `clear`.
+// roadmap do not report errors of the index. Each planner opens the index for itself: what others stored meanwhile is
+// told once. Start and goal states are vertices of this process alone. An error of the index ends the call, which throws
+// it (wayfold::Error); so do all further calls until `clear`.
 class SharedPRM : public detail::SharedRoadmap {
     using Condition = ompl::base::PlannerTerminationCondition;
 
