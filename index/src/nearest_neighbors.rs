@@ -156,6 +156,14 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
     /// The index cannot be read.
     fn payload(&self, id: u64) -> Result<Option<Vec<u8>>, Self::Error>;
 
+    /// The payloads of points, in the order of the ids, each as of [`NearestNeighbors::payload`].
+    ///
+    /// # Errors
+    /// The index cannot be read.
+    fn payloads(&self, ids: &[u64]) -> Result<Vec<Option<Vec<u8>>>, Self::Error> {
+        ids.iter().map(|&id| self.payload(id)).collect()
+    }
+
     /// All points as they are at one moment, by ascending id.
     ///
     /// # Errors

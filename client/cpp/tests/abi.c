@@ -74,6 +74,18 @@ int main(void) {
     size_t bytes = 0;
     CHECK(wayfold_index_payload(index, 1000, payload, 8, &bytes) == WAYFOLD_CODE_OK && bytes == 4);
     CHECK(memcmp(payload, "edge", 4) == 0);
+    // Many payloads, one call: null without a point, and not null without bytes.
+    const uint64_t asked[3] = {1000, 4000, ids[2]};
+    wayfold_payloads *payloads = NULL;
+    CHECK(wayfold_index_payloads(index, asked, 3, &payloads) == WAYFOLD_CODE_OK && payloads != NULL);
+    CHECK(memcmp(wayfold_payloads_get(payloads, 0, &bytes), "edge", 4) == 0 && bytes == 4);
+    CHECK(wayfold_payloads_get(payloads, 1, NULL) == NULL && wayfold_payloads_get(payloads, 3, NULL) == NULL);
+    CHECK(wayfold_payloads_get(payloads, 2, &bytes) != NULL && bytes == 0);
+    wayfold_payloads_free(payloads);
+    CHECK(wayfold_index_payloads(index, NULL, 3, &payloads) == WAYFOLD_CODE_INVALID_ARGUMENT && payloads == NULL);
+    char space[8] = {0};
+    CHECK(wayfold_index_space(index, space, 4, &bytes) == WAYFOLD_CODE_OK && bytes == 6);
+    CHECK(strcmp(space, "R2*S") == 0);
     double state[3];
     uint64_t tag = 0;
     CHECK(wayfold_index_get(index, 1000, &tag, state, 3, &is_there) == WAYFOLD_CODE_OK && is_there && tag == 7);
@@ -85,7 +97,19 @@ int main(void) {
     CHECK(wayfold_index_changes(index, 0, &points) == WAYFOLD_CODE_OK && points != NULL);
     size_t removed = 0;
     CHECK(wayfold_points_removed(points, &removed)[0] == ids[0] && removed == 1);
+    const uint64_t seen = wayfold_points_seen(points);
     wayfold_points_free(points);
+    // The mark of now, without points.
+    CHECK(wayfold_index_changes(index, UINT64_MAX, &points) == WAYFOLD_CODE_OK && points != NULL);
+    CHECK(wayfold_points_seen(points) == seen && wayfold_points_count(points) == 0);
+    wayfold_points_free(points);
+    // In memory an insert sees all: no answers are to come.
+    wayfold_answers *answers = NULL;
+    wayfold_answer answer;
+    CHECK(wayfold_index_meanwhile(index, 0, &answers) == WAYFOLD_CODE_OK && answers != NULL);
+    CHECK(wayfold_answers_count(answers) == 0 && wayfold_answers_open(answers) == 0);
+    CHECK(!wayfold_answers_have_dropped(answers) && !wayfold_answers_get(answers, 0, &answer));
+    wayfold_answers_free(answers);
 
     // Errors name the field and the reason.
     states[3 * 5 + 1] = NAN;

@@ -1,6 +1,8 @@
 // The shared and the remote form, against a server: served URI.
 #include "check.hpp"
 
+#include <algorithm>
+#include <optional>
 #include <random>
 #include <string>
 #include <vector>
@@ -45,6 +47,20 @@ int main(int count, char **arguments) {
     // No id is given twice.
     CHECK(id > 499);
     CHECK(remote.payload(id) == "by another" && remote.get(id)->tag == 9);
+    CHECK(remote.payloads({id, 1, 900000})[0] == "by another" && !remote.payloads({900000})[0]);
+    // What another stores before an own point is told later, if the point's insert could not see it.
+    std::vector<std::uint64_t> near;
+    const std::vector<double> here{1, 2, 3};
+    const auto own = shared.insert(here.data(), 0, "own", wayfold::Search::k(600), 600, near);
+    const bool has_seen = std::find(near.begin(), near.end(), id) != near.end();
+    const auto told = shared.meanwhile(30000);
+    CHECK(told.answers.size() == 1 && told.open == 0 && !told.has_dropped);
+    CHECK(told.answers[0].id == own && told.answers[0].points_before == memory.size() + 1);
+    const auto &later = told.answers[0].neighbors;
+    CHECK(later.size() == (has_seen ? 0 : 1) && (has_seen || later[0].id == id) && near.size() >= memory.size());
+    CHECK(shared.payloads({own, id, 900000}) ==
+          (std::vector<std::optional<std::string>>{"own", "by another", std::nullopt}));
+    CHECK(shared.space() == remote.space() && shared.space() == memory.space());
     CHECK(remote.replace(id, {2, 2, 2}) && remote.get(id)->state[0] == 2);
 
     const auto missing = message_of<wayfold::Error>([&] { wayfold::Index::remote(uri, "missing"); });

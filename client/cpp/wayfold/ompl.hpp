@@ -281,7 +281,7 @@ private:
         }
     }
 
-    // Compares our distance with the planner's: a space may override it, and a planner may add costs to it.
+    // Compares our distance with the planner's.
     void check_distance(const T &element, const double *row) {
         unchecked_--;
         double other_row[max_width];
@@ -292,15 +292,8 @@ private:
             }
             left--;
             const T &other = elements_[at - 1];
-            const double theirs = Base::distFun_(other, element);
             write(other, other_row);
-            const double ours = index_.distance(other_row, row);
-            // OMPL takes rotations less than 4.5e-5 apart for equal.
-            if (!(std::fabs(ours - theirs) <= 1e-4 + 1e-6 * std::fabs(theirs))) {
-                throw ompl::Exception("wayfold: the planner's distance of two states is " + std::to_string(theirs) +
-                                      ", and that of " + context_.text + " is " + std::to_string(ours) +
-                                      ": keep OMPL's own nearest neighbours here, or give the space text of this metric");
-            }
+            detail::check_distance(index_.distance(other_row, row), Base::distFun_(other, element), context_.text);
         }
     }
 

@@ -10,6 +10,8 @@
 #include <ompl/base/spaces/WrapperStateSpace.h>
 #include <ompl/util/Exception.h>
 
+#include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdio>
 #include <functional>
@@ -21,6 +23,22 @@ namespace wayfold {
 
 // Writes a state's row: the numbers of the space text, in order.
 using StateToRow = std::function<void(const ompl::base::State *, double *)>;
+// Sets a state to a row.
+using RowToState = std::function<void(const double *, ompl::base::State *)>;
+
+namespace detail {
+
+// Compares our distance with OMPL's: a space may override it, and a planner may add costs to it.
+inline void check_distance(double ours, double theirs, const std::string &text) {
+    // OMPL takes rotations less than 4.5e-5 apart for equal.
+    if (!(std::fabs(ours - theirs) <= 1e-4 + 1e-6 * std::fabs(theirs))) {
+        throw ompl::Exception("wayfold: the planner's distance of two states is " + std::to_string(theirs) +
+                              ", and that of " + text + " is " + std::to_string(ours) +
+                              ": keep OMPL's own nearest neighbours here, or give the space text of this metric");
+    }
+}
+
+} // namespace detail
 
 // A state space of OMPL as a space text, and its states as rows. A compound space is the weighted sum of its parts;
 // nested ones are flattened.
@@ -42,6 +60,7 @@ public:
     const std::string &text() const { return text_; }
     std::size_t width() const { return width_; }
     void write(const ompl::base::State *state, double *row) const { write(root_, state, row); }
+    void read(const double *row, ompl::base::State *state) const { read(root_, row, state); }
 
 private:
     enum class Kind { compound, wrapper, real, so2, so3, time, discrete };
@@ -133,6 +152,42 @@ private:
         case Kind::discrete:
             *row++ = static_cast<const ob::DiscreteStateSpace::StateType *>(state)->value;
             return row;
+        }
+        return row;
+    }
+
+    static const double *read(const Part &part, const double *row, ompl::base::State *state) {
+        namespace ob = ompl::base;
+        switch (part.kind) {
+        case Kind::compound: {
+            auto *compound = static_cast<ob::CompoundState *>(state);
+            for (std::size_t at = 0; at < part.parts.size(); at++) {
+                row = read(part.parts[at], row, compound->components[at]);
+            }
+            return row;
+        }
+        case Kind::wrapper:
+            return read(part.parts[0], row, static_cast<ob::WrapperStateSpace::StateType *>(state)->getState());
+        case Kind::real:
+            std::copy(row, row + part.numbers, static_cast<ob::RealVectorStateSpace::StateType *>(state)->values);
+            return row + part.numbers;
+        case Kind::so2:
+            static_cast<ob::SO2StateSpace::StateType *>(state)->value = *row;
+            return row + 1;
+        case Kind::so3: {
+            auto *rotation = static_cast<ob::SO3StateSpace::StateType *>(state);
+            rotation->x = row[0];
+            rotation->y = row[1];
+            rotation->z = row[2];
+            rotation->w = row[3];
+            return row + 4;
+        }
+        case Kind::time:
+            static_cast<ob::TimeStateSpace::StateType *>(state)->position = *row;
+            return row + 1;
+        case Kind::discrete:
+            static_cast<ob::DiscreteStateSpace::StateType *>(state)->value = static_cast<int>(std::lround(*row));
+            return row + 1;
         }
         return row;
     }

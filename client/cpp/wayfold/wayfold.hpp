@@ -1,117 +1,17 @@
 // Exact nearest-neighbour indices for motion planners, in C++17: the methods of the Rust client over wayfold.h.
 #pragma once
 
-#include <wayfold.h>
+#include <wayfold/types.hpp>
 
 #include <algorithm>
 #include <cstdint>
-#include <limits>
 #include <memory>
 #include <optional>
-#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
 
 namespace wayfold {
-
-// The error of a call. The message names the field and the problem.
-class Error : public std::runtime_error {
-public:
-    Error(wayfold_code code, const std::string &message, std::string field, std::string reason)
-        : std::runtime_error(message), code_(code), field_(std::move(field)), reason_(std::move(reason)) {}
-
-    wayfold_code code() const { return code_; }
-    // The wrong field, such as "states[3].coords[1]"; empty if no field is wrong.
-    const std::string &field() const { return field_; }
-    // The reason in UPPER_SNAKE_CASE; empty if there is none.
-    const std::string &reason() const { return reason_; }
-
-private:
-    wayfold_code code_;
-    std::string field_;
-    std::string reason_;
-};
-
-namespace detail {
-
-inline void check(wayfold_code code) {
-    if (code != WAYFOLD_CODE_OK) {
-        throw Error(code, wayfold_error_message(), wayfold_error_field(), wayfold_error_reason());
-    }
-}
-
-} // namespace detail
-
-struct Neighbor {
-    std::uint64_t id;
-    double distance;
-
-    friend bool operator==(const Neighbor &a, const Neighbor &b) { return a.id == b.id && a.distance == b.distance; }
-    friend bool operator!=(const Neighbor &a, const Neighbor &b) { return !(a == b); }
-};
-
-struct StoredPoint {
-    std::uint64_t id;
-    std::uint64_t tag;
-    std::vector<double> state;
-};
-
-// Everything that changed after an earlier answer.
-struct Changes {
-    std::vector<StoredPoint> stored;
-    std::vector<std::uint64_t> removed;
-    std::uint64_t seen;
-};
-
-// The thread that merges the trees of an index in memory: one of the process, or the one whose insert makes it due.
-enum class Merging { background, in_line };
-
-// A search: the number of neighbours, the radius, and the points that count.
-class Search {
-public:
-    static Search k(std::uint32_t k) {
-        Search search;
-        search.raw_.k = k;
-        return search;
-    }
-    // The ⌈factor · ln n⌉ nearest of n points.
-    static Search k_factor(double factor) {
-        Search search;
-        search.raw_.k_factor = factor;
-        return search;
-    }
-    static Search within(double radius) { return Search().radius(radius); }
-
-    Search &radius(double radius) {
-        raw_.radius = radius;
-        return *this;
-    }
-    // The radius of PRM*, min(radius, factor · (ln n / n)^(1/d)).
-    Search &radius_factor(double factor) {
-        raw_.radius_factor = factor;
-        return *this;
-    }
-    Search &tag(std::uint64_t mask, std::uint64_t value) {
-        raw_.tag_mask = mask;
-        raw_.tag_value = value;
-        return *this;
-    }
-    Search &since(std::uint64_t seen) {
-        raw_.since = seen;
-        return *this;
-    }
-    Search &epsilon(double epsilon) {
-        raw_.epsilon = epsilon;
-        return *this;
-    }
-    const wayfold_search &raw() const { return raw_; }
-
-private:
-    Search() : raw_(wayfold_search_default()) {}
-
-    wayfold_search raw_;
-};
 
 // A dynamic set of states with exact nearest-neighbour search. Copies share the points. All methods are thread-safe.
 class Index {
@@ -141,6 +41,23 @@ public:
         detail::check(wayfold_index_pending(raw(), &pending));
         return pending;
     }
+    // The answers about own points that were inserted with a search, each once, when the server has stored them. Waits
+    // for one, at most this long, if there is none and one is to come.
+    MeanwhileAnswers meanwhile(std::uint64_t timeout_ms = 0) const {
+        wayfold_answers *raw_answers = nullptr;
+        detail::check(wayfold_index_meanwhile(raw(), timeout_ms, &raw_answers));
+        const std::unique_ptr<wayfold_answers, void (*)(wayfold_answers *)> read(raw_answers, wayfold_answers_free);
+        MeanwhileAnswers all{{}, wayfold_answers_open(raw_answers), wayfold_answers_have_dropped(raw_answers)};
+        wayfold_answer one{};
+        for (std::size_t at = 0; wayfold_answers_get(raw_answers, at, &one); at++) {
+            Meanwhile answer{one.id, one.points_before, std::vector<Neighbor>(one.count), one.is_superset};
+            for (std::size_t near = 0; near < one.count; near++) {
+                answer.neighbors[near] = {one.ids[near], one.distances[near]};
+            }
+            all.answers.push_back(std::move(answer));
+        }
+        return all;
+    }
     // Takes no more writes, and returns the number of those that the server has not acknowledged in time.
     std::size_t close(std::uint64_t timeout_ms) const {
         std::size_t unsent = 0;
@@ -149,6 +66,13 @@ public:
     }
 #endif
 
+    // The text of the space. Equal spaces have equal texts.
+    std::string space() const {
+        std::string text(256, '\0');
+        return read_text(text, [this](char *room, std::size_t capacity, std::size_t *bytes) {
+            return wayfold_index_space(raw(), room, capacity, bytes);
+        });
+    }
     // The numbers of a state.
     std::size_t width() const { return width_; }
     std::size_t size() const {
@@ -184,6 +108,22 @@ public:
                                                 nullptr, nullptr));
         return id;
     }
+    // Writes the neighbours that the state had at its insertion, nearest first, at most `capacity`; returns the id. What
+    // others stored before the state, and the copy of a shared index did not have yet, `meanwhile` tells later.
+    std::uint64_t insert(const double *state, std::uint64_t tag, const std::string &payload, const Search &search,
+                         std::size_t capacity, std::vector<std::uint64_t> &neighbors) const {
+        wayfold_point point = wayfold_point_default();
+        point.tag = tag;
+        point.payload = reinterpret_cast<const std::uint8_t *>(payload.data());
+        point.payload_bytes = payload.size();
+        std::uint64_t id = 0;
+        std::size_t found = 0;
+        neighbors.resize(capacity);
+        detail::check(wayfold_index_insert_with(raw(), state, width_, &point, &id, &search.raw(), capacity,
+                                                neighbors.data(), nullptr, &found));
+        neighbors.resize(std::min(found, capacity));
+        return id;
+    }
     // These return false if there is no point with this id.
     bool remove(std::uint64_t id) const {
         bool removed = false;
@@ -214,16 +154,25 @@ public:
     }
     std::string payload(std::uint64_t id) const {
         std::string payload(256, '\0');
-        for (;;) {
+        return read_text(payload, [this, id](char *room, std::size_t capacity, std::size_t *bytes) {
+            return wayfold_index_payload(raw(), id, reinterpret_cast<std::uint8_t *>(room), capacity, bytes);
+        });
+    }
+    // The payloads of the points with these ids, each id once; nothing in place of one if there is no such point. A
+    // shared index asks its server once for a thousand of them.
+    std::vector<std::optional<std::string>> payloads(const std::vector<std::uint64_t> &ids) const {
+        wayfold_payloads *raw_payloads = nullptr;
+        detail::check(wayfold_index_payloads(raw(), ids.data(), ids.size(), &raw_payloads));
+        const std::unique_ptr<wayfold_payloads, void (*)(wayfold_payloads *)> read(raw_payloads, wayfold_payloads_free);
+        std::vector<std::optional<std::string>> payloads(ids.size());
+        for (std::size_t at = 0; at < ids.size(); at++) {
             std::size_t bytes = 0;
-            auto *room = reinterpret_cast<std::uint8_t *>(payload.data());
-            detail::check(wayfold_index_payload(raw(), id, room, payload.size(), &bytes));
-            const bool fits = bytes <= payload.size();
-            payload.resize(bytes);
-            if (fits) {
-                return payload;
+            const auto *payload = wayfold_payloads_get(raw_payloads, at, &bytes);
+            if (payload != nullptr) {
+                payloads[at] = std::string(reinterpret_cast<const char *>(payload), bytes);
             }
         }
+        return payloads;
     }
     // For an index in memory only.
     void clear() const { detail::check(wayfold_index_clear(raw())); }
@@ -295,7 +244,7 @@ public:
         detail::check(wayfold_index_scan(raw(), &points));
         return read(points).stored;
     }
-    // Nothing if the index has forgotten some of the changes: scan it then.
+    // Nothing if the index has forgotten some of the changes: scan it then. `UINT64_MAX` reads only the mark of now.
     std::optional<Changes> changes(std::uint64_t seen) const {
         wayfold_points *points = nullptr;
         detail::check(wayfold_index_changes(raw(), seen, &points));
@@ -306,6 +255,19 @@ private:
     explicit Index(wayfold_index *made) : handle_(made, wayfold_index_free), width_(wayfold_index_width(made)) {}
 
     wayfold_index *raw() const { return handle_.get(); }
+
+    // Reads again if the text did not fit.
+    template <class Read> static std::string read_text(std::string &text, Read read) {
+        for (;;) {
+            std::size_t bytes = 0;
+            detail::check(read(text.data(), text.size(), &bytes));
+            const bool fits = bytes <= text.size();
+            text.resize(bytes);
+            if (fits) {
+                return std::move(text);
+            }
+        }
+    }
 
     void check_width(const std::vector<double> &state) const {
         if (state.size() != width_) {

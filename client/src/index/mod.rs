@@ -219,6 +219,15 @@ impl Index {
         self.form.payload(id)
     }
 
+    /// The payloads of the points with these ids, each id once, in their order: empty if a point has none, `None` if
+    /// there is no such point. A shared index asks the server once for a thousand of them.
+    ///
+    /// # Errors
+    /// The server cannot be asked.
+    pub fn payloads(&self, ids: &[u64]) -> Result<Vec<Option<Vec<u8>>>, Error> {
+        self.form.payloads(ids)
+    }
+
     /// The nearest point; `None` if there are no points.
     ///
     /// # Errors

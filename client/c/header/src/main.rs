@@ -35,6 +35,9 @@ fn main() -> ExitCode {
         ("Code", "wayfold_code"),
         ("WayfoldIndex", "wayfold_index"),
         ("WayfoldPoints", "wayfold_points"),
+        ("WayfoldPayloads", "wayfold_payloads"),
+        ("WayfoldAnswer", "wayfold_answer"),
+        ("WayfoldAnswers", "wayfold_answers"),
         ("WayfoldSearch", "wayfold_search"),
         ("WayfoldPoint", "wayfold_point"),
         ("WayfoldServer", "wayfold_server"),
@@ -43,7 +46,7 @@ fn main() -> ExitCode {
         config.export.rename.insert(rust.to_owned(), c.to_owned());
     }
     let mut builder = Builder::new().with_config(config);
-    const FILES: [&str; 7] = [
+    const FILES: [&str; 8] = [
         "code.rs",
         "options.rs",
         "abi/index.rs",
@@ -51,10 +54,11 @@ fn main() -> ExitCode {
         "abi/search.rs",
         "abi/points.rs",
         "abi/server.rs",
+        "abi/meanwhile.rs",
     ];
     let files = FILES
         .iter()
-        .filter(|file| has_net || **file != "abi/server.rs");
+        .filter(|file| has_net || !matches!(**file, "abi/server.rs" | "abi/meanwhile.rs"));
     for file in files {
         builder = builder.with_src(source.join(file));
     }

@@ -4,7 +4,7 @@ use std::ffi::c_char;
 
 use client::Index;
 
-use super::pointers::{check_width, give, index_of, numbers, parse_space, put, text};
+use super::pointers::{check_width, copy, give, index_of, parse_space, put, text, values};
 use crate::{
     code::Code,
     failure::{Failure, Part, call, free, last},
@@ -122,6 +122,31 @@ pub unsafe extern "C" fn wayfold_index_width(index: *const WayfoldIndex) -> usiz
     unsafe { index.as_ref() }.map_or(0, |index| index.0.space().coordinates())
 }
 
+/// Writes the first `capacity` bytes of the text of the index's space, as in "R3*SO3:0.15", and the number of all its
+/// bytes. Equal spaces have equal texts.
+///
+/// Thread-safe.
+///
+/// # Safety
+/// `text` has room for `capacity` bytes; `text_bytes` can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_index_space(
+    index: *const WayfoldIndex,
+    text: *mut c_char,
+    capacity: usize,
+    text_bytes: *mut usize,
+) -> Code {
+    call(|| {
+        // SAFETY: the caller's promise.
+        let space = unsafe { index_of(index) }?.space().to_string();
+        // SAFETY: the caller's promise.
+        unsafe {
+            copy(&space.as_bytes()[..space.len().min(capacity)], text.cast());
+            put(space.len(), text_bytes, "text_bytes")
+        }
+    })
+}
+
 /// Writes the number of points.
 ///
 /// Thread-safe.
@@ -155,8 +180,8 @@ pub unsafe extern "C" fn wayfold_index_distance(
         let (index, a, b) = unsafe {
             (
                 index_of(index)?,
-                numbers(a, width, "a")?,
-                numbers(b, width, "b")?,
+                values(a, width, "a")?,
+                values(b, width, "b")?,
             )
         };
         let space = index.space();

@@ -79,27 +79,12 @@ pub(super) unsafe fn text<'a>(pointer: *const c_char, field: &str) -> Result<&'a
 }
 
 /// # Safety
-/// `pointer` has `count` numbers or is null.
-pub(super) unsafe fn numbers<'a>(
-    pointer: *const f64,
+/// `pointer` has `count` values or is null.
+pub(super) unsafe fn values<'a, T>(
+    pointer: *const T,
     count: usize,
     field: &str,
-) -> Result<&'a [f64], Failure> {
-    match (pointer.is_null(), count) {
-        (_, 0) => Ok(&[]),
-        (true, _) => Err(null(field)),
-        // SAFETY: the caller's promise.
-        (false, _) => Ok(unsafe { slice::from_raw_parts(pointer, count) }),
-    }
-}
-
-/// # Safety
-/// `pointer` has `count` bytes or is null.
-pub(super) unsafe fn bytes<'a>(
-    pointer: *const u8,
-    count: usize,
-    field: &str,
-) -> Result<&'a [u8], Failure> {
+) -> Result<&'a [T], Failure> {
     match (pointer.is_null(), count) {
         (_, 0) => Ok(&[]),
         (true, _) => Err(null(field)),

@@ -1,10 +1,10 @@
-//! Lists of points: a scan, and changes.
+//! Lists of points: a scan, changes, and payloads.
 
 use std::ptr;
 
 use super::{
     index::WayfoldIndex,
-    pointers::{copy, index_of, put},
+    pointers::{copy, index_of, put, values},
 };
 use crate::{code::Code, failure::call};
 
@@ -42,7 +42,8 @@ pub unsafe extern "C" fn wayfold_index_scan(
 }
 
 /// Reads the points that were stored or changed after an answer that has seen this much, 0 for all, and the ids that
-/// were removed. Writes null if the index has forgotten some of it, as after 65,536 changes: scan it then.
+/// were removed. Writes null if the index has forgotten some of it, as after 65,536 changes: scan it then. `UINT64_MAX`
+/// reads no point, only the mark of now; a remote index refuses it.
 ///
 /// Thread-safe.
 ///
@@ -146,6 +147,64 @@ pub unsafe extern "C" fn wayfold_points_free(points: *mut WayfoldPoints) {
     if !points.is_null() {
         // SAFETY: made of a box, and the caller promises that it is not freed.
         drop(unsafe { Box::from_raw(points) });
+    }
+}
+
+/// Payloads of points.
+pub struct WayfoldPayloads(Vec<Option<Vec<u8>>>);
+
+/// Reads the payloads of the points with these ids, each id once: a shared index asks its server once for a thousand of
+/// them. Free them with `wayfold_payloads_free`.
+///
+/// Thread-safe.
+///
+/// # Safety
+/// `index` is a handle; `ids` has `count` ids; `payloads` can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_index_payloads(
+    index: *const WayfoldIndex,
+    ids: *const u64,
+    count: usize,
+    payloads: *mut *mut WayfoldPayloads,
+) -> Code {
+    call(|| {
+        // SAFETY: the caller's promise. Null at first, as above.
+        unsafe { put(ptr::null_mut(), payloads, "payloads") }?;
+        // SAFETY: the caller's promise.
+        let (index, ids) = unsafe { (index_of(index)?, values(ids, count, "ids")?) };
+        let read = WayfoldPayloads(index.payloads(ids)?);
+        // SAFETY: the caller's promise.
+        unsafe { put(Box::into_raw(Box::new(read)), payloads, "payloads") }
+    })
+}
+
+/// The payload of the id at this position, valid until the payloads are freed, and the number of its bytes. Null if the
+/// index had no point with the id. Thread-safe.
+///
+/// # Safety
+/// `payloads` is a handle; `payload_bytes` can be written or is null.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_payloads_get(
+    payloads: *const WayfoldPayloads,
+    at: usize,
+    payload_bytes: *mut usize,
+) -> *const u8 {
+    // SAFETY: the caller's promise.
+    let payload = unsafe { payloads.as_ref() }.and_then(|payloads| payloads.0.get(at)?.as_deref());
+    // SAFETY: the caller's promise.
+    unsafe { copy(&[payload.map_or(0, <[u8]>::len)], payload_bytes) };
+    payload.map_or(ptr::null(), <[u8]>::as_ptr)
+}
+
+/// Frees payloads; null is ignored. No other thread may use them during this call or after it.
+///
+/// # Safety
+/// `payloads` is a handle that is not freed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_payloads_free(payloads: *mut WayfoldPayloads) {
+    if !payloads.is_null() {
+        // SAFETY: made of a box, and the caller promises that it is not freed.
+        drop(unsafe { Box::from_raw(payloads) });
     }
 }
 

@@ -6,7 +6,7 @@ use client::{Index, Neighbor, Search};
 
 use super::{
     index::WayfoldIndex,
-    pointers::{check_width, index_of, null, numbers, product, put},
+    pointers::{check_width, index_of, null, product, put, values},
 };
 use crate::{
     code::Code,
@@ -36,7 +36,7 @@ pub unsafe extern "C" fn wayfold_index_nearest(
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise.
-        let (index, row) = unsafe { (index_of(index)?, numbers(state, width, "state")?) };
+        let (index, row) = unsafe { (index_of(index)?, values(state, width, "state")?) };
         let nearest = index.nearest(row)?;
         // SAFETY: the caller's promise.
         unsafe {
@@ -74,7 +74,7 @@ pub unsafe extern "C" fn wayfold_index_search(
         let (index, rows) = unsafe {
             (
                 index_of(index)?,
-                numbers(states, product(count, width)?, "states")?,
+                values(states, product(count, width)?, "states")?,
             )
         };
         // SAFETY: the caller's promise.

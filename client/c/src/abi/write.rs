@@ -4,7 +4,7 @@ use client::{Index, InsertOptions};
 
 use super::{
     index::WayfoldIndex,
-    pointers::{bytes, check_width, copy, index_of, null, numbers, product, put},
+    pointers::{check_width, copy, index_of, null, product, put, values},
     search::write_neighbors,
 };
 use crate::{
@@ -32,7 +32,7 @@ pub unsafe extern "C" fn wayfold_index_insert(
         let (index, rows) = unsafe {
             (
                 index_of(index)?,
-                numbers(states, product(count, width)?, "states")?,
+                values(states, product(count, width)?, "states")?,
             )
         };
         if count == 1 {
@@ -72,11 +72,11 @@ pub unsafe extern "C" fn wayfold_index_insert_with(
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise.
-        let (index, row) = unsafe { (index_of(index)?, numbers(state, width, "state")?) };
+        let (index, row) = unsafe { (index_of(index)?, values(state, width, "state")?) };
         // SAFETY: the caller's promise.
         let point = unsafe { point.as_ref() }.ok_or_else(|| null("point"))?;
         // SAFETY: the caller's promise.
-        let payload = unsafe { bytes(point.payload, point.payload_bytes, "payload") }?;
+        let payload = unsafe { values(point.payload, point.payload_bytes, "payload") }?;
         let mut options = InsertOptions::new().tag(point.tag).payload(payload);
         if point.id != u64::MAX {
             options = options.id(point.id);
@@ -133,7 +133,7 @@ pub unsafe extern "C" fn wayfold_index_replace(
 ) -> Code {
     let replace = |index: &Index| {
         // SAFETY: the caller's promise.
-        let row = unsafe { numbers(state, width, "state") }?;
+        let row = unsafe { values(state, width, "state") }?;
         Ok(index.replace(id, row)?)
     };
     // SAFETY: the caller's promise.
@@ -173,7 +173,7 @@ pub unsafe extern "C" fn wayfold_index_set_payload(
 ) -> Code {
     let set_payload = |index: &Index| {
         // SAFETY: the caller's promise.
-        let payload = unsafe { bytes(payload, payload_bytes, "payload") }?;
+        let payload = unsafe { values(payload, payload_bytes, "payload") }?;
         Ok(index.set_payload(id, payload)?)
     };
     // SAFETY: the caller's promise.

@@ -8,7 +8,7 @@ mod publications;
 #[cfg(feature = "zenoh")]
 mod zenoh;
 
-use std::time::Duration;
+use std::{ops::Range, time::Duration};
 
 use wayfold_index::Space;
 use wayfold_proto::{
@@ -21,6 +21,7 @@ use super::served_index::ServedIndex;
 use crate::RetryPolicy;
 use crate::{
     Code, Credentials, Error, Include, IndexInfo, Limits, Points, Revision, ServerInfo, Watch,
+    net::limits::{READ_ROWS, read_in_parts},
 };
 use call::Call;
 use grpc::GrpcLink;
@@ -165,22 +166,72 @@ impl Link {
         at: u64,
         id: u64,
     ) -> Result<Option<Vec<u8>>, Error> {
+        match self.stored_payloads(index, at, &[id]).await {
+            Err(error) if error.code() == Code::NotFound => Ok(None),
+            answer => Ok(answer?.pop()),
+        }
+    }
+
+    /// The payloads of points at revision `at` or later ones, in the order of the ids; `None` for a point that is not
+    /// stored.
+    pub(super) async fn payloads(
+        &self,
+        index: &ServedIndex,
+        at: u64,
+        ids: &[u64],
+    ) -> Result<Vec<Option<Vec<u8>>>, Error> {
+        let read = |part: Range<usize>| self.some_payloads(index, at, &ids[part]);
+        read_in_parts(ids.len(), READ_ROWS, read, |all, mut part| {
+            all.append(&mut part);
+        })
+        .await
+    }
+
+    async fn some_payloads(
+        &self,
+        index: &ServedIndex,
+        at: u64,
+        ids: &[u64],
+    ) -> Result<Vec<Option<Vec<u8>>>, Error> {
+        match self.stored_payloads(index, at, ids).await {
+            // One of the points has been removed.
+            Err(error) if error.code() == Code::NotFound => {
+                let mut payloads = Vec::with_capacity(ids.len());
+                for &id in ids {
+                    payloads.push(self.payload(index, at, id).await?);
+                }
+                Ok(payloads)
+            }
+            answer => Ok(answer?.into_iter().map(Some).collect()),
+        }
+    }
+
+    /// The payloads of points that are all stored.
+    async fn stored_payloads(
+        &self,
+        index: &ServedIndex,
+        at: u64,
+        ids: &[u64],
+    ) -> Result<Vec<Vec<u8>>, Error> {
         let include = Include::none().payloads();
         let request = v1::GetRequest {
             index_name: index.name().to_owned(),
-            ids: vec![id],
+            ids: ids.to_vec(),
             include: include.to_message(),
             min_revision: Some(index.revision_at(at).to_message()),
         };
-        let answer = match self.call(&request).await {
-            Err(error) if error.code() == Code::NotFound => return Ok(None),
-            answer => answer?,
-        };
+        let answer = self.call(&request).await?;
         let (call, width) = (v1::GetRequest::NAME, index.coordinates());
         let revision = Revision::from_message(call, answer.revision, index.uid())?;
         let points = Points::from_message(call, answer.points, revision, width, include)?;
-        let payloads = points.iter().filter_map(|point| point.payload.cloned());
-        Ok(payloads.map(Vec::from).next())
+        if points.ids() != ids {
+            return Err(protocol(
+                "the points have other ids than the request".to_owned(),
+            ));
+        }
+        let payload =
+            |point: crate::Point<'_>| point.payload.cloned().map_or_else(Vec::new, Vec::from);
+        Ok(points.iter().map(payload).collect())
     }
 
     /// Watches the index after a revision. The points that `own_session` stores may be left out.

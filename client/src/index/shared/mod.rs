@@ -292,6 +292,38 @@ impl NearestNeighbors for SharedIndex {
         })
     }
 
+    fn payloads(&self, ids: &[u64]) -> Result<Vec<Option<Vec<u8>>>, Error> {
+        self.core.check_readable()?;
+        let mut payloads = vec![None; ids.len()];
+        let (mut positions, mut asked) = (Vec::new(), Vec::new());
+        {
+            let writer = self.core.writer.lock();
+            let points = self.core.points.read();
+            for (at, &id) in ids.iter().enumerate() {
+                if !points.forest.contains(id) {
+                    continue;
+                }
+                payloads[at] = writer.payload(id);
+                if payloads[at].is_none() {
+                    positions.push(at);
+                    asked.push(id);
+                }
+            }
+        }
+        if asked.is_empty() {
+            return Ok(payloads);
+        }
+        let core = Arc::clone(&self.core);
+        let answers = wait_for(async move {
+            let (index, at) = core.published.lock().clone();
+            core.link.payloads(&index, at, &asked).await
+        })?;
+        for (at, answer) in positions.into_iter().zip(answers) {
+            payloads[at] = answer;
+        }
+        Ok(payloads)
+    }
+
     fn scan(&self) -> Result<ScannedPoints<Error>, Error> {
         self.core.check_readable()?;
         Ok(scan(self.core.points.read().forest.snapshot()))

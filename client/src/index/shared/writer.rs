@@ -239,6 +239,9 @@ impl Writer {
 
     /// The payload that the last pending write of this id gives it.
     pub(super) fn payload(&self, id: u64) -> Option<Vec<u8>> {
+        if !self.rebased.contains_key(&id) && !self.is_pending_insert(id) {
+            return None;
+        }
         let batches = self.queue.iter().rev();
         batches
             .filter_map(|batch| batch.payload(self.width, id))

@@ -1,6 +1,6 @@
 //! A brute-force model of an index, and random histories that compare the two.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
@@ -247,6 +247,13 @@ impl Model {
             .get(id)
             .map(|_| self.payloads.get(&id).cloned().unwrap_or_default());
         assert_eq!(self.index.payload(id).unwrap(), payload);
+        let ids = BTreeSet::from([id, self.some_id(), self.some_id()]);
+        let ids = Vec::from_iter(ids);
+        let payloads = ids.iter().map(|&id| {
+            let stored = self.points.get(id);
+            stored.map(|_| self.payloads.get(&id).cloned().unwrap_or_default())
+        });
+        assert_eq!(self.index.payloads(&ids).unwrap(), Vec::from_iter(payloads));
     }
 
     /// A random search, and the answer of brute force.

@@ -1,0 +1,426 @@
+// wayfold/shared_prm.hpp, against a server: shared_prm URI. The processes that grow a roadmap are this program again.
+#include "check.hpp"
+#include "discs.hpp"
+#include "process.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <csignal>
+#include <ompl/base/terminationconditions/IterationTerminationCondition.h>
+#include <ompl/geometric/SimpleSetup.h>
+#include <ompl/geometric/planners/prm/ConnectionStrategy.h>
+#include <ompl/util/Console.h>
+#include <set>
+#include <sstream>
+#include <string>
+#include <vector>
+#include <wayfold/ompl.hpp>
+#include <wayfold/shared_prm.hpp>
+
+namespace ob = ompl::base;
+namespace og = ompl::geometric;
+
+namespace {
+
+const std::string space = "sum(R2, SO2:0.5)";
+
+struct Planner {
+    explicit Planner(const wayfold::Index &index, bool star = false)
+        : si(discs::information()), prm(std::make_shared<wayfold::SharedPRM>(si, index, star)) {
+        prm->setProblemDefinition(discs::problem(si));
+        prm->setup();
+    }
+
+    void grow(unsigned int iterations) {
+        ob::IterationTerminationCondition counter(2 * iterations);
+        prm->growRoadmap(ob::PlannerTerminationCondition(counter));
+    }
+
+    std::shared_ptr<ob::SpaceInformation> si;
+    std::shared_ptr<wayfold::SharedPRM> prm;
+};
+
+// Names a vertex: by its id, or by its number if it has none.
+template <class Prm> std::string name_of(const Prm &prm, og::PRM::Vertex vertex) {
+    if constexpr (std::is_same_v<Prm, wayfold::SharedPRM>) {
+        return prm.id(vertex) ? std::to_string(*prm.id(vertex)) : "";
+    } else {
+        return std::to_string(vertex);
+    }
+}
+
+// The vertices with their states and the edges, sorted; those of start and goal states are left out.
+template <class Prm> std::string graph_of(const Prm &prm) {
+    const og::PRM::Graph &graph = prm.getRoadmap();
+    const auto states = boost::get(og::PRM::vertex_state_t(), graph);
+    std::multiset<std::string> lines;
+    for (std::size_t vertex = 0; vertex < boost::num_vertices(graph); vertex++) {
+        const auto &pose = *states[vertex]->template as<discs::Pose>();
+        char line[128];
+        std::snprintf(line, sizeof line, "vertex %s: %.17g %.17g %.17g", name_of(prm, vertex).c_str(), pose.getX(),
+                      pose.getY(), pose.getYaw());
+        if (!name_of(prm, vertex).empty()) {
+            lines.insert(line);
+        }
+    }
+    for (auto [edge, end] = boost::edges(graph); edge != end; ++edge) {
+        std::string a = name_of(prm, boost::source(*edge, graph)), b = name_of(prm, boost::target(*edge, graph));
+        if (!a.empty() && !b.empty()) {
+            lines.insert("edge " + std::min(a, b) + " " + std::max(a, b));
+        }
+    }
+    std::string text;
+    for (const std::string &line : lines) {
+        text += line + "\n";
+    }
+    return text;
+}
+
+std::size_t count(const std::string &graph, const std::string &kind) {
+    std::size_t count = 0;
+    for (std::size_t at = graph.find(kind); at != std::string::npos; at = graph.find(kind, at + 1)) {
+        count++;
+    }
+    return count;
+}
+
+// Every vertex and every edge of a graph is free, by a check of this program's own; no edge is there twice.
+void is_valid(const wayfold::SharedPRM &prm) {
+    const og::PRM::Graph &graph = prm.getRoadmap();
+    const auto states = boost::get(og::PRM::vertex_state_t(), graph);
+    std::set<std::pair<og::PRM::Vertex, og::PRM::Vertex>> edges;
+    for (auto [edge, end] = boost::edges(graph); edge != end; ++edge) {
+        const auto from = boost::source(*edge, graph), to = boost::target(*edge, graph);
+        CHECK(discs::clearance(*states[from]->as<discs::Pose>(), *states[to]->as<discs::Pose>()) > 0);
+        CHECK(from != to && edges.insert(std::minmax(from, to)).second);
+    }
+    for (std::size_t vertex = 0; vertex < boost::num_vertices(graph); vertex++) {
+        CHECK(discs::clearance(*states[vertex]->as<discs::Pose>(), *states[vertex]->as<discs::Pose>()) > 0);
+    }
+}
+
+// Takes over what others have stored until the graph has this many vertices and edges.
+void catch_up(wayfold::SharedPRM &prm, std::size_t vertices, std::size_t edges) {
+    const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(60);
+    while (prm.milestoneCount() < vertices || prm.edgeCount() < edges) {
+        CHECK(std::chrono::steady_clock::now() < end);
+        prm.refresh();
+    }
+}
+
+// A process that grows a roadmap, and prints it once the other one is ready too.
+void grow(const std::string &uri, const std::string &name, unsigned int iterations, bool expands) {
+    Planner planner(wayfold::Index::shared(uri, name, space));
+    std::cout << "ready" << std::endl;
+    std::string go;
+    std::getline(std::cin, go);
+    planner.grow(iterations);
+    if (expands) {
+        ob::IterationTerminationCondition counter(100);
+        planner.prm->expandRoadmap(ob::PlannerTerminationCondition(counter));
+    }
+    planner.prm->flush();
+    std::cout << discs::valid_motions << std::endl;
+    std::size_t vertices = 0, edges = 0;
+    std::cin >> vertices >> edges;
+    catch_up(*planner.prm, vertices, edges);
+    is_valid(*planner.prm);
+    std::cout << graph_of(*planner.prm) << "end" << std::endl;
+}
+
+// Grows without an end, and tells how many vertices the server has at least.
+void grow_on(const std::string &uri, const std::string &name) {
+    Planner planner(wayfold::Index::shared(uri, name, space));
+    for (;;) {
+        planner.grow(20);
+        const std::uint64_t vertices = planner.prm->milestoneCount(), pending = planner.prm->index().pending();
+        std::cout << vertices - std::min(vertices, pending) << std::endl;
+    }
+}
+
+// A roadmap of one process, or PRM's own.
+void grow_alone(bool is_shared, bool is_star) {
+    ompl::RNG::setSeed(5);
+    const auto si = discs::information();
+    const auto grow = [&](auto &prm) {
+        prm.setProblemDefinition(discs::problem(si));
+        prm.setup();
+        ob::IterationTerminationCondition counter(1200);
+        prm.growRoadmap(ob::PlannerTerminationCondition(counter));
+        std::cout << graph_of(prm) << "end" << std::endl;
+    };
+    if (is_shared) {
+        wayfold::SharedPRM prm(si, wayfold::Index::in_memory(space), is_star);
+        grow(prm);
+    } else {
+        og::PRM prm(si, is_star);
+        grow(prm);
+    }
+}
+
+std::string graph_from(Process &process) {
+    std::string graph;
+    for (std::string line = process.line(); line != "end"; line = process.line()) {
+        graph += line + "\n";
+    }
+    return graph;
+}
+
+// Two processes grow one roadmap: a third one loads it, without a check, and all have the same.
+void two_processes(const std::string &uri, bool expands) {
+    const std::string name = expands ? "expanded" : "grown", role = expands ? "expand" : "grow";
+    Process a({uri, role, name}), b({uri, role, name});
+    CHECK(a.line() == "ready" && b.line() == "ready");
+    a.say("go");
+    b.say("go");
+    const unsigned long valid = std::stoul(a.line()) + std::stoul(b.line());
+
+    discs::checked_states = discs::checked_motions = 0;
+    Planner planner(wayfold::Index::shared(uri, name));
+    planner.prm->refresh();
+    CHECK(discs::checked_states == 0 && discs::checked_motions == 0);
+    is_valid(*planner.prm);
+    const std::string graph = graph_of(*planner.prm);
+    const std::size_t vertices = count(graph, "vertex"), edges = count(graph, "edge");
+    CHECK(vertices >= 400 && edges > vertices && planner.prm->index().size() == vertices);
+    for (Process *process : {&a, &b}) {
+        process->say(std::to_string(vertices) + " " + std::to_string(edges));
+        CHECK(graph_from(*process) == graph);
+        CHECK(process->status() == 0);
+    }
+    if (!expands) {
+        // Each edge was checked by one process, once.
+        CHECK(valid == edges);
+    }
+    std::cout << name << ": " << vertices << " vertices, " << edges << " edges\n";
+
+    // A query on the loaded roadmap. Its start and its goal are not stored.
+    const auto definition = planner.prm->getProblemDefinition();
+    CHECK(planner.prm->solve(ob::timedPlannerTerminationCondition(60)) == ob::PlannerStatus::EXACT_SOLUTION);
+    CHECK(definition->getSolutionPath()->check());
+    planner.prm->flush();
+    const auto &index = planner.prm->index();
+    CHECK(index.nearest({0.5, 0.5, 0})->distance > 0 && index.nearest({9.5, 9.5, 1})->distance > 0);
+    CHECK(index.size() == planner.prm->milestoneCount() - 2);
+    // A second one: the states of the first stay in this graph alone.
+    planner.prm->setProblemDefinition(discs::problem(planner.si));
+    CHECK(planner.prm->solve(ob::timedPlannerTerminationCondition(60)) == ob::PlannerStatus::EXACT_SOLUTION);
+    planner.prm->flush();
+    CHECK(index.size() == planner.prm->milestoneCount() - 4);
+    // The planner forgets its graph, and loads the roadmap again; the index keeps it.
+    const std::string before = graph_of(*planner.prm);
+    planner.prm->clear();
+    CHECK(planner.prm->milestoneCount() == 0 && index.size() == count(before, "vertex"));
+    planner.prm->refresh();
+    CHECK(graph_of(*planner.prm) == before && planner.prm->milestoneCount() == index.size());
+}
+
+// Without obstacles and with at most k vertices, each pair is an edge: no process misses a vertex that another one
+// stores at the same time.
+void no_missed_edge(const std::string &uri) {
+    // Every motion is valid.
+    class AllMotions : public discs::Motions {
+    public:
+        using Motions::Motions;
+        bool checkMotion(const ob::State *, const ob::State *) const override { return true; }
+    };
+    for (int round = 0; round < 10; round++) {
+        const std::string name = "pairs-" + std::to_string(round);
+        Planner a(wayfold::Index::shared(uri, name, space)), b(wayfold::Index::shared(uri, name));
+        for (Planner *planner : {&a, &b}) {
+            planner->si->setMotionValidator(std::make_shared<AllMotions>(planner->si));
+            planner->prm->setMaxNearestNeighbors(20);
+        }
+        for (int vertex = 0; vertex < 5; vertex++) {
+            a.grow(1);
+            b.grow(1);
+        }
+        a.prm->flush();
+        b.prm->flush();
+        for (Planner *planner : {&a, &b}) {
+            catch_up(*planner->prm, 10, 45);
+            CHECK(planner->prm->milestoneCount() == 10 && planner->prm->edgeCount() == 45);
+        }
+    }
+}
+
+// A process that is killed leaves no edge to a vertex that is not there, and only valid ones.
+void killed(const std::string &uri) {
+    for (int round = 0; round < 4; round++) {
+        Process process({uri, "on", "killed"});
+        const unsigned long enough = 100 * (round + 1);
+        while (std::stoul(process.line()) < enough) {
+        }
+        process.kill();
+        const auto index = wayfold::Index::shared(uri, "killed");
+        std::set<std::uint64_t> ids;
+        for (const auto &point : index.scan()) {
+            ids.insert(point.id);
+        }
+        CHECK(ids.size() >= enough);
+        for (const std::uint64_t id : ids) {
+            for (const std::uint64_t other : wayfold::detail::edges_of(id, index.payload(id))) {
+                CHECK(ids.count(other) == 1);
+            }
+        }
+        Planner planner(index);
+        planner.prm->refresh();
+        CHECK(planner.prm->milestoneCount() == ids.size());
+        is_valid(*planner.prm);
+    }
+}
+
+void alone() {
+    for (const std::string star : {"", "star"}) {
+        Process shared({"alone", "shared" + star}), plain({"alone", "plain" + star});
+        // PRM's vertices are numbered as the index numbers its points.
+        const std::string graph = graph_from(shared);
+        CHECK(count(graph, "vertex") == 600 && graph == graph_from(plain));
+        CHECK(shared.status() == 0 && plain.status() == 0);
+    }
+}
+
+// Start and goal states of a query get edges to vertices of other processes that arrive later, and a connection
+// strategy within a radius works as well.
+void queries_and_strategies(const std::string &uri) {
+    Planner a(wayfold::Index::shared(uri, "queries", space)), b(wayfold::Index::shared(uri, "queries"));
+    for (Planner *planner : {&a, &b}) {
+        const auto &near = planner->prm->getNearestNeighbors();
+        planner->prm->setConnectionStrategy([near, found = std::vector<og::PRM::Vertex>()](og::PRM::Vertex at) mutable
+                                            -> const std::vector<og::PRM::Vertex> & {
+            near->nearestR(at, 1.5, found);
+            return found;
+        });
+    }
+    CHECK(a.prm->solve(ob::timedPlannerTerminationCondition(0.0)) != ob::PlannerStatus::EXACT_SOLUTION);
+    b.grow(1500);
+    b.prm->flush();
+    const std::size_t vertices = b.prm->milestoneCount(), edges = b.prm->edgeCount();
+    catch_up(*a.prm, vertices + 2, edges);
+    is_valid(*a.prm);
+    // Both ends are connected, though this process has sampled nothing since.
+    CHECK(a.prm->edgeCount() > edges + 1);
+    CHECK(a.prm->solve(ob::timedPlannerTerminationCondition(60)) == ob::PlannerStatus::EXACT_SOLUTION);
+}
+
+template <class Exception, class Action> void refuses(const std::string &sentence, Action action) {
+    const std::string message = message_of<Exception>(action);
+    if (message.find(sentence) == std::string::npos) {
+        std::cerr << "expected: " << sentence << "\nfound: " << message << "\n";
+        std::exit(1);
+    }
+}
+
+void refusals(const std::string &uri) {
+    const auto si = discs::information();
+    const auto other_space = wayfold::Index::shared(uri, "other-space", "R3");
+    refuses<ompl::Exception>("the index has the space R3", [&] { wayfold::SharedPRM(si, other_space); });
+    // Without a problem definition an edge has no cost.
+    wayfold::SharedPRM undefined(si, wayfold::Index::in_memory(space));
+    refuses<ompl::Exception>("problem definition", [&] { undefined.growRoadmap(0.01); });
+
+    // A point that is no vertex.
+    const auto index = wayfold::Index::shared(uri, "refusals", space);
+    const auto foreign = index.insert({0.1, 0.1, 0}, 0, "abc");
+    Planner planner(index);
+    refuses<ompl::Exception>("is no vertex of a roadmap", [&] { planner.prm->refresh(); });
+    refuses<ompl::Exception>("is no vertex of a roadmap", [&] { planner.grow(10); });
+    CHECK(index.remove(foreign));
+    planner.prm->clear();
+    planner.grow(100);
+    planner.prm->flush();
+    CHECK(planner.prm->milestoneCount() == 100 && index.size() == 100);
+
+    // Another program removes a vertex.
+    const auto remote = wayfold::Index::remote(uri, "refusals");
+    CHECK(remote.remove(*planner.prm->id(7)));
+    index.flush();
+    const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(60);
+    while (index.size() == 100) {
+        CHECK(std::chrono::steady_clock::now() < end);
+    }
+    refuses<ompl::Exception>("was removed from the index", [&] { planner.prm->refresh(); });
+    planner.prm->clear();
+    planner.prm->refresh();
+    CHECK(planner.prm->milestoneCount() == 99);
+    is_valid(*planner.prm);
+
+    // The index takes no more writes: growing ends with its error, and so does each further call.
+    CHECK(index.close(10000) == 0);
+    refuses<wayfold::Error>("closed", [&] { planner.prm->growRoadmap(30.0); });
+    refuses<wayfold::Error>("closed", [&] { planner.prm->refresh(); });
+    planner.prm->clear();
+    refuses<wayfold::Error>("closed", [&] { planner.grow(5); });
+
+    // The distance of this space is not that of the text.
+    const auto rows = [](const ob::State *state, double *row) {
+        const auto &pose = *state->as<discs::Pose>();
+        row[0] = 2 * pose.getX();
+        row[1] = pose.getY();
+        row[2] = pose.getYaw();
+    };
+    const auto states = [](const double *row, ob::State *state) {
+        state->as<discs::Pose>()->setXY(row[0] / 2, row[1]);
+        state->as<discs::Pose>()->setYaw(row[2]);
+    };
+    wayfold::SharedPRM stretched(si, wayfold::Index::in_memory(space), rows, states);
+    stretched.setProblemDefinition(discs::problem(si));
+    refuses<ompl::Exception>("distance of two states", [&] { stretched.growRoadmap(30.0); });
+}
+
+// In SimpleSetup, with functions that write and read the rows.
+void simple_setup(const std::string &uri) {
+    og::SimpleSetup setup(discs::information());
+    const auto problem = discs::problem(setup.getSpaceInformation());
+    setup.setStartState(ob::ScopedState<>(setup.getStateSpace(), problem->getStartState(0)));
+    setup.setGoal(problem->getGoal());
+    const auto planner = std::make_shared<wayfold::SharedPRM>(
+        setup.getSpaceInformation(), wayfold::Index::shared(uri, "setup", space),
+        [](const ob::State *state, double *row) {
+            const auto &pose = *state->as<discs::Pose>();
+            row[0] = pose.getX();
+            row[1] = pose.getY();
+            row[2] = pose.getYaw();
+        },
+        [](const double *row, ob::State *state) {
+            state->as<discs::Pose>()->setXY(row[0], row[1]);
+            state->as<discs::Pose>()->setYaw(row[2]);
+        });
+    setup.setPlanner(planner);
+    CHECK(setup.solve(60) == ob::PlannerStatus::EXACT_SOLUTION && setup.getSolutionPath().check());
+    planner->constructRoadmap(ob::timedPlannerTerminationCondition(0.7));
+    planner->flush();
+    is_valid(*planner);
+    Planner reader(wayfold::Index::shared(uri, "setup"));
+    reader.prm->refresh();
+    CHECK(graph_of(*reader.prm) == graph_of(*planner));
+    setup.clear();
+    CHECK(planner->milestoneCount() == 0 && reader.prm->index().size() > 0);
+}
+
+} // namespace
+
+int main(int count, char **arguments) {
+    ompl::msg::setLogLevel(ompl::msg::LOG_NONE);
+    const std::vector<std::string> words(arguments + 1, arguments + count);
+    const std::string role = words.size() > 1 ? words[1] : "";
+    if (words.at(0) == "alone") {
+        grow_alone(role.find("shared") == 0, role.find("star") != std::string::npos);
+    } else if (role == "grow" || role == "expand") {
+        grow(words[0], words.at(2), 200, role == "expand");
+    } else if (role == "on") {
+        grow_on(words[0], words.at(2));
+    } else {
+        CHECK(words.size() == 1);
+        alone();
+        two_processes(words[0], false);
+        two_processes(words[0], true);
+        no_missed_edge(words[0]);
+        killed(words[0]);
+        queries_and_strategies(words[0]);
+        refusals(words[0]);
+        simple_setup(words[0]);
+        std::cout << "shared_prm: ok\n";
+    }
+}

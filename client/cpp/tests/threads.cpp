@@ -1,0 +1,76 @@
+// What several threads may do at once, for the thread sanitizer: threads URI. It sees the C++ code, not the library.
+#include "check.hpp"
+#include "discs.hpp"
+
+#include <atomic>
+#include <ompl/util/Console.h>
+#include <random>
+#include <string>
+#include <thread>
+#include <vector>
+#include <wayfold/shared_prm.hpp>
+
+namespace ob = ompl::base;
+
+namespace {
+
+const std::string space = "sum(R2, SO2:0.5)";
+
+// Inserts, removals, searches and errors of one index, on four threads.
+void one_index(const wayfold::Index &index) {
+    constexpr unsigned int rounds = 300;
+    const std::uint64_t before = index.changes(~0ULL)->seen;
+    std::vector<std::thread> threads;
+    std::atomic<std::size_t> removed{0};
+    for (unsigned int number = 0; number < 4; number++) {
+        threads.emplace_back([&, number] {
+            std::mt19937 random(number);
+            std::uniform_real_distribution<double> uniform(-3, 3);
+            std::vector<std::uint64_t> ids, near;
+            for (unsigned int round = 0; round < rounds; round++) {
+                const std::vector<double> row{uniform(random), uniform(random), uniform(random)};
+                ids.push_back(index.insert(row.data(), number, "payload", wayfold::Search::k(3), 3, near));
+                CHECK(index.nearest(row)->distance == 0 && index.nearest_k(row, 5).size() <= 5);
+                CHECK(index.payloads({ids.back()})[0] == "payload");
+                CHECK(!message_of<wayfold::Error>([&] { index.insert({1, 2}); }).empty());
+                if (round % 3 == 0) {
+                    removed += index.remove(ids[random() % ids.size()]);
+                }
+            }
+            CHECK(index.changes(before)->stored.size() <= 4 * rounds);
+        });
+    }
+    for (std::thread &thread : threads) {
+        thread.join();
+    }
+    CHECK(index.size() == 4 * rounds - removed);
+}
+
+// PRM's two threads, the thread that reads payloads, and another planner on the same roadmap.
+void two_planners(const std::string &uri) {
+    std::vector<std::thread> threads;
+    for (int number = 0; number < 2; number++) {
+        threads.emplace_back([&] {
+            const auto si = discs::information();
+            wayfold::SharedPRM planner(si, wayfold::Index::shared(uri, "threads-prm", space));
+            planner.setProblemDefinition(discs::problem(si));
+            planner.growRoadmap(0.3);
+            CHECK(planner.solve(ob::timedPlannerTerminationCondition(60)) == ob::PlannerStatus::EXACT_SOLUTION);
+            planner.flush();
+        });
+    }
+    for (std::thread &thread : threads) {
+        thread.join();
+    }
+}
+
+} // namespace
+
+int main(int count, char **arguments) {
+    CHECK(count == 2);
+    ompl::msg::setLogLevel(ompl::msg::LOG_NONE);
+    one_index(wayfold::Index::in_memory(space));
+    one_index(wayfold::Index::shared(arguments[1], "threads", space));
+    two_planners(arguments[1]);
+    std::cout << "threads: ok\n";
+}

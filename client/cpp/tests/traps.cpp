@@ -1,0 +1,160 @@
+// ompl.hpp: spaces behind wrappers, spaces of one's own, and distances that are not ours.
+#include "check.hpp"
+#include "problem.hpp"
+
+#include <cmath>
+#include <memory>
+#include <ompl/base/spaces/DiscreteStateSpace.h>
+#include <ompl/base/spaces/RealVectorStateSpace.h>
+#include <ompl/base/spaces/TimeStateSpace.h>
+#include <ompl/base/spaces/WrapperStateSpace.h>
+#include <ompl/geometric/planners/rrt/RRT.h>
+#include <ompl/geometric/planners/rrt/RRTConnect.h>
+#include <ompl/util/Console.h>
+#include <string>
+#include <vector>
+#include <wayfold/ompl.hpp>
+
+namespace og = ompl::geometric;
+
+namespace {
+
+// A space of one's own, in a wrapper of OMPL.
+class Wrapper : public ob::WrapperStateSpace {
+public:
+    using WrapperStateSpace::WrapperStateSpace;
+};
+
+// Wrappers within a compound space within a wrapper: rows have the numbers of the innermost states, in order, and set a
+// state to them again. OMPL itself bears no wrapped compound space within another.
+void wrappers() {
+    auto position = std::make_shared<ob::RealVectorStateSpace>(3);
+    position->setBounds(box(3));
+    auto time = std::make_shared<ob::TimeStateSpace>();
+    time->setBounds(0, 3);
+    auto compound = std::make_shared<ob::CompoundStateSpace>();
+    compound->addSubspace(std::make_shared<Wrapper>(position), 0.5);
+    compound->addSubspace(std::make_shared<Wrapper>(std::make_shared<ob::SO3StateSpace>()), 0.5);
+    compound->addSubspace(time, 2);
+    compound->addSubspace(std::make_shared<Wrapper>(std::make_shared<ob::DiscreteStateSpace>(0, 5)), 1);
+    compound->addSubspace(std::make_shared<ob::SO2StateSpace>(), 1);
+    const auto outer = std::make_shared<Wrapper>(compound);
+    outer->setup();
+    const wayfold::OmplSpace space(outer);
+    CHECK(space.text() == "sum(R3:0.5, SO3:0.5, R1:2, R1, SO2)" && space.width() == 10);
+    const auto index = wayfold::Index::in_memory(space.text());
+    ob::State *a = outer->allocState(), *b = outer->allocState();
+    const auto sampler = outer->allocStateSampler();
+    std::vector<double> row(space.width()), other(space.width());
+    for (int round = 0; round < 1000; round++) {
+        sampler->sampleUniform(a);
+        sampler->sampleUniform(b);
+        space.write(a, row.data());
+        space.write(b, other.data());
+        CHECK(std::fabs(index.distance(row.data(), other.data()) - outer->distance(a, b)) < 1e-9);
+        space.read(row.data(), b);
+        space.write(b, other.data());
+        CHECK(row == other && outer->equalStates(a, b));
+    }
+    outer->freeState(a);
+    outer->freeState(b);
+}
+
+// Joints whose distances add up, as in MoveIt.
+class Joints : public ob::RealVectorStateSpace {
+public:
+    Joints() : RealVectorStateSpace(3) { setBounds(0, 10); }
+    double distance(const ob::State *a, const ob::State *b) const override {
+        double sum = 0;
+        for (unsigned int at = 0; at < 3; at++) {
+            sum += std::fabs(a->as<StateType>()->values[at] - b->as<StateType>()->values[at]);
+        }
+        return sum;
+    }
+};
+
+// Runs a planner to the other end of the space.
+template <class P, class Use> void plan(Use use) {
+    const auto space = std::make_shared<Joints>();
+    const auto si = std::make_shared<ob::SpaceInformation>(space);
+    si->setStateValidityChecker([](const ob::State *state) {
+        const double *values = state->as<Joints::StateType>()->values;
+        return std::fabs(values[0] - 5) > 0.5 || values[1] < 5;
+    });
+    si->setup();
+    ob::ScopedState<Joints> start(space), goal(space);
+    start->values[0] = start->values[1] = start->values[2] = 9;
+    goal->values[0] = goal->values[1] = 1;
+    goal->values[2] = 9;
+    const auto definition = std::make_shared<ob::ProblemDefinition>(si);
+    definition->setStartAndGoalStates(start, goal, 0.5);
+    P planner(si);
+    planner.setProblemDefinition(definition);
+    use(planner);
+    CHECK(planner.ob::Planner::solve(60.0) == ob::PlannerStatus::EXACT_SOLUTION);
+    CHECK(definition->getSolutionPath()->check());
+}
+
+void spaces_of_ones_own() {
+    const auto write = [](const ob::State *state, double *row) {
+        std::copy_n(state->as<Joints::StateType>()->values, 3, row);
+    };
+    const auto with_text = [&](auto &planner) { wayfold::use(planner, "sum(R1^3)", write); };
+    plan<og::RRTConnect>(with_text);
+    plan<og::RRT>(with_text);
+    // The space says that it is R3.
+    const auto plain = message_of<ompl::Exception>([] { plan<og::RRT>([](auto &planner) { wayfold::use(planner); }); });
+    CHECK(plain.find("distance of two states") != std::string::npos);
+    const auto other = message_of<ompl::Exception>(
+        [&] { plan<og::RRT>([&](auto &planner) { wayfold::use(planner, "sum(R1:2, R1^2)", write); }); });
+    CHECK(other.find("distance of two states") != std::string::npos);
+}
+
+// A motion with a cost, as in planners that search in the space of states and costs (AOX-RRT-Connect): they add the
+// difference of costs to the distance.
+struct CostMotion {
+    ob::State *state;
+    double cost;
+};
+
+void distances_with_costs() {
+    const auto si = se2().si;
+    wayfold::detail::Context context;
+    context.space = std::make_shared<wayfold::OmplSpace>(si->getStateSpace());
+    context.text = context.space->text();
+    context.information = si;
+    const auto sampler = si->allocStateSampler();
+    std::vector<std::unique_ptr<CostMotion>> motions;
+    for (int at = 0; at < 10; at++) {
+        motions.push_back(std::make_unique<CostMotion>(CostMotion{si->allocState(), 0.5 * at}));
+        sampler->sampleUniform(motions.back()->state);
+    }
+    wayfold::NearestNeighborsWayfold<CostMotion *> plain(context), with_costs(context);
+    plain.setDistanceFunction(
+        [&](CostMotion *const &a, CostMotion *const &b) { return si->distance(a->state, b->state); });
+    with_costs.setDistanceFunction([&](CostMotion *const &a, CostMotion *const &b) {
+        return si->distance(a->state, b->state) + std::fabs(a->cost - b->cost);
+    });
+    const auto add_all = [&](auto &neighbors) {
+        for (const auto &motion : motions) {
+            neighbors.add(motion.get());
+        }
+    };
+    add_all(plain);
+    CHECK(plain.size() == 10);
+    const auto refused = message_of<ompl::Exception>([&] { add_all(with_costs); });
+    CHECK(refused.find("distance of two states") != std::string::npos);
+    for (const auto &motion : motions) {
+        si->freeState(motion->state);
+    }
+}
+
+} // namespace
+
+int main() {
+    ompl::msg::setLogLevel(ompl::msg::LOG_NONE);
+    wrappers();
+    spaces_of_ones_own();
+    distances_with_costs();
+    std::cout << "traps: ok\n";
+}

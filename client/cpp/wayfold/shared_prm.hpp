@@ -1,0 +1,203 @@
+// OMPL's PRM on one roadmap that many processes grow:
+//
+//     auto index = wayfold::Index::shared(url, "roadmap", wayfold::OmplSpace(space).text());
+//     auto planner = std::make_shared<wayfold::SharedPRM>(si, index);
+//     setup.setPlanner(planner);
+//
+// A vertex is a point of the index. Its payload has the ids at the ends of its edges, in eight bytes each,
+// little-endian. The process that stores a vertex has checked the state and these edges; all others take them over
+// unchecked. Of two vertices, the later one in the index's order tries the motion to the earlier.
+#pragma once
+
+#include <wayfold/shared_roadmap.hpp>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <exception>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <thread>
+#include <utility>
+#include <vector>
+
+namespace wayfold {
+
+// Solves and grows like PRM; use it through this type or a base::Planner, because og::PRM's own methods that grow the
+// roadmap do not report errors of the index. Each planner opens the index for itself: what others stored meanwhile is
+// told once. Start and goal states are vertices of this process alone. An error of the index ends the call, which throws
+// it (wayfold::Error); so do all further calls until `clear`.
+class SharedPRM : public detail::SharedRoadmap {
+    using Condition = ompl::base::PlannerTerminationCondition;
+
+public:
+    // With `star`, connects like PRM*.
+    SharedPRM(const ompl::base::SpaceInformationPtr &si, const Index &index, bool star = false)
+        : SharedPRM(si, index, detail::RowsOfStates(si->getStateSpace()), star) {}
+
+    // For spaces of your own: functions that write a state's row, and set a state to a row.
+    SharedPRM(const ompl::base::SpaceInformationPtr &si, const Index &index, StateToRow write, RowToState read,
+              bool star = false)
+        : SharedPRM(si, index, detail::RowsOfStates(index.space(), std::move(write), std::move(read)), star) {}
+
+    using ompl::base::Planner::solve;
+    ompl::base::PlannerStatus solve(const Condition &condition) override {
+        checkValidity();
+        ompl::base::PlannerStatus status;
+        run([&] { status = PRM::solve(until(condition)); });
+        return status;
+    }
+    void constructRoadmap(const Condition &condition) {
+        run([&] { PRM::constructRoadmap(until(condition)); });
+    }
+    void growRoadmap(const Condition &condition) {
+        run([&] { PRM::growRoadmap(until(condition)); });
+    }
+    void growRoadmap(double seconds) { growRoadmap(ompl::base::timedPlannerTerminationCondition(seconds)); }
+    void expandRoadmap(const Condition &condition) {
+        run([&] { PRM::expandRoadmap(until(condition)); });
+    }
+    void expandRoadmap(double seconds) { expandRoadmap(ompl::base::timedPlannerTerminationCondition(seconds)); }
+
+    // Adds the vertices and edges of others that this process's copy of the index has. Every call that grows or solves
+    // begins with it.
+    void refresh() {
+        run([] {});
+    }
+
+    // Waits until the server has every vertex and edge of this process, also the edges to vertices that others stored
+    // meanwhile, which it checks. Without it, a process that ends may lose its last ones.
+    void flush(std::chrono::milliseconds timeout = std::chrono::seconds(30)) {
+        const auto end = std::chrono::steady_clock::now() + timeout;
+        for (bool is_done = false; !is_done;) {
+            run([&] {
+                index_.flush();
+                const std::lock_guard<std::mutex> lock(graphMutex_);
+                take_answers(std::chrono::milliseconds(100));
+                synchronize(true);
+                is_done = unanswered_ == 0 && late_.empty() && index_.pending() == 0;
+            });
+            if (!is_done && std::chrono::steady_clock::now() > end) {
+                throw Error(WAYFOLD_CODE_DEADLINE_EXCEEDED, "flush: the roadmap is not stored in time", "timeout", "");
+            }
+        }
+    }
+
+    // Forgets the graph of this process; the next call loads the shared roadmap again. Nothing is removed from the
+    // index. Edges that a `flush` would have checked are not tried any more.
+    void clear() override {
+        if (reading_.valid()) {
+            reading_.wait();
+        }
+        PRM::clear();
+        forget();
+        failure_ = nullptr;
+        has_failed_ = false;
+    }
+
+    // The old start and goal states stay in the graph of this process, and get no further edges.
+    void clearQuery() override {
+        PRM::clearQuery();
+        const std::lock_guard<std::mutex> lock(graphMutex_);
+        forget_queries();
+    }
+
+    // The id of a vertex in the index; none for a start or goal state.
+    std::optional<std::uint64_t> id(Vertex vertex) const {
+        return vertex < ids_.size() && !is_query(vertex) ? std::optional<std::uint64_t>(ids_[vertex]) : std::nullopt;
+    }
+
+    const Index &index() const { return index_; }
+
+    // The vertices are in the shared index.
+    template <template <typename> class NN> void setNearestNeighbors() = delete;
+
+private:
+    friend class detail::RoadmapNeighbors<SharedPRM>;
+
+    SharedPRM(const ompl::base::SpaceInformationPtr &si, const Index &index, detail::RowsOfStates rows, bool star)
+        : SharedRoadmap(si, index, std::move(rows), star) {
+        setName(star ? "SharedPRMstar" : "SharedPRM");
+        if (queries_.space() != index.space()) {
+            throw ompl::Exception("wayfold: the states of " + si->getStateSpace()->getName() + " are those of " +
+                                  queries_.space() + ", and the index has the space " + index.space());
+        }
+        nn_ = std::make_shared<detail::RoadmapNeighbors<SharedPRM>>(*this);
+        nn_->setDistanceFunction([this](const Vertex &a, const Vertex &b) { return distanceFunction(a, b); });
+    }
+
+    // Runs an action between two exchanges with the index.
+    template <class Action> void run(Action action) {
+        if (!isSetup()) {
+            setup();
+        }
+        if (opt_ == nullptr) {
+            throw ompl::Exception(getName(), "set a problem definition first: it has the costs of edges");
+        }
+        // PRM uses these if they are there. They tell vertices that are sampled from start and goal states.
+        if (sampler_ == nullptr) {
+            sampler_ = std::make_shared<detail::MarkingValidSampler>(si_.get(), si_->allocValidStateSampler(), grower_);
+        }
+        if (simpleSampler_ == nullptr) {
+            simpleSampler_ = std::make_shared<detail::MarkingSampler>(si_->getStateSpace().get(),
+                                                                      si_->allocStateSampler(), grower_);
+        }
+        grower_ = std::thread::id();
+        exchange(true);
+        action();
+        grower_ = std::thread::id();
+        exchange(false);
+    }
+
+    void exchange(bool waits) {
+        const std::lock_guard<std::mutex> lock(graphMutex_);
+        guarded([&] { synchronize(waits); });
+        if (failure_ != nullptr) {
+            std::rethrow_exception(failure_);
+        }
+    }
+
+    Condition until(const Condition &condition) {
+        return Condition([this, condition] { return has_failed_ || condition(); });
+    }
+
+    // Keeps the error: PRM calls this where an exception would end the process, or leave its graph locked.
+    template <class Action> void guarded(Action action) noexcept {
+        if (!has_failed_) {
+            try {
+                action();
+            } catch (...) {
+                failure_ = std::current_exception();
+                has_failed_ = true;
+            }
+        }
+    }
+
+    // PRM has made a vertex and its edges. It holds the lock of the graph.
+    void add(Vertex vertex) {
+        ids_.resize(std::max<std::size_t>(ids_.size(), vertex + 1), no_id);
+        guarded([&] {
+            check_distances(vertex);
+            if (grower_.load() == std::this_thread::get_id()) {
+                store(vertex);
+                synchronize(false);
+            } else {
+                add_query(vertex);
+            }
+        });
+    }
+
+    void search(Vertex vertex, const Search &search, std::vector<Vertex> &found) {
+        found.clear();
+        guarded([&] { find_near(vertex, search, found); });
+    }
+
+    // The thread that samples vertices.
+    std::atomic<std::thread::id> grower_{};
+    std::exception_ptr failure_;
+    std::atomic<bool> has_failed_{false};
+};
+
+} // namespace wayfold

@@ -1,0 +1,209 @@
+// The parts of wayfold/shared_prm.hpp, which includes it: states as rows, payloads, samplers, and the interface of
+// OMPL's nearest neighbours.
+#pragma once
+
+#include <wayfold/ompl_space.hpp>
+#include <wayfold/wayfold.hpp>
+
+#ifdef WAYFOLD_NO_NET
+#error "wayfold::SharedPRM needs a library with the network: install it without -DWAYFOLD_NET=OFF"
+#endif
+
+#include <ompl/base/OptimizationObjective.h>
+#include <ompl/base/SpaceInformation.h>
+#include <ompl/base/StateSampler.h>
+#include <ompl/base/ValidStateSampler.h>
+#include <ompl/datastructures/NearestNeighbors.h>
+#include <ompl/geometric/planners/prm/PRM.h>
+#include <ompl/util/Console.h>
+#include <ompl/util/Exception.h>
+#include <ompl/util/RandomNumbers.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <optional>
+#include <string>
+#include <thread>
+#include <unordered_set>
+#include <utility>
+#include <vector>
+
+namespace wayfold::detail {
+
+// The states of a space as rows.
+class RowsOfStates {
+public:
+    explicit RowsOfStates(const ompl::base::StateSpacePtr &space)
+        : space_(std::make_shared<OmplSpace>(space)), text_(space_->text()) {}
+    RowsOfStates(std::string text, StateToRow write, RowToState read)
+        : text_(std::move(text)), write_(std::move(write)), read_(std::move(read)) {}
+
+    const std::string &text() const { return text_; }
+    void write(const ompl::base::State *state, double *row) const {
+        space_ != nullptr ? space_->write(state, row) : write_(state, row);
+    }
+    void read(const double *row, ompl::base::State *state) const {
+        space_ != nullptr ? space_->read(row, state) : read_(row, state);
+    }
+
+private:
+    std::shared_ptr<const OmplSpace> space_;
+    std::string text_;
+    StateToRow write_;
+    RowToState read_;
+};
+
+// The ids at the ends of a vertex's edges, ascending, in eight bytes each, little-endian.
+inline std::string payload_of(std::vector<std::uint64_t> ids) {
+    std::sort(ids.begin(), ids.end());
+    std::string payload;
+    payload.reserve(8 * ids.size());
+    for (const std::uint64_t id : ids) {
+        for (unsigned int byte = 0; byte < 8; byte++) {
+            payload.push_back(static_cast<char>(id >> (8 * byte)));
+        }
+    }
+    return payload;
+}
+
+inline std::vector<std::uint64_t> edges_of(std::uint64_t id, const std::string &payload) {
+    if (payload.size() % 8 != 0) {
+        throw ompl::Exception("wayfold: point " + std::to_string(id) + " is no vertex of a roadmap: its payload has " +
+                              std::to_string(payload.size()) + " bytes, and ids have eight each");
+    }
+    std::vector<std::uint64_t> ids(payload.size() / 8, 0);
+    for (std::size_t at = 0; at < payload.size(); at++) {
+        ids[at / 8] |= static_cast<std::uint64_t>(static_cast<unsigned char>(payload[at])) << (8 * (at % 8));
+    }
+    return ids;
+}
+
+// What has changed since a mark; everything without one, or if the index has forgotten some of it. `known` are the ids
+// that the caller has, as the keys of a map.
+template <class Known>
+Changes changes_after(const Index &index, const std::optional<std::uint64_t> &seen, const Known &known) {
+    std::optional<Changes> changes = seen ? index.changes(*seen) : std::nullopt;
+    if (changes) {
+        return std::move(*changes);
+    }
+    // The mark comes first: what changes during the scan is read again.
+    const std::optional<Changes> mark = index.changes(~std::uint64_t{0});
+    Changes all{index.scan(), {}, mark ? mark->seen : 0};
+    std::unordered_set<std::uint64_t> stored;
+    for (const StoredPoint &point : all.stored) {
+        stored.insert(point.id);
+    }
+    for (const auto &[id, value] : known) {
+        if (stored.count(id) == 0) {
+            all.removed.push_back(id);
+        }
+    }
+    return all;
+}
+
+// Samplers that note the thread which samples.
+class MarkingValidSampler : public ompl::base::ValidStateSampler {
+public:
+    MarkingValidSampler(const ompl::base::SpaceInformation *si, ompl::base::ValidStateSamplerPtr sampler,
+                        std::atomic<std::thread::id> &thread)
+        : ValidStateSampler(si), sampler_(std::move(sampler)), thread_(thread) {}
+
+    bool sample(ompl::base::State *state) override {
+        thread_ = std::this_thread::get_id();
+        return sampler_->sample(state);
+    }
+    bool sampleNear(ompl::base::State *state, const ompl::base::State *near, double distance) override {
+        thread_ = std::this_thread::get_id();
+        return sampler_->sampleNear(state, near, distance);
+    }
+
+private:
+    ompl::base::ValidStateSamplerPtr sampler_;
+    std::atomic<std::thread::id> &thread_;
+};
+
+class MarkingSampler : public ompl::base::StateSampler {
+public:
+    MarkingSampler(const ompl::base::StateSpace *space, ompl::base::StateSamplerPtr sampler,
+                   std::atomic<std::thread::id> &thread)
+        : StateSampler(space), sampler_(std::move(sampler)), thread_(thread) {}
+
+    void sampleUniform(ompl::base::State *state) override {
+        thread_ = std::this_thread::get_id();
+        sampler_->sampleUniform(state);
+    }
+    void sampleUniformNear(ompl::base::State *state, const ompl::base::State *near, double distance) override {
+        thread_ = std::this_thread::get_id();
+        sampler_->sampleUniformNear(state, near, distance);
+    }
+    void sampleGaussian(ompl::base::State *state, const ompl::base::State *mean, double deviation) override {
+        thread_ = std::this_thread::get_id();
+        sampler_->sampleGaussian(state, mean, deviation);
+    }
+
+private:
+    ompl::base::StateSamplerPtr sampler_;
+    std::atomic<std::thread::id> &thread_;
+};
+
+// The roadmap as OMPL's nearest neighbours: PRM's strategies search it, and PRM adds each vertex to it once the vertex
+// has its edges.
+template <class Roadmap> class RoadmapNeighbors : public ompl::NearestNeighbors<ompl::geometric::PRM::Vertex> {
+    using Vertex = ompl::geometric::PRM::Vertex;
+
+public:
+    explicit RoadmapNeighbors(Roadmap &roadmap) : roadmap_(roadmap) {}
+
+    bool reportsSortedResults() const override { return true; }
+    // The planner forgets its vertices itself.
+    void clear() override {}
+    void add(const Vertex &vertex) override { roadmap_.add(vertex); }
+    void add(const std::vector<Vertex> &vertices) override {
+        for (const Vertex vertex : vertices) {
+            add(vertex);
+        }
+    }
+    bool remove(const Vertex &) override {
+        throw ompl::Exception("wayfold: vertices of a shared roadmap stay; remove points from the index, and clear");
+    }
+    Vertex nearest(const Vertex &vertex) const override {
+        std::vector<Vertex> found;
+        nearestK(vertex, 1, found);
+        if (found.empty()) {
+            throw ompl::Exception("No elements found in nearest neighbors data structure");
+        }
+        return found[0];
+    }
+    void nearestK(const Vertex &vertex, std::size_t k, std::vector<Vertex> &found) const override {
+        found.clear();
+        if (k > 0) {
+            const auto most = std::min<std::size_t>(k, std::numeric_limits<std::uint32_t>::max());
+            roadmap_.search(vertex, Search::k(static_cast<std::uint32_t>(most)), found);
+        }
+    }
+    // The closed ball.
+    void nearestR(const Vertex &vertex, double radius, std::vector<Vertex> &found) const override {
+        found.clear();
+        if (radius >= 0) {
+            roadmap_.search(vertex, Search::within(radius), found);
+        }
+    }
+    std::size_t size() const override { return roadmap_.milestoneCount(); }
+    void list(std::vector<Vertex> &found) const override {
+        found.resize(size());
+        for (std::size_t at = 0; at < found.size(); at++) {
+            found[at] = at;
+        }
+    }
+
+private:
+    Roadmap &roadmap_;
+    // OMPL's GNAT has a generator, which draws one of the process's seeds. Without this one, the planner's samplers would
+    // get other seeds than in PRM.
+    ompl::RNG generator_;
+};
+
+} // namespace wayfold::detail

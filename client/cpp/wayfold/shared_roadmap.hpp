@@ -1,0 +1,395 @@
+// The graph of wayfold/shared_prm.hpp, which includes it: it takes over vertices and edges of other processes, and stores
+// those of this one.
+#pragma once
+
+#include <wayfold/shared_prm_parts.hpp>
+
+#include <algorithm>
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <future>
+#include <optional>
+#include <set>
+#include <string>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+namespace wayfold::detail {
+
+// All functions run with the lock of PRM's graph.
+class SharedRoadmap : public ompl::geometric::PRM {
+protected:
+    static constexpr std::uint64_t no_id = ~std::uint64_t{0};
+
+    SharedRoadmap(const ompl::base::SpaceInformationPtr &si, const Index &index, RowsOfStates rows, bool star)
+        : PRM(si, star), index_(index), rows_(std::move(rows)), queries_(Index::in_memory(rows_.text())) {}
+
+    // The graph is empty: the next exchange loads all vertices.
+    void forget() {
+        ids_.clear();
+        vertices_.clear();
+        own_edges_.clear();
+        changed_.clear();
+        missing_.clear();
+        late_.clear();
+        arriving_.clear();
+        reading_ = {};
+        search_.reset();
+        offered_.reset();
+        known_edges_ = 0;
+        seen_ = 0;
+        is_loaded_ = false;
+    }
+
+    void forget_queries() {
+        queries_.clear();
+        query_vertices_.clear();
+    }
+
+    bool is_query(Vertex vertex) const { return ids_[vertex] == no_id; }
+
+    std::vector<double> row_of(Vertex vertex) const {
+        std::vector<double> row(index_.width());
+        rows_.write(stateProperty_[vertex], row.data());
+        return row;
+    }
+
+    // A start or goal state.
+    void add_query(Vertex vertex) { query_vertices_.emplace(queries_.insert(row_of(vertex)), vertex); }
+
+    void check_distances(Vertex vertex) {
+        for (Vertex other = vertex; other > 0 && vertex - other < 8 && unchecked_distances_ > 0; unchecked_distances_--) {
+            other--;
+            const double ours = index_.distance(row_of(other).data(), row_of(vertex).data());
+            check_distance(ours, distanceFunction(other, vertex), rows_.text());
+        }
+    }
+
+    // A sampled vertex, with its edges.
+    void store(Vertex vertex) {
+        const std::vector<double> row = row_of(vertex);
+        std::vector<std::uint64_t> edges = take_edges(vertex), near;
+        std::uint64_t id = no_id;
+        if (asked_ == vertex && search_) {
+            // An answer within a radius may grow until the insert; vertices beyond this room come too late to be tried.
+            const std::size_t room = search_->raw().k > 0 ? search_->raw().k : index_.size() + 1024;
+            id = index_.insert(row.data(), 0, payload_of(edges), *search_, room, near);
+        } else {
+            id = index_.insert(row, 0, payload_of(edges));
+        }
+        ids_[vertex] = id;
+        vertices_.emplace(id, vertex);
+        own_edges_.emplace(id, std::move(edges));
+        for (const std::uint64_t other : near) {
+            if (!std::binary_search(tried_.begin(), tried_.end(), other)) {
+                late_.emplace_back(id, other);
+            }
+        }
+        search_.reset();
+    }
+
+    void synchronize(bool waits) {
+        take_edges(boost::graph_traits<Graph>::null_vertex());
+        take_answers(std::chrono::milliseconds(0));
+        take_read(waits);
+        start_reading();
+        if (waits) {
+            take_read(true);
+        }
+        try_late_motions();
+        for (const std::uint64_t id : changed_) {
+            index_.set_payload(id, payload_of(own_edges_[id]));
+        }
+        changed_.clear();
+    }
+
+    // Vertices that others stored before an own one, and that its insert could not see.
+    void take_answers(std::chrono::milliseconds timeout) {
+        const MeanwhileAnswers told = index_.meanwhile(static_cast<std::uint64_t>(timeout.count()));
+        for (const Meanwhile &answer : told.answers) {
+            for (const Neighbor &near : answer.neighbors) {
+                late_.emplace_back(answer.id, near.id);
+            }
+        }
+        unanswered_ = told.open;
+        if (told.has_dropped) {
+            OMPL_WARN("%s: edges to vertices of other processes are missed: none were asked for in time",
+                      getName().c_str());
+        }
+    }
+
+    // The nearest vertices of the roadmap, and in addition the start and goal states that are as near: those take no edge
+    // from the roadmap.
+    void find_near(Vertex vertex, const Search &search, std::vector<Vertex> &found) {
+        if (offered_) {
+            const double radius = search.raw().radius;
+            if (distanceFunction(vertex, *offered_) <= radius) {
+                found.push_back(*offered_);
+            }
+            return;
+        }
+        const std::vector<double> row = row_of(vertex);
+        std::vector<std::pair<double, Vertex>> near;
+        asked_ = vertex;
+        search_ = search;
+        tried_.clear();
+        const std::size_t count = index_.search_into(row.data(), search, near_ids_, &near_distances_);
+        const bool is_full = search.raw().k > 0 && count >= search.raw().k;
+        const double radius = is_full ? near_distances_[count - 1] : search.raw().radius;
+        for (std::size_t at = 0; at < count; at++) {
+            const auto known = vertices_.find(near_ids_[at]);
+            if (known != vertices_.end()) {
+                near.emplace_back(near_distances_[at], known->second);
+                tried_.push_back(near_ids_[at]);
+            }
+        }
+        std::sort(tried_.begin(), tried_.end());
+        if (!query_vertices_.empty()) {
+            for (const Neighbor &query : queries_.search(row, Search::within(radius))) {
+                near.emplace_back(query.distance, query_vertices_.at(query.id));
+            }
+            std::stable_sort(near.begin(), near.end(), [](const auto &a, const auto &b) { return a.first < b.first; });
+        }
+        for (const auto &[distance, other] : near) {
+            found.push_back(other);
+        }
+    }
+
+    const Index index_;
+    std::size_t unanswered_{0};
+    // An own vertex and a neighbour that it has not tried.
+    std::vector<std::pair<std::uint64_t, std::uint64_t>> late_;
+    // By vertex; `no_id` if the index does not have it.
+    std::vector<std::uint64_t> ids_;
+    const RowsOfStates rows_;
+    // The start and goal states, which the index does not have.
+    const Index queries_;
+    std::future<std::vector<std::optional<std::string>>> reading_;
+
+private:
+    // Records the edges that PRM has added since the last call, each with an own vertex at its end, and returns the ends
+    // of those of a vertex that is not stored yet. Edges to start and goal states are of this process alone.
+    std::vector<std::uint64_t> take_edges(Vertex fresh) {
+        std::vector<std::uint64_t> of_fresh;
+        // Boost keeps the edges of an undirected graph in the order of their making.
+        auto edge = boost::edges(g_).second;
+        for (std::size_t left = boost::num_edges(g_) - known_edges_; left > 0; left--) {
+            --edge;
+            const Vertex a = boost::source(*edge, g_), b = boost::target(*edge, g_);
+            const std::uint64_t other = ids_[a == fresh ? b : a];
+            if (a != fresh && b != fresh) {
+                record(a, b);
+            } else if (other != no_id) {
+                of_fresh.push_back(other);
+            }
+        }
+        known_edges_ = boost::num_edges(g_);
+        return of_fresh;
+    }
+
+    void record(Vertex a, Vertex b) {
+        auto own = own_edges_.find(ids_[a]);
+        if (own == own_edges_.end()) {
+            std::swap(a, b);
+            own = own_edges_.find(ids_[a]);
+        }
+        if (own != own_edges_.end() && ids_[b] != no_id) {
+            own->second.push_back(ids_[b]);
+            changed_.insert(ids_[a]);
+        }
+    }
+
+    // Takes over the payloads that have been read. During an outage they are asked for again later.
+    void take_read(bool waits) {
+        if (!reading_.valid() || (!waits && reading_.wait_for(std::chrono::seconds(0)) != std::future_status::ready)) {
+            return;
+        }
+        try {
+            take_over(reading_.get());
+            arriving_.clear();
+            is_loaded_ = true;
+        } catch (const Error &error) {
+            const bool is_outage =
+                error.code() == WAYFOLD_CODE_UNAVAILABLE || error.code() == WAYFOLD_CODE_DEADLINE_EXCEEDED;
+            if (!is_outage || !is_loaded_) {
+                throw;
+            }
+        }
+    }
+
+    // Asks for the payloads of what has changed. Another thread waits for the network.
+    void start_reading() {
+        if (reading_.valid()) {
+            return;
+        }
+        if (arriving_.empty()) {
+            find_changes();
+        }
+        std::vector<std::uint64_t> ids;
+        for (const StoredPoint &point : arriving_) {
+            ids.push_back(point.id);
+        }
+        if (ids.empty()) {
+            is_loaded_ = true;
+        } else {
+            reading_ = std::async(std::launch::async, [index = index_, ids] { return index.payloads(ids); });
+        }
+    }
+
+    void find_changes() {
+        Changes changes = changes_after(index_, is_loaded_ ? std::optional(seen_) : std::nullopt, vertices_);
+        for (const std::uint64_t id : changes.removed) {
+            if (vertices_.count(id) > 0) {
+                throw ompl::Exception(getName(), "vertex " + std::to_string(id) + " was removed from the index; clear "
+                                                 "the planner to load the rest");
+            }
+            late_.erase(std::remove_if(late_.begin(), late_.end(), [id](const auto &at) { return at.second == id; }),
+                        late_.end());
+        }
+        for (StoredPoint &point : changes.stored) {
+            if (own_edges_.count(point.id) == 0) {
+                arriving_.push_back(std::move(point));
+            }
+        }
+        seen_ = changes.seen;
+    }
+
+    // Adds vertices and edges of others, which they have checked.
+    void take_over(const std::vector<std::optional<std::string>> &payloads) {
+        std::vector<Vertex> fresh;
+        for (std::size_t at = 0; at < arriving_.size(); at++) {
+            const StoredPoint &point = arriving_[at];
+            // A point without an answer was removed: the next changes name it.
+            if (payloads[at] && vertices_.count(point.id) == 0) {
+                const Vertex vertex = boost::add_vertex(g_);
+                stateProperty_[vertex] = si_->allocState();
+                rows_.read(point.state.data(), stateProperty_[vertex]);
+                totalConnectionAttemptsProperty_[vertex] = 1;
+                successfulConnectionAttemptsProperty_[vertex] = 0;
+                disjointSets_.make_set(vertex);
+                ids_.resize(std::max<std::size_t>(ids_.size(), vertex + 1), no_id);
+                ids_[vertex] = point.id;
+                vertices_.emplace(point.id, vertex);
+                fresh.push_back(vertex);
+            }
+        }
+        for (std::size_t at = 0; at < arriving_.size(); at++) {
+            if (payloads[at]) {
+                for (const std::uint64_t other : edges_of(arriving_[at].id, *payloads[at])) {
+                    link(arriving_[at].id, other);
+                }
+            }
+        }
+        for (const Vertex vertex : fresh) {
+            const auto waiting = missing_.find(ids_[vertex]);
+            if (waiting != missing_.end()) {
+                const std::vector<std::uint64_t> from = std::move(waiting->second);
+                missing_.erase(waiting);
+                for (const std::uint64_t id : from) {
+                    link(id, ids_[vertex]);
+                }
+            }
+        }
+        known_edges_ = boost::num_edges(g_);
+        if (!query_vertices_.empty()) {
+            std::for_each(fresh.begin(), fresh.end(), [this](Vertex vertex) { try_queries(vertex); });
+        }
+    }
+
+    // An edge that another process has checked. A payload may be newer than the copy, and name a vertex that is to come.
+    void link(std::uint64_t from, std::uint64_t to) {
+        const auto other = vertices_.find(to);
+        if (other == vertices_.end()) {
+            missing_[to].push_back(from);
+        } else if (!boost::edge(vertices_.at(from), other->second, g_).second) {
+            totalConnectionAttemptsProperty_[vertices_.at(from)]++;
+            totalConnectionAttemptsProperty_[other->second]++;
+            connect(vertices_.at(from), other->second);
+        }
+    }
+
+    void connect(Vertex vertex, Vertex other) {
+        successfulConnectionAttemptsProperty_[vertex]++;
+        successfulConnectionAttemptsProperty_[other]++;
+        const Graph::edge_property_type weight(opt_->motionCost(stateProperty_[other], stateProperty_[vertex]));
+        boost::add_edge(other, vertex, weight, g_);
+        uniteComponents(other, vertex);
+    }
+
+    // Tries a motion as PRM does; true if it is valid.
+    bool try_motion(Vertex vertex, Vertex other) {
+        if (boost::edge(vertex, other, g_).second || !connectionFilter_(other, vertex)) {
+            return false;
+        }
+        totalConnectionAttemptsProperty_[vertex]++;
+        totalConnectionAttemptsProperty_[other]++;
+        const bool is_valid = si_->checkMotion(stateProperty_[other], stateProperty_[vertex]);
+        if (is_valid) {
+            connect(vertex, other);
+        }
+        known_edges_ = boost::num_edges(g_);
+        return is_valid;
+    }
+
+    // Start and goal states that are near a vertex of another process, as if PRM had added the vertex.
+    void try_queries(Vertex vertex) {
+        const std::vector<Vertex> near = connectionStrategy_(vertex);
+        for (const Vertex other : near) {
+            if (is_query(other)) {
+                try_motion(vertex, other);
+            }
+        }
+    }
+
+    void try_late_motions() {
+        std::vector<std::pair<std::uint64_t, std::uint64_t>> waiting;
+        for (const auto &[id, other_id] : late_) {
+            if (own_edges_.count(id) == 0) {
+                // Stored before `clear`.
+                continue;
+            }
+            const auto other = vertices_.find(other_id);
+            if (other == vertices_.end()) {
+                waiting.emplace_back(id, other_id);
+                continue;
+            }
+            // The strategy decides about it as about a neighbour that it finds.
+            const Vertex vertex = vertices_.at(id);
+            offered_ = other->second;
+            const std::vector<Vertex> wanted = connectionStrategy_(vertex);
+            offered_.reset();
+            if (std::find(wanted.begin(), wanted.end(), other->second) != wanted.end() &&
+                try_motion(vertex, other->second)) {
+                record(vertex, other->second);
+            }
+        }
+        late_ = std::move(waiting);
+    }
+
+    std::unordered_map<std::uint64_t, Vertex> query_vertices_;
+    std::unordered_map<std::uint64_t, Vertex> vertices_;
+    // The payloads of the vertices that this process has stored, and those of them that are to be written again.
+    std::unordered_map<std::uint64_t, std::vector<std::uint64_t>> own_edges_;
+    std::set<std::uint64_t> changed_;
+    // The edges whose other ends are to come, by these.
+    std::unordered_map<std::uint64_t, std::vector<std::uint64_t>> missing_;
+    // The edges of the graph up to this number are in the records.
+    std::size_t known_edges_{0};
+    // Changes up to this mark are in the graph, or among those that arrive.
+    std::uint64_t seen_{0};
+    bool is_loaded_{false};
+    std::vector<StoredPoint> arriving_;
+    // The last search of the strategy, its vertex, and the ids that it found.
+    Vertex asked_{0};
+    std::optional<Search> search_;
+    std::vector<std::uint64_t> tried_;
+    std::vector<std::uint64_t> near_ids_;
+    std::vector<double> near_distances_;
+    // The only neighbour that a search finds, while a late motion is tried.
+    std::optional<Vertex> offered_;
+    unsigned int unchecked_distances_{256};
+};
+
+} // namespace wayfold::detail

@@ -1,0 +1,131 @@
+// The error, the searches and the answers of an index. wayfold/wayfold.hpp includes it.
+#pragma once
+
+#include <wayfold.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace wayfold {
+
+// The error of a call. The message names the field and the problem.
+class Error : public std::runtime_error {
+public:
+    Error(wayfold_code code, const std::string &message, std::string field, std::string reason)
+        : std::runtime_error(message), code_(code), field_(std::move(field)), reason_(std::move(reason)) {}
+
+    wayfold_code code() const { return code_; }
+    // The wrong field, such as "states[3].coords[1]"; empty if no field is wrong.
+    const std::string &field() const { return field_; }
+    // The reason in UPPER_SNAKE_CASE; empty if there is none.
+    const std::string &reason() const { return reason_; }
+
+private:
+    wayfold_code code_;
+    std::string field_;
+    std::string reason_;
+};
+
+namespace detail {
+
+inline void check(wayfold_code code) {
+    if (code != WAYFOLD_CODE_OK) {
+        throw Error(code, wayfold_error_message(), wayfold_error_field(), wayfold_error_reason());
+    }
+}
+
+} // namespace detail
+
+struct Neighbor {
+    std::uint64_t id;
+    double distance;
+
+    friend bool operator==(const Neighbor &a, const Neighbor &b) { return a.id == b.id && a.distance == b.distance; }
+    friend bool operator!=(const Neighbor &a, const Neighbor &b) { return !(a == b); }
+};
+
+struct StoredPoint {
+    std::uint64_t id;
+    std::uint64_t tag;
+    std::vector<double> state;
+};
+
+// Everything that changed after an earlier answer.
+struct Changes {
+    std::vector<StoredPoint> stored;
+    std::vector<std::uint64_t> removed;
+    std::uint64_t seen;
+};
+
+// An own point's place in the order of a shared index, and the neighbours before it that its insert could not see.
+struct Meanwhile {
+    std::uint64_t id;
+    // The number of points before it; if `is_superset`, maybe at a later moment.
+    std::size_t points_before;
+    std::vector<Neighbor> neighbors;
+    // Some of the neighbours may be known from the insert, or come after the point.
+    bool is_superset;
+};
+
+struct MeanwhileAnswers {
+    std::vector<Meanwhile> answers;
+    // The number of inserts whose answers are still to come.
+    std::size_t open{0};
+    // Answers were dropped, because none were read for long.
+    bool has_dropped{false};
+};
+
+// The thread that merges the trees of an index in memory: one of the process, or the one whose insert makes it due.
+enum class Merging { background, in_line };
+
+// A search: the number of neighbours, the radius, and the points that count.
+class Search {
+public:
+    static Search k(std::uint32_t k) {
+        Search search;
+        search.raw_.k = k;
+        return search;
+    }
+    // The ⌈factor · ln n⌉ nearest of n points.
+    static Search k_factor(double factor) {
+        Search search;
+        search.raw_.k_factor = factor;
+        return search;
+    }
+    static Search within(double radius) { return Search().radius(radius); }
+
+    Search &radius(double radius) {
+        raw_.radius = radius;
+        return *this;
+    }
+    // The radius of PRM*, min(radius, factor · (ln n / n)^(1/d)).
+    Search &radius_factor(double factor) {
+        raw_.radius_factor = factor;
+        return *this;
+    }
+    Search &tag(std::uint64_t mask, std::uint64_t value) {
+        raw_.tag_mask = mask;
+        raw_.tag_value = value;
+        return *this;
+    }
+    Search &since(std::uint64_t seen) {
+        raw_.since = seen;
+        return *this;
+    }
+    Search &epsilon(double epsilon) {
+        raw_.epsilon = epsilon;
+        return *this;
+    }
+    const wayfold_search &raw() const { return raw_; }
+
+private:
+    Search() : raw_(wayfold_search_default()) {}
+
+    wayfold_search raw_;
+};
+
+} // namespace wayfold
