@@ -86,6 +86,10 @@ enum class Merging { background, in_line };
 class Search {
 public:
     static Search k(std::uint32_t k) {
+        if (k == 0) {
+            // In wayfold.h, 0 is without a limit.
+            throw Error(WAYFOLD_CODE_INVALID_ARGUMENT, "k: 0; it is at least 1", "k", "INVALID_ARGUMENT");
+        }
         Search search;
         search.raw_.k = k;
         return search;

@@ -98,8 +98,11 @@ public:
         detail::check(wayfold_index_insert(raw(), states, count, width_, ids.data()));
         return ids;
     }
-    std::uint64_t insert(const std::vector<double> &state, std::uint64_t tag, const std::string &payload = {}) const {
+    // The index assigns the id unless there is one, below 2^63.
+    std::uint64_t insert(const std::vector<double> &state, std::uint64_t tag, const std::string &payload = {},
+                         std::optional<std::uint64_t> own_id = {}) const {
         wayfold_point point = wayfold_point_default();
+        point.id = own_id.value_or(point.id);
         point.tag = tag;
         point.payload = reinterpret_cast<const std::uint8_t *>(payload.data());
         point.payload_bytes = payload.size();
@@ -272,9 +275,9 @@ private:
     void check_width(const std::vector<double> &state) const {
         if (state.size() != width_) {
             throw Error(WAYFOLD_CODE_INVALID_ARGUMENT,
-                        "state: " + std::to_string(state.size()) + " numbers, where a state of this space has " +
+                        "states[0]: " + std::to_string(state.size()) + " numbers, where a state of this space has " +
                             std::to_string(width_),
-                        "state", "WRONG_WIDTH");
+                        "states[0]", "WRONG_WIDTH");
         }
     }
 

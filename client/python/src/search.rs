@@ -130,10 +130,8 @@ impl Scaling {
 pub(crate) fn k_of(py: Python<'_>, k: i64) -> PyResult<u32> {
     match u32::try_from(k) {
         Ok(k) if k > 0 => Ok(k),
-        _ => Err(invalid(
-            py,
-            &format!("k: {k}; it is from 1 to {}", u32::MAX),
-        )),
+        _ if k > 0 => Err(invalid(py, &format!("k: {k}; it is at most {}", u32::MAX))),
+        _ => Err(invalid(py, &format!("k: {k}; it is at least 1"))),
     }
 }
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import pytest
@@ -21,14 +22,14 @@ class Server:
     locator: str
 
 
-@pytest.fixture(scope="session")
-def server() -> Iterator[Server]:
-    """A server on free ports of this machine, with its indices in memory."""
+@contextmanager
+def serving(settings: Mapping[str, str]) -> Iterator[Server]:
+    """A server on free ports of this machine, with its indices in memory. `settings` are variables of its environment."""
     binary = os.environ.get("WAYFOLD_SERVER_BINARY")
     if binary is None:
         pytest.skip("WAYFOLD_SERVER_BINARY names no server")
     arguments = ["--grpc", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0", "--data", "memory", "--log", "warn"]
-    environment = {**os.environ, "WAYFOLD_HTTP__LISTEN": "off"}
+    environment = {**os.environ, "WAYFOLD_HTTP__LISTEN": "off", **settings}
     environment.pop("WAYFOLD_SERVER_BINARY")
     process = subprocess.Popen([binary, *arguments], stdout=subprocess.PIPE, text=True, env=environment)
     assert process.stdout is not None
@@ -43,3 +44,10 @@ def server() -> Iterator[Server]:
         process.terminate()
         process.stdout.read()
         process.wait(MAX_WAIT_S)
+
+
+@pytest.fixture(scope="session")
+def server() -> Iterator[Server]:
+    """A server that everyone may call."""
+    with serving({}) as server:
+        yield server

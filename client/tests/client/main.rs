@@ -11,6 +11,7 @@ mod requests;
 mod retrying;
 mod revisions;
 mod scaling;
+mod script;
 mod server;
 mod streaming;
 mod typed_states;
