@@ -1,7 +1,10 @@
 //! The parts of the server that both faces use.
 
+use tokio::runtime::Handle;
+
 use crate::{
     admission::Admission,
+    config::{Config, OFF},
     identity::Identities,
     observe::{Metrics, SlowCalls},
     service::Service,
@@ -15,4 +18,22 @@ pub(crate) struct Shared {
     pub(crate) slow_calls: SlowCalls,
     pub(crate) identities: Identities,
     pub(crate) metrics: Metrics,
+}
+
+impl Shared {
+    /// The parts of a server with these settings, whose calls compute on the threads of this runtime.
+    pub(crate) fn new(config: &Config, service: Service, identities: Identities) -> Self {
+        let threads = Handle::current().metrics().num_workers();
+        let message_bytes = config
+            .grpc
+            .max_message_bytes
+            .max(config.zenoh.max_message_bytes);
+        Self {
+            service,
+            admission: Admission::new(&config.admission, threads, message_bytes),
+            slow_calls: SlowCalls::new(config.log.slow_call_ms),
+            identities,
+            metrics: Metrics::new(config.http.listen != OFF),
+        }
+    }
 }

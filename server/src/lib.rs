@@ -29,7 +29,7 @@ mod zenoh;
 
 pub use cli::main;
 pub use exposure::ExposedError;
-pub use grpc::{GrpcError, TlsError};
+pub use grpc::{GrpcError, InProcess, TlsError};
 pub use observe::{LogFormat, LoggingError};
 pub use pages::use_small_pages;
 pub use run::{ServerError, run};

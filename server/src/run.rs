@@ -5,7 +5,6 @@ use std::{convert::Infallible, io, net::SocketAddr, pin::pin, sync::Arc, time::D
 use thiserror::Error;
 use tokio::{
     net::TcpListener,
-    runtime::Handle,
     time::{Instant, interval, sleep_until, timeout},
 };
 use tokio_util::{
@@ -15,7 +14,6 @@ use tokio_util::{
 use tracing::{error, info, warn};
 
 use crate::{
-    admission::Admission,
     config::{Config, DataConfig, HttpConfig, OFF, ON},
     exposure::{self, Exposed, ExposedError},
     faces::Shared,
@@ -24,7 +22,6 @@ use crate::{
     identity::{Identities, TableError},
     lifecycle::{Lifecycle, Phase, PhaseWatch},
     log::{FjallLog, Log, MemoryLog, OpenError, SYNCS},
-    observe::{Metrics, SlowCalls},
     registry::{Registry, RegistryError, RegistryOptions},
     service::Service,
     snapshots::{Schedule, SnapshotsError},
@@ -142,18 +139,7 @@ pub(crate) async fn serve(
     let durability = config.data.directory().map(|_| config.data.durability);
     let service = Service::starting_durable(config.limits.clone(), durability);
     let lifecycle = Lifecycle::starting();
-    let threads = Handle::current().metrics().num_workers();
-    let message_bytes = config
-        .grpc
-        .max_message_bytes
-        .max(config.zenoh.max_message_bytes);
-    let shared = Shared {
-        service: service.clone(),
-        admission: Admission::new(&config.admission, threads, message_bytes),
-        slow_calls: SlowCalls::new(config.log.slow_call_ms),
-        identities,
-        metrics: Metrics::new(),
-    };
+    let shared = Shared::new(&config, service.clone(), identities);
     let metrics = shared.metrics.clone();
     let under_way = TaskTracker::new();
     let _reporting = AbortOnDropHandle::new(tokio::spawn(shared.admission.clone().report()));
@@ -242,25 +228,12 @@ async fn bind_pages(config: &HttpConfig) -> Result<Option<TcpListener>, ServerEr
 
 /// Serves the pages for operators.
 async fn serve_pages(listener: TcpListener, tls: Option<Tls>, shared: Shared, phases: PhaseWatch) {
-    let Shared {
-        service,
-        admission,
-        identities,
-        metrics,
-        slow_calls: _,
-    } = shared;
-    metrics.add_syncs(SYNCS.clone());
-    metrics.add(State {
-        service: service.clone(),
-        admission,
+    shared.metrics.add_syncs(SYNCS.clone());
+    shared.metrics.add(State {
+        shared: shared.clone(),
         phases: phases.clone(),
     });
-    let pages = Pages {
-        metrics,
-        identities,
-        phases,
-        service,
-    };
+    let pages = Pages { shared, phases };
     if let Err(error) = http::serve(listener, tls, pages).await {
         error!(%error, "the pages for operators are not served any more");
     }

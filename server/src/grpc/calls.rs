@@ -29,9 +29,11 @@ use super::{
     request_body::{RequestBody, RequestLimits},
 };
 use crate::{
-    admission::{Admission, CALL_BYTES, Flow, HeldBytes},
-    identity::{Caller, Denial, Identities, Stranger},
-    observe::{self, CallRecord, Ending, Metrics, SlowCalls, Times},
+    admission::{CALL_BYTES, Flow, HeldBytes},
+    config::GrpcConfig,
+    faces::Shared,
+    identity::{Caller, Denial, Stranger},
+    observe::{self, CallRecord, Ending, Times},
     service::{Call, Error},
     status,
 };
@@ -110,19 +112,33 @@ pub(super) fn flow_of<T>(request: &tonic::Request<T>) -> Option<Arc<Flow>> {
 }
 
 /// Wraps services in [`Calls`].
-#[derive(Clone, Debug)]
-pub(crate) struct CallsLayer {
-    pub(crate) admission: Admission,
+#[derive(Clone)]
+pub(super) struct CallsLayer {
+    shared: Shared,
     /// The calls under way.
-    pub(crate) under_way: TaskTracker,
-    pub(super) requests: RequestLimits,
+    under_way: TaskTracker,
+    requests: RequestLimits,
     /// The deadline of calls that have none and are no streams.
-    pub(super) default_timeout: Duration,
+    default_timeout: Duration,
     /// The headers of the refusal of a call that would wait for too long.
-    pub(super) overloaded: Arc<HeaderMap>,
-    pub(super) slow_calls: SlowCalls,
-    pub(super) identities: Identities,
-    pub(super) metrics: Metrics,
+    overloaded: Arc<HeaderMap>,
+}
+
+impl CallsLayer {
+    /// The layer of these settings, which counts its calls in `under_way`.
+    pub(super) fn new(config: &GrpcConfig, shared: Shared, under_way: TaskTracker) -> Self {
+        let overloaded = status::overloaded(shared.admission.overloaded());
+        Self {
+            shared,
+            under_way,
+            requests: RequestLimits {
+                max_message_bytes: config.max_message_bytes,
+                time: Duration::from_millis(config.receive_timeout_ms),
+            },
+            default_timeout: Duration::from_millis(config.default_timeout_ms),
+            overloaded: Arc::new(refusals::headers(overloaded)),
+        }
+    }
 }
 
 impl<S> Layer<S> for CallsLayer {
@@ -137,8 +153,8 @@ impl<S> Layer<S> for CallsLayer {
 }
 
 /// See the module.
-#[derive(Clone, Debug)]
-pub(crate) struct Calls<S> {
+#[derive(Clone)]
+pub(super) struct Calls<S> {
     inner: S,
     settings: CallsLayer,
 }
@@ -187,13 +203,13 @@ where
         let peer = activity.as_ref().and_then(Activity::peer);
         let certificate = activity.as_ref().and_then(Activity::certificate);
         let caller = settings
+            .shared
             .identities
             .caller(token(request.headers()), certificate);
         let verb = ("grpc", verb(rpc));
-        let mut record = CallRecord::begin(rpc, verb, arrived, &settings.metrics)
-            .of_peer(peer)
-            .of_trace(traceparent(request.headers()))
-            .of_caller(&caller);
+        let origin = (&caller, traceparent(request.headers()));
+        let mut record =
+            CallRecord::begin(rpc, verb, arrived, &settings.shared.metrics, origin).of_peer(peer);
         let held = Arc::new(flow.hold());
         let is_stream = ANSWER_STREAMS.contains(&rpc) || REQUEST_STREAMS.contains(&rpc);
         // The service checks the caller too; here a stranger is refused before it sends its request.
@@ -235,7 +251,7 @@ where
         };
         let is_answer_stream = ANSWER_STREAMS.contains(&rpc);
         let span = record.span().clone();
-        let slow_calls = settings.slow_calls.clone();
+        let slow_calls = settings.shared.slow_calls.clone();
         let answer = async move {
             let mut received = None;
             let answer = async {
@@ -297,7 +313,7 @@ impl CallsLayer {
             && !REQUEST_STREAMS.contains(&rpc);
         match activity {
             Some(activity) if !is_admin => Arc::clone(activity.flow()),
-            _ => self.admission.admin(),
+            _ => self.shared.admission.admin(),
         }
     }
 }
@@ -405,28 +421,17 @@ mod tests {
         }
     }
 
-    fn admission() -> Admission {
-        Admission::new(&Config::default().admission, 1, 1000)
+    fn shared() -> Shared {
+        let service = crate::service::Service::starting(Default::default());
+        Shared::new(&Config::default(), service, Default::default())
     }
 
     async fn call(
-        admission: &Admission,
+        shared: &Shared,
         under_way: &TaskTracker,
         answer: fn() -> Response<Body>,
     ) -> Response<Body> {
-        let layer = CallsLayer {
-            admission: admission.clone(),
-            under_way: under_way.clone(),
-            requests: RequestLimits {
-                max_message_bytes: 1000,
-                time: Duration::from_secs(1),
-            },
-            default_timeout: Duration::from_secs(1),
-            overloaded: Arc::default(),
-            slow_calls: SlowCalls::new(0),
-            identities: Identities::default(),
-            metrics: Metrics::new(),
-        };
+        let layer = CallsLayer::new(&Config::default().grpc, shared.clone(), under_way.clone());
         let request = Request::post("/wayfold.v1.PointService/Scan").body(Body::empty());
         let answer = layer.layer(Answering(answer)).call(request.unwrap()).await;
         answer.unwrap()
@@ -434,9 +439,9 @@ mod tests {
 
     #[tokio::test]
     async fn a_call_that_panics_is_a_bug_and_frees_its_place_and_turn() {
-        let (admission, under_way) = (admission(), TaskTracker::new());
+        let (shared, under_way) = (shared(), TaskTracker::new());
         for _ in 0..2 {
-            let answer = call(&admission, &under_way, || panic!("a bug")).await;
+            let answer = call(&shared, &under_way, || panic!("a bug")).await;
             let status = Status::from_header_map(answer.headers()).unwrap();
             assert_eq!(status.code(), Code::Internal);
             assert_eq!(status.get_details_error_info().unwrap().reason, "INTERNAL");
@@ -446,9 +451,9 @@ mod tests {
 
     #[tokio::test]
     async fn a_stream_that_panics_ends_as_a_bug_and_frees_its_place_and_turn() {
-        let (admission, under_way) = (admission(), TaskTracker::new());
+        let (shared, under_way) = (shared(), TaskTracker::new());
         for _ in 0..2 {
-            let answer = call(&admission, &under_way, || {
+            let answer = call(&shared, &under_way, || {
                 let parts = stream::once(async {
                     tokio::task::yield_now().await;
                     panic!("a bug")

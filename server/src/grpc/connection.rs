@@ -14,16 +14,13 @@ use tokio::{
     net::{TcpListener, TcpStream},
     time::{Instant, Sleep, sleep_until, timeout},
 };
-use tokio_util::{
-    either::Either,
-    sync::{CancellationToken, WaitForCancellationFutureOwned},
-};
+use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 use tonic::transport::server::Connected;
 use tracing::{debug, warn};
 
 use super::{
     connections::{Activity, Connections, Open},
-    tls::{Tls, TlsSocket},
+    tls::{Socket, Tls},
 };
 
 /// The pause after a failure of the listener, which fails while the process has no file descriptors left.
@@ -64,10 +61,7 @@ pub(crate) fn incoming(
             let open = connections.open(socket.peer_addr().ok(), own_cut.clone());
             let open = open.await;
             let connection = Connection {
-                socket: match &tls {
-                    None => Either::Left(socket),
-                    Some(tls) => Either::Right(tls.accept(socket, Some(open.activity().clone()))),
-                },
+                socket: Tls::accept(tls.as_ref(), socket, Some(open.activity())),
                 open,
                 read_bytes: 0,
                 read_calls: 0,
@@ -118,7 +112,7 @@ fn concerns_one_connection(error: &io::Error) -> bool {
 
 /// One accepted connection.
 pub(crate) struct Connection {
-    socket: Either<TcpStream, TlsSocket>,
+    socket: Socket,
     cut: Pin<Box<WaitForCancellationFutureOwned>>,
     /// The bytes that were read since others had their turn.
     read_bytes: usize,

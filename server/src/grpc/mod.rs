@@ -6,6 +6,7 @@ mod connection;
 mod connections;
 mod deadline;
 mod health;
+mod in_process;
 mod index_service;
 mod point_service;
 mod refusals;
@@ -30,12 +31,12 @@ use calls::CallsLayer;
 pub(crate) use calls::token;
 use connections::Connections;
 use health::HealthFace;
+pub use in_process::InProcess;
 use index_service::IndexFace;
 use point_service::{PointFace, TolerantPointServer};
-use request_body::RequestLimits;
 use stream_knn::KnnStreams;
 pub use tls::TlsError;
-pub(crate) use tls::{Tls, TlsSocket};
+pub(crate) use tls::{Socket, Tls};
 
 use crate::{config::GrpcConfig, faces::Shared, lifecycle::PhaseWatch};
 
@@ -64,28 +65,11 @@ pub(crate) async fn serve(
     under_way: TaskTracker,
     cut: CancellationToken,
 ) -> Result<(), GrpcError> {
-    let Shared {
-        service,
-        admission,
-        slow_calls,
-        identities,
-        metrics,
-    } = shared;
-    let points = TolerantPointServer::new(PointFace {
-        service: service.clone(),
-        streams: KnnStreams {
-            service: service.clone(),
-            admission: admission.clone(),
-            phases: phases.clone(),
-            window: config.stream_window,
-            max_message_bytes: config.max_message_bytes,
-        },
-    });
-    let health = HealthServer::new(HealthFace::new(phases.clone(), service.clone()));
+    let health = HealthServer::new(HealthFace::new(phases.clone(), shared.service.clone()));
     // Sent messages have no limit: the service refuses a large answer before a mutation takes effect, and a second
     // limit here could only fail a call that took effect.
     let indices = IndexServiceServer::new(IndexFace {
-        service,
+        service: shared.service.clone(),
         max_message_bytes: config.max_message_bytes,
     })
     .max_decoding_message_size(config.max_message_bytes);
@@ -93,7 +77,7 @@ pub(crate) async fn serve(
         (descriptors().build_v1()?, descriptors().build_v1alpha()?);
     let keepalive = (config.keepalive_interval_ms > 0)
         .then(|| Duration::from_millis(config.keepalive_interval_ms));
-    let connections = Connections::new(config.max_connections, admission.clone());
+    let connections = Connections::new(config.max_connections, shared.admission.clone());
     let send_timeout = Duration::from_millis(config.send_timeout_ms);
     let watched = Arc::clone(&connections);
     let _watching = AbortOnDropHandle::new(tokio::spawn(async move {
@@ -105,23 +89,9 @@ pub(crate) async fn serve(
         .http2_max_pending_accept_reset_streams(Some(config.max_calls_per_connection as usize))
         .http2_keepalive_interval(keepalive)
         .http2_keepalive_timeout(Some(Duration::from_millis(config.keepalive_timeout_ms)))
-        .layer(CallsLayer {
-            requests: RequestLimits {
-                max_message_bytes: config.max_message_bytes,
-                time: Duration::from_millis(config.receive_timeout_ms),
-            },
-            overloaded: Arc::new(refusals::headers(crate::status::overloaded(
-                admission.overloaded(),
-            ))),
-            admission,
-            under_way,
-            default_timeout: Duration::from_millis(config.default_timeout_ms),
-            slow_calls,
-            identities,
-            metrics,
-        })
+        .layer(CallsLayer::new(config, shared.clone(), under_way))
         .add_service(indices)
-        .add_service(points)
+        .add_service(points(config, &shared, &phases))
         .add_service(health)
         .add_service(reflection)
         .add_service(reflection_alpha)
@@ -131,6 +101,20 @@ pub(crate) async fn serve(
         )
         .await?;
     Ok(())
+}
+
+/// The service of the points.
+fn points(config: &GrpcConfig, shared: &Shared, phases: &PhaseWatch) -> TolerantPointServer {
+    TolerantPointServer::new(PointFace {
+        service: shared.service.clone(),
+        streams: KnnStreams {
+            service: shared.service.clone(),
+            admission: shared.admission.clone(),
+            phases: phases.clone(),
+            window: config.stream_window,
+            max_message_bytes: config.max_message_bytes,
+        },
+    })
 }
 
 /// The descriptors for reflection, with google.rpc, so that generic clients can print error details.

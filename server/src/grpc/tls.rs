@@ -26,6 +26,7 @@ use tokio_rustls::{
     },
     server::TlsStream,
 };
+use tokio_util::either::Either;
 use tracing::{error, info};
 use x509_parser::{extensions::GeneralName, prelude::FromDer, prelude::X509Certificate};
 
@@ -89,13 +90,21 @@ impl Tls {
         }))
     }
 
-    /// A connection that begins with a handshake. `activity`, if there is one, gets the names of a client certificate.
-    pub(crate) fn accept(&self, socket: TcpStream, activity: Option<Activity>) -> TlsSocket {
-        let handshake = self.acceptor.read().accept(socket);
-        TlsSocket {
+    /// A connection that begins with a handshake if there is TLS. `activity`, if there is one, gets the names of a client
+    /// certificate.
+    pub(crate) fn accept(
+        tls: Option<&Self>,
+        socket: TcpStream,
+        activity: Option<&Activity>,
+    ) -> Socket {
+        let Some(tls) = tls else {
+            return Either::Left(socket);
+        };
+        let handshake = tls.acceptor.read().accept(socket);
+        Either::Right(TlsSocket {
             state: State::Shaking(Box::new(handshake)),
-            activity,
-        }
+            activity: activity.cloned(),
+        })
     }
 
     /// Reads the certificates again whenever their files change. Files that are wrong change nothing.
@@ -175,6 +184,9 @@ fn in_file<E: fmt::Display>(setting: &'static str, file: &Path) -> impl Fn(E) ->
         problem: problem.to_string(),
     }
 }
+
+/// A connection, with TLS or without.
+pub(crate) type Socket = Either<TcpStream, TlsSocket>;
 
 /// A connection with TLS, whose handshake takes place as it is first read or written.
 pub(crate) struct TlsSocket {

@@ -9,26 +9,24 @@ use std::{
 
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
-    net::TcpStream,
     sync::OwnedSemaphorePermit,
     time::{Instant, Sleep, sleep_until},
 };
-use tokio_util::either::Either;
 
-use crate::grpc::TlsSocket;
+use crate::grpc::Socket;
 
 /// The time of a connection. Clients of HTTP connect again by themselves.
 const TIME: Duration = Duration::from_secs(60);
 
 /// See the module.
 pub(super) struct Bounded {
-    socket: Either<TcpStream, TlsSocket>,
+    socket: Socket,
     end: Pin<Box<Sleep>>,
     _place: OwnedSemaphorePermit,
 }
 
 impl Bounded {
-    pub(super) fn new(socket: Either<TcpStream, TlsSocket>, place: OwnedSemaphorePermit) -> Self {
+    pub(super) fn new(socket: Socket, place: OwnedSemaphorePermit) -> Self {
         Self {
             socket,
             end: Box::pin(sleep_until(Instant::now() + TIME)),
@@ -80,11 +78,12 @@ mod tests {
 
     use tokio::{
         io::{AsyncReadExt, AsyncWriteExt},
-        net::TcpListener,
+        net::{TcpListener, TcpStream},
         sync::Semaphore,
     };
 
     use super::*;
+    use crate::grpc::Tls;
 
     #[tokio::test(start_paused = true)]
     async fn a_silent_connection_gives_its_place_up_after_its_time() {
@@ -94,7 +93,7 @@ mod tests {
         let mut client = TcpStream::connect(address).await.unwrap();
         let (socket, _) = listener.accept().await.unwrap();
         let place = Arc::clone(&places).acquire_owned().await.unwrap();
-        let mut bounded = Bounded::new(Either::Left(socket), place);
+        let mut bounded = Bounded::new(Tls::accept(None, socket, None), place);
         client.write_all(b"G").await.unwrap();
         assert_eq!(bounded.read_u8().await.unwrap(), b'G');
         let began = Instant::now();

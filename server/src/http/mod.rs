@@ -5,25 +5,23 @@
 mod bounded;
 mod state;
 
-use std::{future::pending, io, sync::Arc, time::Duration};
+use std::{fmt, future::pending, io, sync::Arc, time::Duration};
 
 use axum::{
     Router,
-    extract::State as Shared,
+    extract::State as Of,
     http::{HeaderMap, StatusCode, header},
     response::{IntoResponse, Response},
     routing::get,
     serve::Listener,
 };
-use tokio::{net::TcpListener, sync::Semaphore, time::timeout};
-use tokio_util::either::Either;
+use tokio::{net::TcpListener, sync::Semaphore, task::spawn_blocking, time::timeout};
 
 use crate::{
+    faces::Shared,
     grpc::{Tls, token},
-    identity::{Identities, Role},
+    identity::Role,
     lifecycle::{Phase, PhaseWatch},
-    observe::Metrics,
-    service::Service,
 };
 use bounded::Bounded;
 pub(crate) use state::State;
@@ -37,13 +35,11 @@ const MAX_CONNECTIONS: usize = 64;
 /// The pause after a failure of the listener.
 const ACCEPT_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
-/// The sources of the pages, and the identities that may read them.
+/// The sources of the pages.
 #[derive(Clone)]
 pub(crate) struct Pages {
-    pub(crate) metrics: Metrics,
-    pub(crate) identities: Identities,
+    pub(crate) shared: Shared,
     pub(crate) phases: PhaseWatch,
-    pub(crate) service: Service,
 }
 
 /// Serves the pages on `listener`, over TLS if there is any, until it is dropped.
@@ -61,22 +57,27 @@ pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages)
     axum::serve(secured, routes).await
 }
 
-async fn metrics(Shared(pages): Shared<Arc<Pages>>, headers: HeaderMap) -> Response {
-    let caller = pages.identities.caller(token(&headers), None);
+async fn metrics(Of(pages): Of<Arc<Pages>>, headers: HeaderMap) -> Response {
+    let caller = pages.shared.identities.caller(token(&headers), None);
     if let Err(why) = caller.authorize(Role::Read, None) {
         let challenge = [(header::WWW_AUTHENTICATE, "Bearer")];
         return (StatusCode::UNAUTHORIZED, challenge, format!("{why}\n")).into_response();
     }
-    match pages.metrics.text() {
+    let metrics = pages.shared.metrics.clone();
+    // Memory and disk are looked at meanwhile: that blocks.
+    let text = spawn_blocking(move || metrics.text()).await;
+    match text.unwrap_or(Err(fmt::Error)) {
         Ok(text) => ([(header::CONTENT_TYPE, OPEN_METRICS)], text).into_response(),
         Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{error}\n")).into_response(),
     }
 }
 
 /// 200 while calls are answered; the text tells whether points can be added too.
-async fn ready(Shared(pages): Shared<Arc<Pages>>) -> (StatusCode, &'static str) {
+async fn ready(Of(pages): Of<Arc<Pages>>) -> (StatusCode, &'static str) {
     match pages.phases.current() {
-        Phase::Serving if pages.service.accepts_growth() => (StatusCode::OK, "reading, writing\n"),
+        Phase::Serving if pages.shared.service.accepts_growth() => {
+            (StatusCode::OK, "reading, writing\n")
+        }
         Phase::Serving => (StatusCode::OK, "degraded: reading only\n"),
         Phase::Starting => (StatusCode::SERVICE_UNAVAILABLE, "starting\n"),
         Phase::Stopping => (StatusCode::SERVICE_UNAVAILABLE, "stopping\n"),
@@ -106,10 +107,7 @@ impl Listener for Secured {
                 let _ = timeout(ACCEPT_RETRY_PAUSE, pending::<()>()).await;
                 continue;
             };
-            let socket = match &self.tls {
-                None => Either::Left(socket),
-                Some(tls) => Either::Right(tls.accept(socket, None)),
-            };
+            let socket = Tls::accept(self.tls.as_ref(), socket, None);
             return (Bounded::new(socket, place), peer);
         }
     }

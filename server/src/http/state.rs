@@ -10,17 +10,15 @@ use prometheus_client::{
 };
 
 use crate::{
-    admission::Admission,
+    faces::Shared,
     lifecycle::{Phase, PhaseWatch},
     registry::Listed,
-    service::Service,
     watermark::Level,
 };
 
 /// See the module.
 pub(crate) struct State {
-    pub(crate) service: Service,
-    pub(crate) admission: Admission,
+    pub(crate) shared: Shared,
     pub(crate) phases: PhaseWatch,
 }
 
@@ -37,7 +35,7 @@ type Index = [(&'static str, Arc<str>); 1];
 type OfIndices = (&'static str, &'static str, Vec<(Index, u64)>);
 
 /// The gauges of an index, in the order of its figures.
-const OF_INDEX: [(&str, &str); 8] = [
+const OF_INDEX: [(&str, &str); 10] = [
     ("index_points", "The points of an index"),
     ("index_revision", "The newest readable revision of an index"),
     ("index_memory_bytes", "About the memory of an index"),
@@ -54,6 +52,14 @@ const OF_INDEX: [(&str, &str); 8] = [
     (
         "index_follower_lag",
         "The readable records that the last subscriber of an index does not have",
+    ),
+    (
+        "index_window_records",
+        "The newest records of an index, which are kept for subscribers that fall behind",
+    ),
+    (
+        "index_window_bytes",
+        "The bytes of these records; index.window_bytes is the most",
     ),
 ];
 
@@ -72,7 +78,7 @@ impl Collector for State {
             ([("state", "reading")], is_serving),
             (
                 [("state", "writing")],
-                is_serving & u64::from(self.service.accepts_growth()),
+                is_serving & u64::from(self.shared.service.accepts_growth()),
             ),
         ];
         gauges(
@@ -88,41 +94,34 @@ impl Collector for State {
             "merges",
             help,
             None,
-            &[([("state", "running")], self.service.merges())],
+            &[([("state", "running")], self.shared.service.merges())],
         )?;
         self.admission(&mut encoder)?;
         self.resources(&mut encoder)?;
-        for (name, help, figures) in self.indices() {
+        let (of_indices, missed) = self.indices();
+        for (name, help, figures) in of_indices {
             gauges(&mut encoder, name, help, None, &figures)?;
         }
-        Ok(())
+        let help = "Records that subscribers over Zenoh read from the log because no publication brought them";
+        counters(&mut encoder, "index_missed_records", help, &missed)
     }
 }
 
 impl State {
     fn admission(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        let (held, most) = self.admission.bytes();
+        let (held, most) = self.shared.admission.bytes();
         let bytes = [([("of", "held")], held), ([("of", "most")], most)];
         let help =
             "The bytes of requests, calls and unread answers, and the most that they may hold";
         gauges(encoder, "in_flight", help, Some(&Unit::Bytes), &bytes)?;
-        let refused = self.admission.refused();
-        let mut metric = encoder.encode_descriptor(
-            "refused_calls",
-            "Calls that were refused because the server was busy, by reason",
-            None,
-            MetricType::Counter,
-        )?;
-        for (reason, count) in refused {
-            let labels = [("reason", reason)];
-            let counter = ConstCounter::new(count);
-            counter.encode(metric.encode_family(&labels)?)?;
-        }
-        Ok(())
+        let refused = self.shared.admission.refused();
+        let refused = refused.map(|(reason, count)| ([("reason", reason)], count));
+        let help = "Calls that were refused because the server was busy, by reason";
+        counters(encoder, "refused_calls", help, &refused)
     }
 
     fn resources(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        let watermarks = self.service.watermarks();
+        let watermarks = self.shared.service.watermarks();
         let mut figures = Vec::new();
         for (resource, level) in watermarks {
             let Level {
@@ -136,11 +135,13 @@ impl State {
         gauges(encoder, "resource", help, Some(&Unit::Bytes), &figures)
     }
 
-    fn indices(&self) -> Vec<OfIndices> {
+    /// The gauges of all indices, and the records that subscribers of each have missed.
+    fn indices(&self) -> (Vec<OfIndices>, Vec<(Index, u64)>) {
         let gauges = OF_INDEX.map(|(name, help)| (name, help, Vec::new()));
         let mut gauges: Vec<OfIndices> = gauges.into();
         let (mut served, mut damaged) = (0, 0);
-        for listed in self.service.listed() {
+        let mut missed = Vec::new();
+        for listed in self.shared.service.listed() {
             let Listed::Hosted(hosted) = listed else {
                 damaged += 1;
                 continue;
@@ -150,8 +151,10 @@ impl State {
             let Some(label) = hosted.own_label() else {
                 continue;
             };
+            missed.push(([("index", Arc::clone(label))], hosted.missed()));
             let published = hosted.published();
             let (followers, lag) = hosted.followers_and_lag();
+            let window = hosted.window();
             let figures = [
                 published.snapshot.len() as u64,
                 published.revision,
@@ -161,6 +164,8 @@ impl State {
                 published.view.sessions().len() as u64,
                 followers as u64,
                 lag,
+                window.records,
+                window.bytes,
             ];
             for (gauge, figure) in gauges.iter_mut().zip(figures) {
                 gauge.2.push(([("index", Arc::clone(label))], figure));
@@ -172,7 +177,7 @@ impl State {
             "Indices that are served, and those that cannot be read",
             vec![(state("served"), served), (state("damaged"), damaged)],
         ));
-        gauges
+        (gauges, missed)
     }
 }
 
@@ -187,6 +192,20 @@ fn gauges<L: EncodeLabelSet>(
     for (labels, figure) in figures {
         let gauge = ConstGauge::new(*figure);
         gauge.encode(metric.encode_family(labels)?)?;
+    }
+    Ok(())
+}
+
+fn counters<L: EncodeLabelSet>(
+    encoder: &mut DescriptorEncoder<'_>,
+    name: &str,
+    help: &str,
+    figures: &[(L, u64)],
+) -> fmt::Result {
+    let mut metric = encoder.encode_descriptor(name, help, None, MetricType::Counter)?;
+    for (labels, figure) in figures {
+        let counter = ConstCounter::new(*figure);
+        counter.encode(metric.encode_family(labels)?)?;
     }
     Ok(())
 }

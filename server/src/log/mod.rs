@@ -44,7 +44,7 @@ pub use error::LogError;
 pub use memory::MemoryLog;
 pub use record::{Digest, Record, RunId};
 pub(crate) use retention::Bounded;
-pub use retention::Retention;
+pub use retention::{Retention, Window};
 pub use session::{Batch, Block, Session, Sessions};
 pub use uid::Uid;
 
@@ -142,6 +142,9 @@ pub trait Journal: Send + Sync {
 
     /// Forgets the oldest records and operations that need not be kept, but never the newest of each.
     fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError>;
+
+    /// The records that the journal keeps of an index.
+    fn window(&self, uid: Uid) -> Result<Window, LogError>;
 
     /// True if the next [`Journal::submit`] may block on the store; call it from a blocking thread then.
     fn is_busy(&self) -> bool {

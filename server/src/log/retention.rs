@@ -18,6 +18,15 @@ pub struct Retention {
     pub operation_bytes: usize,
 }
 
+/// The records of an index that a journal keeps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Window {
+    /// Their number.
+    pub records: u64,
+    /// Their bytes (see [`Effects::bytes`](super::Effects::bytes)).
+    pub bytes: u64,
+}
+
 impl Retention {
     /// Forgets the records that need not be kept, oldest first. `time_of` is the time of a record in milliseconds
     /// since 1970.
@@ -90,6 +99,14 @@ impl<T> Bounded<T> {
     pub(crate) fn retain(&mut self, keep: impl Fn(&T) -> bool) {
         self.items.retain(|(item, _)| keep(item));
         self.bytes = self.items.iter().map(|(_, bytes)| bytes).sum();
+    }
+
+    /// The items and their bytes, as the window of an index.
+    pub(super) fn window(&self) -> Window {
+        Window {
+            records: self.items.len() as u64,
+            bytes: self.bytes as u64,
+        }
     }
 
     /// The items, oldest first.

@@ -75,12 +75,14 @@ pub(crate) struct CallRecord {
 }
 
 impl CallRecord {
-    /// A call of `verb` on a face that arrived at `started`. Log lines name it `rpc`, such as `PointService/Knn`.
+    /// A call of `verb` on a face that arrived at `started`. Log lines name it `rpc`, such as `PointService/Knn`, and have
+    /// its caller and the trace of its `traceparent`.
     pub(crate) fn begin(
         rpc: impl Into<String>,
         (face, verb): (&'static str, &'static str),
         started: Instant,
         metrics: &Metrics,
+        (caller, traceparent): (&Caller, Option<&str>),
     ) -> Self {
         let rpc = rpc.into();
         Self {
@@ -91,8 +93,9 @@ impl CallRecord {
             span: info_span!(
                 "call",
                 rpc,
-                identity = field::Empty,
-                trace = field::Empty,
+                // A field that is recorded later costs a call more than one that is known here.
+                identity = caller.name(),
+                trace = traceparent.and_then(trace_id),
                 index = field::Empty,
                 rows = field::Empty
             ),
@@ -107,22 +110,6 @@ impl CallRecord {
     /// The same call, made by this peer.
     pub(crate) fn of_peer(mut self, peer: Option<SocketAddr>) -> Self {
         self.peer = peer;
-        self
-    }
-
-    /// The same call, as a part of the trace that its `traceparent` names.
-    pub(crate) fn of_trace(self, traceparent: Option<&str>) -> Self {
-        if let Some(trace) = traceparent.and_then(trace_id) {
-            self.span.record("trace", trace);
-        }
-        self
-    }
-
-    /// The same call, made by this caller.
-    pub(crate) fn of_caller(self, caller: &Caller) -> Self {
-        if let Some(name) = caller.name() {
-            self.span.record("identity", name);
-        }
         self
     }
 

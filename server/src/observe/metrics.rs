@@ -54,6 +54,8 @@ pub(crate) struct Metrics(Arc<Inner>);
 
 #[derive(Debug)]
 struct Inner {
+    /// False if no one can read the metrics.
+    are_read: bool,
     registry: Mutex<Registry>,
     calls: Family<CallLabels, Histogram, fn() -> Histogram>,
     queued: Family<FaceLabels, Histogram, fn() -> Histogram>,
@@ -73,7 +75,8 @@ pub(super) struct Ended<'a> {
 }
 
 impl Metrics {
-    pub(crate) fn new() -> Self {
+    /// Metrics without calls; none are counted unless the metrics `are_read`.
+    pub(crate) fn new(are_read: bool) -> Self {
         let calls = Family::new_with_constructor(times as fn() -> Histogram);
         let queued = Family::new_with_constructor(times as fn() -> Histogram);
         let mut registry = Registry::with_prefix("wayfold");
@@ -100,6 +103,7 @@ impl Metrics {
             snapshots.clone(),
         );
         Self(Arc::new(Inner {
+            are_read,
             registry: Mutex::new(registry),
             calls,
             queued,
@@ -139,6 +143,9 @@ impl Metrics {
 
     pub(super) fn count(&self, ended: &Ended<'_>) {
         let Ended { face, verb, .. } = *ended;
+        if !self.0.are_read {
+            return;
+        }
         let Inner {
             calls,
             queued: queues,

@@ -25,7 +25,7 @@ use super::{
     payload_sizes::PayloadSizes,
     recent::RecentRecords,
 };
-use crate::log::{Effects, Entry, LogError, Record, Retention, Uid, View};
+use crate::log::{Effects, Entry, LogError, Record, Retention, Uid, View, Window};
 
 /// One frozen revision of an index. It does not change while it is held.
 pub struct Published {
@@ -61,6 +61,8 @@ pub struct Hosted {
     pub(super) last_idle_revision: AtomicU64,
     pub(super) recent: parking_lot::Mutex<RecentRecords>,
     followers: Followers,
+    /// The records that subscribers read from the log because no publication brought them.
+    missed: AtomicU64,
     apply_loop: parking_lot::Mutex<ApplyLoop>,
 }
 
@@ -113,6 +115,7 @@ impl Hosted {
             last_idle_revision: AtomicU64::new(u64::MAX),
             recent: parking_lot::Mutex::new(RecentRecords::new(host.options.window_bytes)),
             followers: Followers::default(),
+            missed: AtomicU64::new(0),
             apply_loop: parking_lot::Mutex::new(ApplyLoop::start(
                 0,
                 hosted.clone(),
@@ -149,6 +152,16 @@ impl Hosted {
     /// The number of records that are submitted and not readable yet.
     pub(crate) fn records_in_flight(&self) -> usize {
         self.in_flight.lock().len()
+    }
+
+    /// Counts records that a subscriber reads from the log because no publication brought them.
+    pub fn count_missed(&self, records: u64) {
+        self.missed.fetch_add(records, Relaxed);
+    }
+
+    /// The number of these records.
+    pub(crate) fn missed(&self) -> u64 {
+        self.missed.load(Relaxed)
     }
 
     /// Counts a subscriber that has the records up to `revision`.
@@ -293,6 +306,11 @@ impl Hosted {
             state.published = Arc::clone(published);
             is_newer
         });
+    }
+
+    /// The records that are kept for subscribers that fall behind; none while the log cannot be read.
+    pub(crate) fn window(&self) -> Window {
+        self.host.log.journal.window(self.uid).unwrap_or_default()
     }
 
     /// Trims records and operations that need not be kept.

@@ -13,6 +13,7 @@ impl Service {
         call: &Call,
         request: v1::WatchRequest,
     ) -> Result<v1::WatchResponse, Error> {
+        let name = request.index_name.clone();
         let after = request.after_revision.as_ref();
         let after = after.map_or(u64::MAX, |after| after.number);
         let watch = self.watch(call, request).await?;
@@ -33,6 +34,10 @@ impl Service {
                 requested: value + 1,
                 advice: "follow the index with Watch, which tells a large mutation in pieces, or start from its points",
             });
+        }
+        let hosted = self.registry()?.get(&name);
+        if let Ok(hosted) = hosted {
+            hosted.count_missed(answer.mutations.len() as u64);
         }
         Ok(answer)
     }

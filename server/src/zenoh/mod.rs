@@ -74,23 +74,13 @@ impl ZenohFace {
         if config.is_off() {
             return Ok(None);
         }
-        let Shared {
-            service,
-            admission,
-            slow_calls,
-            identities,
-            metrics,
-        } = shared;
         check_prefix(&config.prefix)?;
         let (session, connects_to) = session::open(config).await?;
-        metrics.add(Links(session.clone()));
+        shared.metrics.add(Links(session.clone()));
         let queries = Arc::new(Queries {
-            service,
+            flows: Flows::new(shared.admission.clone()),
+            shared,
             prefix: config.prefix.clone(),
-            flows: Flows::new(admission),
-            slow_calls,
-            identities,
-            metrics,
             places: Arc::new(Semaphore::new(config.max_calls.min(Semaphore::MAX_PERMITS))),
             max_calls: config.max_calls,
             refusals: Arc::new(Semaphore::new(MAX_REFUSALS)),
@@ -138,7 +128,7 @@ impl ZenohFace {
     /// Begins to announce the indices, and to publish their mutations if `publishes`; the service must have them.
     pub(crate) fn announce(&mut self, publishes: bool) {
         let announcer = Announcer {
-            service: self.queries.service.clone(),
+            service: self.queries.shared.service.clone(),
             session: self.session.clone(),
             prefix: self.queries.prefix.clone(),
             stopping: self.queries.stopping.clone(),

@@ -31,9 +31,10 @@ use super::{
 };
 use crate::{
     admission::{CALL_BYTES, CallTurns, HeldBytes},
-    identity::{Caller, Denial, Identities},
-    observe::{CallRecord, Ending, IndexLabel, Metrics, SlowCalls, Times},
-    service::{Error, Service, Unavailability},
+    faces::Shared,
+    identity::{Caller, Denial},
+    observe::{CallRecord, Ending, IndexLabel, Times},
+    service::{Error, Unavailability},
     status::{self, Status},
 };
 
@@ -41,12 +42,9 @@ const MAX_MESSAGE_BYTES: &str = "zenoh.max_message_bytes";
 
 /// Answers queries.
 pub(super) struct Queries {
-    pub(super) service: Service,
+    pub(super) shared: Shared,
     pub(super) prefix: String,
     pub(super) flows: Flows,
-    pub(super) slow_calls: SlowCalls,
-    pub(super) identities: Identities,
-    pub(super) metrics: Metrics,
     /// Bounds the queries in flight: each may wait for its link on a thread of its own.
     pub(super) places: Arc<Semaphore>,
     pub(super) max_calls: usize,
@@ -179,16 +177,16 @@ impl Queries {
         };
         let attached = attached(&query);
         let caller = self
+            .shared
             .identities
             .caller(attached.get("token").map(str::as_bytes), None);
         let mut record = CallRecord::begin(
             format!("Zenoh/{rpc}"),
             ("zenoh", rpc),
             arrived,
-            &self.metrics,
-        )
-        .of_trace(attached.get("traceparent"))
-        .of_caller(&caller);
+            &self.shared.metrics,
+            (&caller, attached.get("traceparent")),
+        );
         let of = (arrived, caller, Arc::clone(record.index()));
         let span = record.span().clone();
         let asked = async {
@@ -212,7 +210,7 @@ impl Queries {
             computed,
             answered: arrived.elapsed(),
         };
-        record.took(times, &self.slow_calls);
+        record.took(times, &self.shared.slow_calls);
         record.end(match &result {
             Ok(_) => Ending::Ok,
             Err(status) => Ending::Failed(status.code),
@@ -268,13 +266,14 @@ impl Queries {
         call.index = label;
         let answered = async {
             if key.is_wild() {
-                let replies = wildcard::answer(&self.service, &call, &self.prefix, key, form);
+                let replies =
+                    wildcard::answer(&self.shared.service, &call, &self.prefix, key, form);
                 return Box::pin(replies).await;
             }
             let verb = target?.verb;
             request.check(verb)?;
             let limit = self.max_message_bytes;
-            let payload = dispatch(&self.service, &call, verb, &request, limit).await?;
+            let payload = dispatch(&self.shared.service, &call, verb, &request, limit).await?;
             Ok(vec![(query.key_expr().clone().into_owned(), payload)])
         };
         let Some(deadline) = call.deadline else {

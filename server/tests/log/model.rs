@@ -9,7 +9,7 @@ use std::{
 use bytes::Bytes;
 use wayfold_server::log::{
     Batch, Block, Effects, LogError, Operation, Origin, Record, Retention, Session, Sessions,
-    StoredPoint, Uid, View,
+    StoredPoint, Uid, View, Window,
 };
 
 use crate::{Engine, all_points, effects};
@@ -232,6 +232,13 @@ impl Model {
             log.read(uid, None, usize::MAX).unwrap(),
             self.records[self.trimmed..]
         );
+        let held = &self.records[self.trimmed..];
+        let bytes = held.iter().map(|record| record.effects().bytes() as u64);
+        let window = Window {
+            records: held.len() as u64,
+            bytes: bytes.sum(),
+        };
+        assert_eq!(log.window(uid).unwrap(), window);
         let oldest = self.origin.revision + self.trimmed as u64;
         for after in self.origin.revision.saturating_sub(1)..=self.head() {
             let tail = log.read(uid, Some(after), usize::MAX);

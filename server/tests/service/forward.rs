@@ -38,6 +38,10 @@ macro_rules! forward_journal {
         ) -> Result<(), LogError> {
             self.$field.trim(uid, retention)
         }
+
+        fn window(&self, uid: Uid) -> Result<wayfold_server::log::Window, LogError> {
+            self.$field.window(uid)
+        }
     };
 }
 

@@ -15,6 +15,7 @@ const KNNS: u64 = 37;
 const INSERTS: u64 = 5;
 const MISSING: u64 = 3;
 const QUERIES: u64 = 4;
+const MISSED: u64 = 2;
 
 /// The status and the body of a page.
 fn page(address: &str, path: &str, header: &str) -> (u16, String) {
@@ -61,7 +62,7 @@ async fn the_counts_are_those_of_the_clients() {
     let zenoh = server.zenoh();
     let address = server.pages();
     let mut stubs = Stubs::connect(server.uri()).await;
-    stubs.create("arm", "R1").await;
+    let uid = stubs.create("arm", "R1").await.revision.unwrap().uid;
     let knn = |index: &str| v1::KnnRequest {
         index_name: index.into(),
         states: Some(row_states(&[0.0], 1)),
@@ -89,6 +90,13 @@ async fn the_counts_are_those_of_the_clients() {
         answers.recv_async().await.unwrap().into_result().unwrap();
     }
 
+    // A subscriber that missed the last mutations, and one that has them all.
+    for after in [INSERTS - MISSED, INSERTS] {
+        let log = format!("wayfold/v1/arm/log?from={after};uid={uid}");
+        let answers = session.get(log).await.unwrap();
+        answers.recv_async().await.unwrap().into_result().unwrap();
+    }
+
     let watch = v1::WatchRequest {
         index_name: "arm".into(),
         ..Default::default()
@@ -104,12 +112,21 @@ async fn the_counts_are_those_of_the_clients() {
         // Names that a stranger makes up make no series of their own.
         (calls("grpc", "knn", "", "NOT_FOUND"), MISSING),
         (calls("zenoh", "info", "arm", "OK"), QUERIES),
+        (calls("zenoh", "log", "arm", "OK"), 2),
         ("wayfold_index_points{index=\"arm\"}".into(), 2 * INSERTS),
         ("wayfold_index_revision{index=\"arm\"}".into(), INSERTS),
         ("wayfold_merges{state=\"running\"}".into(), 0),
         ("wayfold_zenoh_links".into(), 1),
         ("wayfold_index_followers{index=\"arm\"}".into(), 1),
         ("wayfold_index_follower_lag{index=\"arm\"}".into(), 0),
+        (
+            "wayfold_index_window_records{index=\"arm\"}".into(),
+            INSERTS,
+        ),
+        (
+            "wayfold_index_missed_records_total{index=\"arm\"}".into(),
+            MISSED,
+        ),
         ("wayfold_indices{state=\"served\"}".into(), 1),
         (
             "wayfold_refused_calls_total{reason=\"OVERLOADED\"}".into(),
@@ -129,10 +146,10 @@ async fn the_counts_are_those_of_the_clients() {
         .filter(|(name, _)| name.starts_with("wayfold_call_seconds_count"))
         .map(|(_, count)| count)
         .sum();
-    let made = KNNS + INSERTS + MISSING + QUERIES + 1;
+    let made = KNNS + INSERTS + MISSING + QUERIES + 3;
     assert_eq!(all, made as f64, "{figures:#?}");
     let queued = figures["wayfold_queue_seconds_count{face=\"grpc\"}"];
-    assert_eq!(queued, (made - QUERIES) as f64);
+    assert_eq!(queued, (made - QUERIES - 2) as f64);
     // The mutations were acknowledged one after the other, so each has its own sync.
     let syncs = figures["wayfold_log_sync_seconds_count"];
     assert!(syncs >= INSERTS as f64, "{syncs}");

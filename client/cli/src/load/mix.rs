@@ -2,8 +2,6 @@
 
 use std::fmt;
 
-use super::nearest;
-
 /// A call that the load makes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Verb {
@@ -11,10 +9,18 @@ pub(super) enum Verb {
     Knn,
     Query,
     Get,
+    /// knn over one stream, with a request for each state.
+    Stream,
 }
 
 impl Verb {
-    pub(super) const ALL: [Verb; 4] = [Verb::Insert, Verb::Knn, Verb::Query, Verb::Get];
+    pub(super) const ALL: [Verb; 5] = [
+        Verb::Insert,
+        Verb::Knn,
+        Verb::Query,
+        Verb::Get,
+        Verb::Stream,
+    ];
 
     pub(super) fn name(self) -> &'static str {
         match self {
@@ -22,6 +28,7 @@ impl Verb {
             Verb::Knn => "knn",
             Verb::Query => "query",
             Verb::Get => "get",
+            Verb::Stream => "stream",
         }
     }
 
@@ -37,7 +44,7 @@ pub(super) struct Mix([u32; Verb::ALL.len()]);
 impl Default for Mix {
     /// A planner's calls: it searches far more often than it inserts.
     fn default() -> Mix {
-        Mix([1, 8, 1, 1])
+        Mix([1, 8, 1, 1, 0])
     }
 }
 
@@ -96,9 +103,8 @@ impl Mix {
 }
 
 fn unknown_verb(name: &str) -> String {
-    let names = Verb::ALL.map(Verb::name);
-    let meant = nearest::hint(name, &names);
-    format!("{name:?} is not a verb of a load{meant}; the verbs are insert, knn, query and get")
+    let names = Verb::ALL.map(Verb::name).join(", ");
+    format!("{name:?} is not a verb of a load; the verbs are {names}")
 }
 
 impl fmt::Display for Mix {
@@ -137,8 +143,8 @@ mod tests {
     fn a_wrong_mix_says_what_to_write() {
         for (text, expected) in [
             ("knn", "knn has no weight: write knn=1"),
-            ("kn=1", "did you mean knn?"),
-            ("update=1", "the verbs are insert, knn, query and get"),
+            ("kn=1", "the verbs are insert, knn"),
+            ("update=1", "the verbs are insert, knn, query, get, stream"),
             ("", "\"\" is not a verb"),
             ("knn=1,", "\"\" is not a verb"),
             ("knn=1,knn=2", "knn is given twice"),

@@ -9,7 +9,6 @@ mod error;
 mod json;
 mod machine;
 mod mix;
-mod nearest;
 mod outcome;
 mod record;
 mod report;
@@ -130,7 +129,7 @@ pub(crate) async fn load(
     let outcome = run_until_signal(plan).await?;
     let report = report.map(|report| report.write(&report::page(&outcome)));
     match output.format {
-        Format::Json => output.json(&json::Line::of(&outcome))?,
+        Format::Json => output.json(&json::object(&outcome))?,
         Format::Text => table::print(&outcome, output)?,
     }
     // The figures are printed, even if the page cannot be written.

@@ -19,7 +19,7 @@ use super::{
     record::Tally,
     settings::{Address, Phase},
     states::{Range, Sampler},
-    target::Target,
+    target::{self, Target},
     worker::{Task, Worker, Workload},
 };
 use crate::failure::Failure;
@@ -53,7 +53,7 @@ pub(super) fn run(
     stopped: watch::Receiver<bool>,
     line: &ProgressBar,
 ) -> Result<Outcome, Failure> {
-    let mut first = Target::open(&plan.address, &plan.index, plan.timeout)?;
+    let mut first = target::open(&plan.address, &plan.index, plan.timeout)?;
     let space = first.space();
     let before = first.point_count()?;
     let mut outcome = Outcome {
@@ -79,10 +79,11 @@ pub(super) fn run(
         is_interrupted: false,
     };
     let sampler = Sampler::new(&space, plan.range, plan.seed);
-    let measured = fill(&plan, &sampler, &mut first, before, &stopped, line).and_then(|filled| {
-        outcome.points.filled = filled;
-        measure(&plan, sampler, &mut first, &stopped, line, &mut outcome)
-    });
+    let measured =
+        fill(&plan, &sampler, first.as_mut(), before, &stopped, line).and_then(|filled| {
+            outcome.points.filled = filled;
+            measure(&plan, sampler, first.as_mut(), &stopped, line, &mut outcome)
+        });
     outcome.is_interrupted = *stopped.borrow();
     line.set_message("settling");
     drop(first);
@@ -102,7 +103,7 @@ pub(super) fn run(
 fn fill(
     plan: &Plan,
     sampler: &Sampler,
-    target: &mut Target,
+    target: &mut dyn Target,
     before: u64,
     stopped: &watch::Receiver<bool>,
     line: &ProgressBar,
@@ -131,7 +132,7 @@ const PROBE_STREAM: u64 = u64::MAX - 1;
 fn measure(
     plan: &Plan,
     sampler: Sampler,
-    first: &mut Target,
+    first: &mut dyn Target,
     stopped: &watch::Receiver<bool>,
     line: &ProgressBar,
     outcome: &mut Outcome,
@@ -156,7 +157,7 @@ fn measure(
         line.set_message(format!("opening {most} workers: {number}"));
         workers.push(Worker {
             number,
-            target: Target::open(&plan.address, &plan.index, plan.timeout)?,
+            target: target::open(&plan.address, &plan.index, plan.timeout)?,
             stopped: stopped.clone(),
         });
     }
@@ -179,7 +180,7 @@ const MAX_IDS: usize = 100_000;
 fn with_radius(
     phases: &[Phase],
     sampler: &Sampler,
-    target: &Target,
+    target: &dyn Target,
 ) -> Result<Vec<Phase>, Failure> {
     const PROBES: usize = 32;
     let mut phases = phases.to_vec();
@@ -333,7 +334,7 @@ impl Runner<'_> {
 fn clean(plan: &Plan, points: &mut PointCounts) -> Result<(), Failure> {
     // A shared index of its own reads what all others wrote.
     let mut clean = || {
-        let mut target = Target::open(&plan.address, &plan.index, plan.timeout)?;
+        let mut target = target::open(&plan.address, &plan.index, plan.timeout)?;
         let stores = plan.phases.iter().any(|phase| phase.mix.has(Verb::Insert));
         if !plan.keep && (stores || points.filled > 0) {
             points.removed = target.remove_tagged(plan.tag)?;

@@ -2,11 +2,12 @@
 
 use std::{fs, path::Path};
 
+use clap::Args;
 use toml::{Table, Value};
 
 use super::{
     error::LoadError,
-    settings::{Phase, PhaseSettings, RunSettings, unknown},
+    settings::{Phase, PhaseSettings, RunSettings, parsed},
 };
 
 /// The settings of a scenario.
@@ -32,22 +33,23 @@ impl Scenario {
     }
 
     fn parse(text: &str) -> Result<Scenario, String> {
-        let table: Table = text.parse().map_err(|error: toml::de::Error| {
-            // The message shows the line and the column, each on a line of its own.
-            error.to_string().trim_end().to_owned()
-        })?;
-        let mut scenario = Scenario::default();
-        for (key, value) in &table {
-            match key.as_str() {
-                "phase" => scenario.phases = phases(value)?,
-                key if PhaseSettings::KEYS.contains(&key) => {
-                    set(key, value, |text| scenario.all.set(key, text))?;
-                }
-                key => set(key, value, |text| scenario.run.set(key, text))
-                    .map_err(|problem| or_unknown(key, problem))?,
-            }
-        }
-        Ok(scenario)
+        // The message shows the line and the column, each on a line of its own.
+        let syntax = |error: toml::de::Error| error.to_string().trim_end().to_owned();
+        let mut table: Table = text.parse().map_err(syntax)?;
+        let phases = table.remove("phase").unwrap_or(Value::Array(Vec::new()));
+        let phases = phases
+            .as_array()
+            .and_then(|all| all.iter().map(Value::as_table).collect());
+        let phases: Vec<&Table> = phases.ok_or("phase: begin each phase with a line [[phase]]")?;
+        let all: Settings = parsed(options(&table)?)?;
+        let numbered = phases.into_iter().zip(1..);
+        Ok(Scenario {
+            run: all.run,
+            all: all.phase,
+            phases: numbered
+                .map(|(table, number)| phase(number, table))
+                .collect::<Result<_, _>>()?,
+        })
     }
 
     /// The phases under the settings of the command line, which go first. Without phases there is one.
@@ -61,75 +63,43 @@ impl Scenario {
     }
 }
 
-/// The error of a key that may be none of the whole file's.
-fn or_unknown(key: &str, problem: String) -> String {
-    if RunSettings::KEYS.contains(&key) {
-        return problem;
-    }
-    let known = [&["phase"][..], &PhaseSettings::KEYS, &RunSettings::KEYS].concat();
-    unknown(key, &known)
+/// The settings of a whole file.
+#[derive(Args)]
+struct Settings {
+    #[command(flatten)]
+    run: RunSettings,
+    #[command(flatten)]
+    phase: PhaseSettings,
 }
 
-/// Sets a value by its text. The parsers of the options read numbers, words and lists of numbers alike.
-fn set(
-    key: &str,
-    value: &Value,
-    set: impl FnOnce(&str) -> Result<(), String>,
-) -> Result<(), String> {
-    let text = match value {
-        Value::String(text) => text.clone(),
-        Value::Integer(number) => number.to_string(),
-        Value::Float(number) => number.to_string(),
-        Value::Boolean(is_set) => is_set.to_string(),
-        other => {
-            return Err(format!(
-                "{key}: a value of the type {} does not fit",
-                other.type_str()
-            ));
-        }
+/// The options of the same names and values as the keys of a table.
+fn options(table: &Table) -> Result<Vec<String>, String> {
+    let option = |(key, value): (&String, &Value)| match value {
+        Value::String(text) => Ok(Some(format!("--{key}={text}"))),
+        Value::Integer(number) => Ok(Some(format!("--{key}={number}"))),
+        Value::Float(number) => Ok(Some(format!("--{key}={number}"))),
+        Value::Boolean(is_set) => Ok(is_set.then(|| format!("--{key}"))),
+        other => Err(format!(
+            "{key}: a value of the type {} does not fit",
+            other.type_str()
+        )),
     };
-    let shown = match value.is_str() {
-        true => format!("{text:?}"),
-        false => text.clone(),
-    };
-    set(&text).map_err(|problem| match problem.starts_with("unknown key") {
-        true => problem,
-        false => format!("{key} = {shown}: {problem}"),
-    })
-}
-
-fn phases(value: &Value) -> Result<Vec<(String, PhaseSettings)>, String> {
-    let tables = value
-        .as_array()
-        .map(|values| values.iter().map(Value::as_table));
-    let tables: Option<Vec<&Table>> = tables.and_then(Iterator::collect);
-    let tables = tables.ok_or("phase: begin each phase with a line [[phase]]")?;
-    let numbered = tables.into_iter().enumerate();
-    numbered.map(|(i, table)| phase(i + 1, table)).collect()
+    table
+        .iter()
+        .filter_map(|entry| option(entry).transpose())
+        .collect()
 }
 
 /// Phase `number` of the file, counted from 1.
 fn phase(number: usize, table: &Table) -> Result<(String, PhaseSettings), String> {
-    let name = match table.get("name") {
+    let mut table = table.clone();
+    let name = match table.remove("name") {
         None => format!("phase {number}"),
-        Some(Value::String(name)) if !name.is_empty() => name.clone(),
+        Some(Value::String(name)) if !name.is_empty() => name,
         Some(_) => return Err(format!("phase {number}: name: expected a text, in quotes")),
     };
-    let mut settings = PhaseSettings::default();
-    for (key, value) in table.iter().filter(|(key, _)| *key != "name") {
-        let is_known = PhaseSettings::KEYS.contains(&key.as_str());
-        let done = match is_known {
-            true => set(key, value, |text| settings.set(key, text)),
-            false if RunSettings::KEYS.contains(&key.as_str()) => Err(format!(
-                "{key} is a setting of the whole run: move it above the first [[phase]]"
-            )),
-            false => Err(unknown(
-                key,
-                &[&["name"], &PhaseSettings::KEYS[..]].concat(),
-            )),
-        };
-        done.map_err(|problem| format!("phase {number} ({name}): {problem}"))?;
-    }
+    let settings = options(&table).and_then(parsed);
+    let settings = settings.map_err(|problem| format!("phase {number} ({name}): {problem}"))?;
     Ok((name, settings))
 }
 
@@ -170,8 +140,7 @@ batch = 4
 
     #[test]
     fn options_go_before_the_file() {
-        let mut flags = PhaseSettings::default();
-        flags.set("batch", "9").unwrap();
+        let flags = parsed(["--batch=9"]).unwrap();
         let phases = Scenario::parse(TWO).unwrap().phases(&flags);
         assert!(phases.iter().all(|phase| phase.batch == 9));
         assert_eq!(Scenario::default().phases(&flags).len(), 1);
@@ -180,29 +149,32 @@ batch = 4
     #[test]
     fn a_wrong_file_says_where_and_what_was_meant() {
         for (text, expected) in [
-            ("sede = 1", "unknown key \"sede\"; did you mean seed?"),
+            ("sede = 1", "a similar argument exists: '--seed'"),
             (
                 "[[phases]]\nrate = 1",
-                "unknown key \"phases\"; did you mean phase?",
+                "phases: a value of the type array does not fit",
             ),
             ("[phase]\nrate = 1", "[[phase]]"),
             ("phase = 1", "[[phase]]"),
             (
                 "[[phase]]\n[[phase]]\nname = \"b\"\nraet = 5",
-                "phase 2 (b): unknown key \"raet\"; did you mean rate?",
+                "phase 2 (b): unexpected argument '--raet' found\n\n  tip: a similar argument exists: '--rate'",
             ),
-            ("[[phase]]\nseed = 1", "move it above the first [[phase]]"),
-            ("rate = 0", "rate = 0: expected calls per second"),
+            ("[[phase]]\nseed = 1", "unexpected argument '--seed'"),
+            (
+                "rate = 0",
+                "'0' for '--rate <CALLS>': expected calls per second",
+            ),
             (
                 "[[phase]]\nmix = \"kn=1\"",
-                "phase 1 (phase 1): mix = \"kn=1\": \"kn\" is not a verb",
+                "phase 1 (phase 1): invalid value 'kn=1' for '--mix <VERB=WEIGHT,...>': \"kn\" is not a verb",
             ),
             (
                 "duration = 5",
-                "duration = 5: expected a number above 0 and its unit",
+                "'5' for '--duration <TIME>': expected a number above 0 and its unit",
             ),
             ("rate = [1]", "rate: a value of the type array does not fit"),
-            ("face = \"grcp\"", "expected grpc, zenoh or shared"),
+            ("face = \"grcp\"", "[possible values: grpc, zenoh, shared]"),
             ("[[phase]]\nname = 3", "phase 1: name: expected a text"),
             ("rate = ", "line 1"),
         ] {

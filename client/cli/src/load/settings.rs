@@ -1,12 +1,12 @@
 //! The settings of a run and of its phases: options of the command line, and keys of a scenario.
 
-use std::time::Duration;
+use std::{ffi::OsString, time::Duration};
 
-use clap::ValueEnum;
+use clap::{Args, Command, ValueEnum};
 
 use wayfold::Credentials;
 
-use super::{error::LoadError, mix::Mix, nearest, states::Range};
+use super::{error::LoadError, mix::Mix, states::Range};
 use crate::parse;
 
 /// The settings of one phase, where they are given.
@@ -92,26 +92,6 @@ impl Face {
 }
 
 impl PhaseSettings {
-    pub(super) const KEYS: [&str; 8] = [
-        "workers", "mix", "batch", "k", "radius", "rate", "duration", "calls",
-    ];
-
-    /// Sets the value of a key of a scenario, by the parser of the option of the same name.
-    pub(super) fn set(&mut self, key: &str, text: &str) -> Result<(), String> {
-        match key {
-            "workers" => self.workers = Some(workers(text)?),
-            "mix" => self.mix = Some(Mix::parse(text)?),
-            "batch" => self.batch = Some(batch(text)?),
-            "k" => self.k = Some(k(text)?),
-            "radius" => self.radius = Some(parse::distance(text)?),
-            "rate" => self.rate = Some(rate(text)?),
-            "duration" => self.duration = Some(parse::duration(text)?),
-            "calls" => self.calls = Some(count(text)?),
-            _ => return Err(unknown(key, &PhaseSettings::KEYS)),
-        }
-        Ok(())
-    }
-
     /// These settings, and those of `other` where these have none.
     pub(super) fn or(&self, other: &PhaseSettings) -> PhaseSettings {
         // An end that is given replaces both ends.
@@ -151,6 +131,24 @@ impl PhaseSettings {
     }
 }
 
+/// The settings that options set; the problem of a wrong option in words.
+pub(super) fn parsed<S: Args>(
+    options: impl IntoIterator<Item = impl Into<OsString> + Clone>,
+) -> Result<S, String> {
+    let command = S::augment_args(Command::new("load").no_binary_name(true));
+    let matches = command
+        .disable_help_flag(true)
+        .try_get_matches_from(options);
+    let settings = matches.and_then(|matches| S::from_arg_matches(&matches));
+    settings.map_err(|error| {
+        let text = error.render().to_string();
+        // The rest is about the command line.
+        let problem = text.split("\n\nUsage").next().unwrap_or_default();
+        let problem = problem.split("\n\nFor more").next().unwrap_or_default();
+        problem.trim_start_matches("error: ").trim().to_owned()
+    })
+}
+
 /// One phase, with every setting decided but the radius.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Phase {
@@ -167,26 +165,6 @@ pub(super) struct Phase {
 }
 
 impl RunSettings {
-    pub(super) const KEYS: [&str; 8] = [
-        "face", "locator", "prefix", "range", "seed", "warmup", "fill", "keep",
-    ];
-
-    /// Sets the value of a key of a scenario, by the parser of the option of the same name.
-    pub(super) fn set(&mut self, key: &str, text: &str) -> Result<(), String> {
-        match key {
-            "face" => self.face = Some(Face::from_str(text, false).map_err(|_| FACES)?),
-            "locator" => self.locator = Some(text.to_owned()),
-            "prefix" => self.prefix = Some(text.to_owned()),
-            "range" => self.range = Some(Range::parse(text)?),
-            "seed" => self.seed = Some(text.parse().map_err(|_| "expected a whole number")?),
-            "warmup" => self.warmup = Some(parse::duration(text)?),
-            "fill" => self.fill = Some(count_or_none(text)?),
-            "keep" => self.keep = text.parse().map_err(|_| "expected true or false")?,
-            _ => return Err(unknown(key, &RunSettings::KEYS)),
-        }
-        Ok(())
-    }
-
     /// These settings, and those of `other` where these have none.
     pub(super) fn or(self, other: RunSettings) -> RunSettings {
         RunSettings {
@@ -260,14 +238,6 @@ pub(super) struct Address {
     pub(super) credentials: Credentials,
 }
 
-const FACES: &str = "expected grpc, zenoh or shared";
-
-/// The message about a key that is none of the known ones.
-pub(super) fn unknown(key: &str, known: &[&str]) -> String {
-    let hint = nearest::hint(key, known);
-    format!("unknown key {key:?}{hint}; known are {}", known.join(", "))
-}
-
 fn workers(text: &str) -> Result<usize, String> {
     whole(text, 1..=1024).map(|number| number as usize)
 }
@@ -309,29 +279,8 @@ fn rate(text: &str) -> Result<f64, String> {
 mod tests {
     use super::*;
 
-    fn settings(given: &[(&str, &str)]) -> PhaseSettings {
-        let mut settings = PhaseSettings::default();
-        for (key, text) in given {
-            settings.set(key, text).unwrap();
-        }
-        settings
-    }
-
-    #[test]
-    fn every_key_can_be_set() {
-        let values = ["4", "knn=1", "2", "3", "0.5", "100", "5s", "7"];
-        let given: Vec<_> = PhaseSettings::KEYS.into_iter().zip(values).collect();
-        let phase = settings(&given).phase("a");
-        assert_eq!((phase.workers, phase.batch, phase.k), (4, 2, 3));
-        assert_eq!((phase.rate, phase.radius), (Some(100.0), Some(0.5)));
-        assert_eq!(phase.duration, Some(Duration::from_secs(5)));
-        assert_eq!(phase.calls, Some(7));
-        let mut run = RunSettings::default();
-        let values = ["shared", "tcp/h:1", "p", "-1,1", "9", "1s", "0", "true"];
-        for (key, text) in RunSettings::KEYS.into_iter().zip(values) {
-            run.set(key, text).unwrap();
-        }
-        assert_eq!((run.seed(), run.fill(), run.keep()), (9, Some(0), true));
+    fn settings(options: &[&str]) -> PhaseSettings {
+        parsed(options.iter().copied()).unwrap()
     }
 
     #[test]
@@ -340,9 +289,9 @@ mod tests {
             settings(&[]).phase("").duration,
             Some(Duration::from_secs(10))
         );
-        assert_eq!(settings(&[("calls", "5")]).phase("").duration, None);
-        let flags = settings(&[("calls", "5")]);
-        let merged = flags.or(&settings(&[("duration", "5m"), ("rate", "3")]));
+        assert_eq!(settings(&["--calls=5"]).phase("").duration, None);
+        let flags = settings(&["--calls=5"]);
+        let merged = flags.or(&settings(&["--duration=5m", "--rate=3"]));
         assert_eq!((merged.duration, merged.calls), (None, Some(5)));
         assert_eq!(merged.rate, Some(3.0));
     }
@@ -363,7 +312,7 @@ mod tests {
             ("duration", "5"),
             ("radius", "-1"),
         ] {
-            let refused = PhaseSettings::default().set(key, text);
+            let refused = parsed::<PhaseSettings>([format!("--{key}={text}")]);
             assert!(refused.unwrap_err().contains("expected"), "{key}={text}");
         }
     }

@@ -3,9 +3,10 @@
 mod grpc;
 mod shared;
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use wayfold::{Durability, Error, Filter, Neighbor, Space};
+use tokio::{sync::watch, time::timeout_at};
+use wayfold::{Durability, Error, Neighbor, Space};
 
 use super::{
     error::LoadError,
@@ -23,6 +24,8 @@ pub(super) enum Request<'a> {
     Insert { rows: &'a [f64], tag: u64 },
     /// States, and the number of neighbours of each.
     Knn { rows: &'a [f64], k: u32 },
+    /// The same over one stream, with a request for each state.
+    Stream { rows: &'a [f64], k: u32 },
     /// States, and the radius around each.
     Query { rows: &'a [f64], radius: f64 },
     /// Ids, each once.
@@ -36,6 +39,7 @@ impl Request<'_> {
             Request::Knn { .. } => Verb::Knn,
             Request::Query { .. } => Verb::Query,
             Request::Get { .. } => Verb::Get,
+            Request::Stream { .. } => Verb::Stream,
         }
     }
 
@@ -44,16 +48,11 @@ impl Request<'_> {
         match self {
             Request::Insert { rows, .. }
             | Request::Knn { rows, .. }
+            | Request::Stream { rows, .. }
             | Request::Query { rows, .. } => rows.len() / width,
             Request::Get { ids } => ids.len(),
         }
     }
-}
-
-/// A connection, or a shared index. Its methods block the thread that calls them.
-pub(super) enum Target {
-    Grpc(GrpcTarget),
-    Shared(SharedTarget),
 }
 
 /// The server at the other end.
@@ -63,104 +62,54 @@ pub(super) struct ServerFacts {
     pub(super) durability: Durability,
 }
 
-impl Target {
-    pub(super) fn open(
-        address: &Address,
-        index: &str,
-        timeout: Duration,
-    ) -> Result<Target, Failure> {
-        Ok(match address.face {
-            Face::Grpc => Target::Grpc(GrpcTarget::open(address, index, timeout)?),
-            Face::Shared | Face::Zenoh => {
-                Target::Shared(SharedTarget::open(address, index, timeout)?)
-            }
-        })
-    }
+/// A connection, or a shared index. Its methods block the thread that calls them.
+pub(super) trait Target: Send {
+    /// The runtime of this thread.
+    fn runtime(&self) -> &tokio::runtime::Runtime;
 
-    pub(super) fn space(&self) -> Space {
-        match self {
-            Target::Grpc(target) => target.space(),
-            Target::Shared(target) => target.space(),
-        }
-    }
+    fn space(&self) -> Space;
 
     /// The server's version and durability; `None` where the face does not tell them.
-    pub(super) fn server(&self) -> Result<Option<ServerFacts>, Error> {
-        match self {
-            Target::Grpc(target) => target.server().map(Some),
-            Target::Shared(_) => Ok(None),
-        }
-    }
+    fn server(&self) -> Result<Option<ServerFacts>, Error>;
 
-    pub(super) fn point_count(&self) -> Result<u64, Error> {
-        match self {
-            Target::Grpc(target) => target.point_count(),
-            Target::Shared(target) => target.point_count(),
-        }
-    }
+    fn point_count(&self) -> Result<u64, Error>;
 
     /// Makes a call, once.
-    pub(super) fn call(&mut self, request: &Request<'_>) -> Result<(), Error> {
-        match self {
-            Target::Grpc(target) => target.call(request),
-            Target::Shared(target) => target.call(request),
-        }
-    }
+    fn call(&mut self, request: &Request<'_>) -> Result<(), Error>;
 
     /// Stores states that are no part of the measurement.
-    pub(super) fn store(&mut self, rows: &[f64], tag: u64) -> Result<(), Error> {
-        match self {
-            Target::Grpc(target) => target.store(rows, tag),
-            Target::Shared(target) => target.store(rows, tag),
-        }
-    }
+    fn store(&mut self, rows: &[f64], tag: u64) -> Result<(), Error>;
 
     /// The neighbours of each state.
-    pub(super) fn neighbors(&self, rows: &[f64], k: u32) -> Result<Vec<Vec<Neighbor>>, Error> {
-        match self {
-            Target::Grpc(target) => target.neighbors(rows, k),
-            Target::Shared(target) => target.neighbors(rows, k),
-        }
-    }
+    fn neighbors(&self, rows: &[f64], k: u32) -> Result<Vec<Vec<Neighbor>>, Error>;
 
     /// Up to `most` ids of stored points.
-    pub(super) fn ids(&self, most: usize) -> Result<Vec<u64>, Error> {
-        match self {
-            Target::Grpc(target) => target.ids(&Filter::default(), most),
-            Target::Shared(target) => target.ids(most),
-        }
-    }
+    fn ids(&self, most: usize) -> Result<Vec<u64>, Error>;
 
     /// Removes the points with a tag, and returns their number.
-    pub(super) fn remove_tagged(&self, tag: u64) -> Result<u64, Error> {
-        match self {
-            Target::Grpc(target) => target.remove_tagged(tag),
-            Target::Shared(target) => target.remove_tagged(tag),
-        }
-    }
+    fn remove_tagged(&self, tag: u64) -> Result<u64, Error>;
 
     /// Waits until the server has acknowledged all writes, and returns the number of those that it did not take.
-    pub(super) fn settle(&mut self) -> u64 {
-        match self {
-            Target::Grpc(_) => 0,
-            Target::Shared(target) => target.settle(),
-        }
-    }
+    fn settle(&mut self) -> u64;
 
     /// Lets the connection live until `until` on this thread, or until `stopped`. True if `stopped`.
-    pub(super) fn idle(
-        &self,
-        until: std::time::Instant,
-        stopped: &mut tokio::sync::watch::Receiver<bool>,
-    ) -> bool {
-        let runtime = match self {
-            Target::Grpc(target) => target.runtime(),
-            Target::Shared(target) => target.runtime(),
-        };
+    fn idle(&self, until: Instant, stopped: &mut watch::Receiver<bool>) -> bool {
         let stop = stopped.wait_for(|stop| *stop);
-        let ended = runtime.block_on(async { tokio::time::timeout_at(until.into(), stop).await });
-        ended.is_ok()
+        let ended = async { timeout_at(until.into(), stop).await };
+        self.runtime().block_on(ended).is_ok()
     }
+}
+
+/// Opens a worker's own way to an index.
+pub(super) fn open(
+    address: &Address,
+    index: &str,
+    timeout: Duration,
+) -> Result<Box<dyn Target>, Failure> {
+    Ok(match address.face {
+        Face::Grpc => Box::new(GrpcTarget::open(address, index, timeout)?),
+        Face::Shared | Face::Zenoh => Box::new(SharedTarget::open(address, index, timeout)?),
+    })
 }
 
 /// A runtime on the thread that calls it, for one connection or for waiting.

@@ -74,7 +74,7 @@ impl Task {
 
 pub(super) struct Worker {
     pub(super) number: usize,
-    pub(super) target: Target,
+    pub(super) target: Box<dyn Target>,
     /// True once the run ends early.
     pub(super) stopped: watch::Receiver<bool>,
 }
@@ -110,7 +110,7 @@ impl Worker {
     }
 
     /// Makes a call and records it. After a failure it returns the pause that a patient caller makes.
-    fn call(&mut self, task: &Task, ticket: Ticket) -> Option<Duration> {
+    fn call(&mut self, task: &Task, mut ticket: Ticket) -> Option<Duration> {
         let stream = (task.number << PHASE_BITS) | ticket.number;
         let mut rng = task.workload.sampler.stream(stream);
         let (phase, workload) = (&task.phase, &task.workload);
@@ -128,6 +128,10 @@ impl Worker {
                 rows: &rows,
                 k: phase.k,
             },
+            Verb::Stream => Request::Stream {
+                rows: &rows,
+                k: phase.k,
+            },
             Verb::Query => Request::Query {
                 rows: &rows,
                 radius: phase.radius.unwrap_or_default(),
@@ -140,6 +144,10 @@ impl Worker {
                 }
             }
         };
+        if phase.rate.is_none() {
+            // The drawing of its states is no part of a call that begins when it can.
+            ticket.due = task.began.elapsed();
+        }
         let outcome = self.target.call(&request);
         let ended = task.began.elapsed();
         let (latency, rows) = (

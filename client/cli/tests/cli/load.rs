@@ -198,7 +198,11 @@ fn wrong_settings_say_what_to_do() {
         ("nope", 3, "no index is named \"nope\""),
         ("line --rate 0", 2, "leave --rate out for a closed loop"),
         ("line --mix knn", 2, "knn has no weight: write knn=1"),
-        ("line --mix kn=1", 2, "did you mean knn?"),
+        (
+            "line --mix kn=1",
+            2,
+            "the verbs are insert, knn, query, get, stream",
+        ),
         ("line --mix knn=0", 2, "every weight is 0"),
         ("line --workers 0", 2, "a whole number from 1 to 1024"),
         ("line --face zenoh", 2, "--face zenoh needs --locator"),

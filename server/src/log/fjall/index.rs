@@ -20,7 +20,7 @@ use super::{
     view::PointsView,
 };
 use crate::log::{
-    Entry, LogError, Operation, Origin, Outcome, Record, Retention, Sessions, View,
+    Entry, LogError, Operation, Origin, Outcome, Record, Retention, Sessions, View, Window,
     retention::Bounded,
 };
 
@@ -384,6 +384,11 @@ impl Index {
         });
         state.view = Arc::downgrade(&view);
         view
+    }
+
+    /// The records that are kept.
+    pub(super) fn window(&self) -> Result<Window, LogError> {
+        Ok(self.open()?.records.window())
     }
 
     /// Forgets the oldest records and operations. The next write of a record removes them from the store.

@@ -52,7 +52,7 @@ pub(crate) use syncer::SYNCS;
 
 use super::{
     Catalogue, Entry, Journal, LogError, Lost, Operation, Origin, PointStore, PointVisitor,
-    Receipt, Record, RecordStream, Restoring, Retention, Uid, View,
+    Receipt, Record, RecordStream, Restoring, Retention, Uid, View, Window,
 };
 use directory::Directory;
 use engine::Engine;
@@ -237,6 +237,10 @@ impl Journal for FjallLog {
 
     fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
         self.engine()?.index(uid)?.trim(retention)
+    }
+
+    fn window(&self, uid: Uid) -> Result<Window, LogError> {
+        self.engine()?.index(uid)?.window()
     }
 
     fn is_busy(&self) -> bool {

@@ -14,7 +14,7 @@ use parking_lot::RwLock;
 
 use super::{
     Catalogue, Entry, Journal, LogError, Operation, Origin, PointStore, Receipt, Record,
-    RecordStream, Restoring, Retention, Sessions, StoredPoint, Uid, View,
+    RecordStream, Restoring, Retention, Sessions, StoredPoint, Uid, View, Window,
 };
 use store::Store;
 
@@ -70,6 +70,10 @@ impl Journal for MemoryLog {
     fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
         self.store(uid)?.trim(retention);
         Ok(())
+    }
+
+    fn window(&self, uid: Uid) -> Result<Window, LogError> {
+        Ok(self.store(uid)?.window())
     }
 }
 

@@ -9,7 +9,7 @@ use tokio::sync::watch;
 use super::{versions::Versions, view::PinnedView};
 use crate::log::{
     LogError, Operation, Origin, Record, RecordStream, Retention, Sessions, StoredPoint, Tip, Uid,
-    View,
+    View, Window,
     retention::{Allowance, Bounded},
 };
 
@@ -265,6 +265,10 @@ impl Store {
 
     pub(super) fn operations(&self) -> Vec<Arc<Operation>> {
         self.journal.lock().operations.iter().cloned().collect()
+    }
+
+    pub(super) fn window(&self) -> Window {
+        self.journal.lock().records.window()
     }
 
     pub(super) fn trim(&self, keep: &Retention) {

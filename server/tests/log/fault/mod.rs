@@ -15,7 +15,7 @@ use rand::RngExt;
 use tokio::sync::watch;
 use wayfold_server::log::{
     self, Catalogue, Entry, LogError, Operation, Origin, PointStore, Receipt, Record, RecordStream,
-    Restoring, Retention, Sessions, StoredPoint, Tip, Uid, View,
+    Restoring, Retention, Sessions, StoredPoint, Tip, Uid, View, Window,
 };
 
 use gate::Gate;
@@ -153,6 +153,16 @@ impl log::Journal for FaultLog {
             0 => Ok(()),
             _ => journal.write(Item::Trim(uid, records, operations)),
         }
+    }
+
+    fn window(&self, uid: Uid) -> Result<Window, LogError> {
+        let journal = self.0.lock();
+        let records = &journal.index(uid)?.records;
+        let bytes = records.iter().map(|record| record.effects().bytes() as u64);
+        Ok(Window {
+            records: records.len() as u64,
+            bytes: bytes.sum(),
+        })
     }
 }
 

@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::sync::{Semaphore, SemaphorePermit, mpsc, oneshot, watch};
 use wayfold_server::log::{
-    Effects, Journal, LogError, Origin, Receipt, Record, RecordStream, Retention, Tip, Uid,
+    Effects, Journal, LogError, Origin, Receipt, Record, RecordStream, Retention, Tip, Uid, Window,
 };
 
 /// The messages of all indices in the order of their arrival, and the chance that a request or its answer is lost.
@@ -188,5 +188,9 @@ impl Journal for Remote {
 
     fn trim(&self, _uid: Uid, _retention: &Retention) -> Result<(), LogError> {
         Ok(())
+    }
+
+    fn window(&self, _uid: Uid) -> Result<Window, LogError> {
+        Ok(Window::default())
     }
 }

@@ -6,7 +6,7 @@ use wayfold::{
     Client, Error, Filter, Include, IndexHandle, Neighbor, RetryPolicy, ServerInfo, Space,
 };
 
-use super::{Address, OwnRuntime, Request, ServerFacts};
+use super::{Address, OwnRuntime, Request, ServerFacts, Target};
 use crate::failure::Failure;
 
 pub(crate) struct GrpcTarget {
@@ -45,69 +45,8 @@ impl GrpcTarget {
         })
     }
 
-    pub(super) fn runtime(&self) -> &tokio::runtime::Runtime {
-        &self.runtime
-    }
-
-    pub(super) fn space(&self) -> Space {
-        self.index.space().clone()
-    }
-
-    pub(super) fn server(&self) -> Result<ServerFacts, Error> {
-        let ServerInfo {
-            version,
-            durability,
-            ..
-        } = self.runtime.block_on(self.client.server())?;
-        Ok(ServerFacts {
-            version,
-            durability,
-        })
-    }
-
-    pub(super) fn point_count(&self) -> Result<u64, Error> {
-        let info = self.runtime.block_on(self.patient.info())?;
-        Ok(info.point_count)
-    }
-
-    pub(super) fn call(&self, request: &Request<'_>) -> Result<(), Error> {
-        let (index, width) = (&self.index, self.index.coordinates());
-        match *request {
-            Request::Insert { rows, tag } => {
-                let tags = vec![tag; rows.len() / width];
-                let insert = index.insert(rows.chunks_exact(width)).tags(tags);
-                self.runtime.block_on(insert.into_future()).map(drop)
-            }
-            Request::Knn { rows, k } => {
-                let knn = index.knn(rows.chunks_exact(width)).k(k);
-                self.runtime.block_on(knn.into_future()).map(drop)
-            }
-            Request::Query { rows, radius } => {
-                let query = index.query(rows.chunks_exact(width), radius);
-                self.runtime.block_on(query.into_future()).map(drop)
-            }
-            Request::Get { ids } => {
-                let get = index.get(ids).into_future();
-                self.runtime.block_on(get).map(drop)
-            }
-        }
-    }
-
-    pub(super) fn store(&self, rows: &[f64], tag: u64) -> Result<(), Error> {
-        let rows = rows.chunks_exact(self.index.coordinates());
-        let tags = vec![tag; rows.len()];
-        let insert = self.patient.insert(rows).tags(tags).into_future();
-        self.runtime.block_on(insert).map(drop)
-    }
-
-    pub(super) fn neighbors(&self, rows: &[f64], k: u32) -> Result<Vec<Vec<Neighbor>>, Error> {
-        let rows = rows.chunks_exact(self.index.coordinates());
-        let knn = self.patient.knn(rows).k(k).into_future();
-        let found = self.runtime.block_on(knn)?;
-        Ok(found.rows().map(|row| row.iter().collect()).collect())
-    }
-
-    pub(super) fn ids(&self, filter: &Filter, most: usize) -> Result<Vec<u64>, Error> {
+    /// Up to `most` ids of the points that a filter lets through.
+    fn ids_of(&self, filter: &Filter, most: usize) -> Result<Vec<u64>, Error> {
         self.runtime.block_on(async {
             let request = self.patient.scan().filter(filter.clone());
             let mut scan = request.include(Include::none()).await?;
@@ -123,7 +62,92 @@ impl GrpcTarget {
         })
     }
 
-    pub(super) fn remove_tagged(&self, tag: u64) -> Result<u64, Error> {
+    /// Asks for each state by itself, with many requests under way.
+    async fn stream(&self, rows: &[f64], k: u32) -> Result<(), Error> {
+        let (mut requests, mut answers) = self.index.stream_knn().await?;
+        let send = async move {
+            for row in rows.chunks_exact(self.index.coordinates()) {
+                requests.send(self.index.knn([row]).k(k)).await?;
+            }
+            Ok(())
+        };
+        let receive = async {
+            while answers.next().await?.is_some() {}
+            Ok(())
+        };
+        tokio::try_join!(send, receive).map(drop)
+    }
+}
+
+impl Target for GrpcTarget {
+    fn runtime(&self) -> &tokio::runtime::Runtime {
+        &self.runtime
+    }
+
+    fn space(&self) -> Space {
+        self.index.space().clone()
+    }
+
+    fn server(&self) -> Result<Option<ServerFacts>, Error> {
+        let ServerInfo {
+            version,
+            durability,
+            ..
+        } = self.runtime.block_on(self.client.server())?;
+        Ok(Some(ServerFacts {
+            version,
+            durability,
+        }))
+    }
+
+    fn point_count(&self) -> Result<u64, Error> {
+        let info = self.runtime.block_on(self.patient.info())?;
+        Ok(info.point_count)
+    }
+
+    fn call(&mut self, request: &Request<'_>) -> Result<(), Error> {
+        let (index, width) = (&self.index, self.index.coordinates());
+        match *request {
+            Request::Insert { rows, tag } => {
+                let tags = vec![tag; rows.len() / width];
+                let insert = index.insert(rows.chunks_exact(width)).tags(tags);
+                self.runtime.block_on(insert.into_future()).map(drop)
+            }
+            Request::Knn { rows, k } => {
+                let knn = index.knn(rows.chunks_exact(width)).k(k);
+                self.runtime.block_on(knn.into_future()).map(drop)
+            }
+            Request::Query { rows, radius } => {
+                let query = index.query(rows.chunks_exact(width), radius);
+                self.runtime.block_on(query.into_future()).map(drop)
+            }
+            Request::Stream { rows, k } => self.runtime.block_on(self.stream(rows, k)),
+            Request::Get { ids } => {
+                let get = index.get(ids).into_future();
+                self.runtime.block_on(get).map(drop)
+            }
+        }
+    }
+
+    fn store(&mut self, rows: &[f64], tag: u64) -> Result<(), Error> {
+        let rows = rows.chunks_exact(self.index.coordinates());
+        let tags = vec![tag; rows.len()];
+        let insert = self.patient.insert(rows).tags(tags).into_future();
+        self.runtime.block_on(insert).map(drop)
+    }
+
+    fn neighbors(&self, rows: &[f64], k: u32) -> Result<Vec<Vec<Neighbor>>, Error> {
+        let rows = rows.chunks_exact(self.index.coordinates());
+        let knn = self.patient.knn(rows).k(k).into_future();
+        let found = self.runtime.block_on(knn)?;
+        Ok(found.rows().map(|row| row.iter().collect()).collect())
+    }
+
+    fn ids(&self, most: usize) -> Result<Vec<u64>, Error> {
+        self.ids_of(&Filter::default(), most)
+    }
+
+    fn remove_tagged(&self, tag: u64) -> Result<u64, Error> {
         // The removals of one scan, so that a long list of ids does not fill the memory.
         const IDS: usize = 1_000_000;
         let filter = Filter::default().tag(u64::MAX, tag);
@@ -131,12 +155,16 @@ impl GrpcTarget {
         loop {
             // The reads of this handle see what the other handles of the run wrote.
             self.runtime.block_on(self.patient.info())?;
-            let ids = self.ids(&filter, IDS)?;
+            let ids = self.ids_of(&filter, IDS)?;
             if ids.is_empty() {
                 return Ok(removed);
             }
             let remove = self.patient.remove(ids).into_future();
             removed += self.runtime.block_on(remove)?.removed_count;
         }
+    }
+
+    fn settle(&mut self) -> u64 {
+        0
     }
 }

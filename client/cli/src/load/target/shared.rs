@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use wayfold::{Error, Index, InsertOptions, Neighbor, Search, Space};
 
-use super::{Address, OwnRuntime, Request};
+use super::{Address, OwnRuntime, Request, ServerFacts, Target};
 use crate::{failure::Failure, load::error::LoadError};
 
 pub(crate) struct SharedTarget {
@@ -37,27 +37,6 @@ impl SharedTarget {
         })
     }
 
-    pub(super) fn runtime(&self) -> &tokio::runtime::Runtime {
-        &self.runtime
-    }
-
-    pub(super) fn space(&self) -> Space {
-        self.index.space().clone()
-    }
-
-    pub(super) fn point_count(&self) -> Result<u64, Error> {
-        Ok(self.index.len()? as u64)
-    }
-
-    pub(super) fn call(&mut self, request: &Request<'_>) -> Result<(), Error> {
-        let done = self.make(request);
-        if let Err(Error::WritesRefused { .. }) = &done {
-            // The index takes writes again after this.
-            self.refused += self.index.take_unsent().len() as u64;
-        }
-        done
-    }
-
     fn make(&self, request: &Request<'_>) -> Result<(), Error> {
         let (index, width) = (&self.index, self.index.space().coordinates());
         match *request {
@@ -66,7 +45,8 @@ impl SharedTarget {
                     index.insert_with(row, InsertOptions::new().tag(tag))?;
                 }
             }
-            Request::Knn { rows, k } => {
+            // Nothing travels, so a stream has nothing to add.
+            Request::Knn { rows, k } | Request::Stream { rows, k } => {
                 index.search_many(rows.chunks_exact(width), &Search::k(k))?;
             }
             Request::Query { rows, radius } => {
@@ -80,23 +60,50 @@ impl SharedTarget {
         }
         Ok(())
     }
+}
 
-    pub(super) fn store(&mut self, rows: &[f64], tag: u64) -> Result<(), Error> {
+impl Target for SharedTarget {
+    fn runtime(&self) -> &tokio::runtime::Runtime {
+        &self.runtime
+    }
+
+    fn space(&self) -> Space {
+        self.index.space().clone()
+    }
+
+    fn server(&self) -> Result<Option<ServerFacts>, Error> {
+        Ok(None)
+    }
+
+    fn point_count(&self) -> Result<u64, Error> {
+        Ok(self.index.len()? as u64)
+    }
+
+    fn call(&mut self, request: &Request<'_>) -> Result<(), Error> {
+        let done = self.make(request);
+        if let Err(Error::WritesRefused { .. }) = &done {
+            // The index takes writes again after this.
+            self.refused += self.index.take_unsent().len() as u64;
+        }
+        done
+    }
+
+    fn store(&mut self, rows: &[f64], tag: u64) -> Result<(), Error> {
         self.call(&Request::Insert { rows, tag })?;
         self.index.flush()
     }
 
-    pub(super) fn neighbors(&self, rows: &[f64], k: u32) -> Result<Vec<Vec<Neighbor>>, Error> {
+    fn neighbors(&self, rows: &[f64], k: u32) -> Result<Vec<Vec<Neighbor>>, Error> {
         let rows = rows.chunks_exact(self.index.space().coordinates());
         self.index.search_many(rows, &Search::k(k))
     }
 
-    pub(super) fn ids(&self, most: usize) -> Result<Vec<u64>, Error> {
+    fn ids(&self, most: usize) -> Result<Vec<u64>, Error> {
         let points = self.index.scan()?.take(most);
         points.map(|point| Ok(point?.id)).collect()
     }
 
-    pub(super) fn remove_tagged(&self, tag: u64) -> Result<u64, Error> {
+    fn remove_tagged(&self, tag: u64) -> Result<u64, Error> {
         let mut removed = 0;
         for point in self.index.scan()? {
             let point = point?;
@@ -108,8 +115,8 @@ impl SharedTarget {
         Ok(removed)
     }
 
-    /// Closes the index: it takes no more writes.
-    pub(super) fn settle(&mut self) -> u64 {
+    /// Closes the index too: it takes no more writes.
+    fn settle(&mut self) -> u64 {
         // A flush fails once the server has refused a write; the close returns those writes.
         let _ = self.index.flush();
         self.refused += self.index.take_unsent().len() as u64;

@@ -116,7 +116,7 @@ fn a_scenario_has_phases() {
         error["message"]
             .as_str()
             .unwrap()
-            .contains("did you mean rate?"),
+            .contains("a similar argument exists: '--rate'"),
         "{error}"
     );
 }
@@ -135,6 +135,8 @@ fn the_scenarios_of_the_repository_are_read() {
             "arm",
             "--calls",
             "5",
+            "--batch",
+            "10",
             "--warmup",
             "10ms",
             "--scenario",
@@ -146,7 +148,7 @@ fn the_scenarios_of_the_repository_are_read() {
         assert_eq!(result["total"]["calls"], 5 * phases, "{path}");
         read += 1;
     }
-    assert_eq!(read, 2);
+    assert_eq!(read, 8);
 }
 
 #[tokio::test(flavor = "multi_thread")]
