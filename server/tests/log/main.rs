@@ -11,6 +11,7 @@ mod disk;
 mod fault;
 mod fjall;
 mod flips;
+mod following;
 mod idle_view;
 mod lost;
 mod model;
