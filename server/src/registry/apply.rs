@@ -6,7 +6,11 @@ use std::{
     time::{Duration, SystemTime},
 };
 
-use futures_util::{StreamExt, future::BoxFuture, stream::FuturesUnordered};
+use futures_util::{
+    StreamExt,
+    future::BoxFuture,
+    stream::{FuturesOrdered, FuturesUnordered},
+};
 use tokio::{
     sync::{OwnedMutexGuard, mpsc},
     task::yield_now,
@@ -38,8 +42,8 @@ pub(super) struct Applied {
 
 /// A receipt for which the loop waits.
 pub(super) struct Awaited {
-    /// The record before the submitted one.
-    pub(super) previous: Tip,
+    /// The submitted record.
+    pub(super) record: Arc<Record>,
     pub(super) outcome: BoxFuture<'static, Result<(), LogError>>,
 }
 
@@ -50,7 +54,8 @@ pub(super) async fn run(
     mut records: RecordStream,
     mut receipts: mpsc::UnboundedReceiver<Awaited>,
 ) {
-    let (mut awaited, mut arrivals) = (FuturesUnordered::new(), FuturesUnordered::new());
+    // A receipt counts after those of the records before its own: a lost record is settled before the next one.
+    let (mut awaited, mut arrivals) = (FuturesOrdered::new(), FuturesUnordered::new());
     loop {
         let outcome = tokio::select! {
             batch = records.next() => {
@@ -70,24 +75,22 @@ pub(super) async fn run(
                 }
             }
             Some(receipt) = receipts.recv() => {
-                awaited.push(async move { (receipt.previous, receipt.outcome.await) });
+                awaited.push_back(async move { (receipt.record, receipt.outcome.await) });
                 Ok(())
             }
-            Some((previous, outcome)) = awaited.next() => {
+            Some((record, outcome)) = awaited.next() => {
                 let Some(hosted) = hosted.upgrade() else {
                     return;
                 };
-                let settled = match outcome {
+                let head = match outcome {
                     Ok(()) => continue,
-                    Err(LogError::Fenced { .. }) => Ok(()),
+                    Err(LogError::Fenced { head, .. }) => Ok(head),
                     Err(error @ LogError::Unconfirmed { .. }) => {
-                        hosted.settle(previous, error).await
+                        hosted.settle(&record, error).await
                     }
                     Err(error) => Err(error.into()),
                 };
-                // The record that the journal has instead comes from there and decides.
-                arrivals.push(hosted.arrival(previous.revision + 1));
-                settled
+                head.map(|head| arrivals.push(hosted.superseded(&record, head)))
             }
             Some(arrived) = arrivals.next() => arrived,
         };
@@ -191,14 +194,36 @@ impl Hosted {
         Ok(())
     }
 
+    /// Waits for what the journal has instead of a record that it does not have, at least up to the revision `head`.
+    fn superseded(
+        &self,
+        record: &Record,
+        head: u64,
+    ) -> impl Future<Output = Result<(), RegistryError>> + use<> {
+        // The record that has its place comes from the journal and decides. If none has it, none may ever come.
+        if head < record.revision() {
+            let decided = self.in_flight.lock().refused(record.tip());
+            notify(decided);
+        }
+        self.arrival(head.min(record.revision()))
+    }
+
     /// Settles a record whose receipt was lost: an empty record is submitted in its place. If the journal takes that
-    /// one, the lost record can never be there; if it refuses, a record is there. In both cases the record that comes
-    /// from the journal decides.
-    async fn settle(self: &Arc<Self>, previous: Tip, error: LogError) -> Result<(), RegistryError> {
+    /// one, the lost record can never be there; if it refuses, a record is there, or the record before it is not. In
+    /// all cases the records that come from the journal decide, up to the returned revision.
+    async fn settle(
+        self: &Arc<Self>,
+        record: &Record,
+        error: LogError,
+    ) -> Result<u64, RegistryError> {
         // Nothing is submitted meanwhile.
-        let writer = self.write_closed().await;
+        let _writer = self.write_closed().await;
         let until = Instant::now() + SETTLE_TIME;
         let mut attempts = interval(SETTLE_INTERVAL);
+        let previous = Tip {
+            revision: record.revision() - 1,
+            digest: *record.previous(),
+        };
         while self.published().revision <= previous.revision {
             attempts.tick().await;
             let fence = Record::made_by(
@@ -216,12 +241,12 @@ impl Hosted {
                 Err(error) => Err(error),
             };
             match outcome {
-                Ok(()) | Err(LogError::Fenced { .. }) => break,
+                Ok(()) => break,
+                Err(LogError::Fenced { head, .. }) => return Ok(head),
                 Err(LogError::Unconfirmed { .. }) if Instant::now() < until => {}
                 Err(error) => return Err(error.into()),
             }
         }
-        drop(writer);
-        Ok(())
+        Ok(record.revision())
     }
 }

@@ -117,7 +117,7 @@ impl Hosted {
             .submit(self.uid(), Arc::clone(&record))
         {
             Ok(Receipt::Accepted) => {}
-            Ok(Receipt::Awaited(outcome)) => self.await_receipt(Awaited { previous, outcome }),
+            Ok(Receipt::Awaited(outcome)) => self.await_receipt(Awaited { record, outcome }),
             Err(error) => {
                 self.in_flight.lock().take_back(record.tip());
                 writer.take_back();

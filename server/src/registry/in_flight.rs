@@ -30,6 +30,8 @@ pub(super) struct InFlight {
 
 struct Submitted {
     tip: Tip,
+    /// True if the journal refused it. It is void once the records before it are decided.
+    is_refused: bool,
     waiting: Vec<oneshot::Sender<Fate>>,
 }
 
@@ -56,6 +58,7 @@ impl InFlight {
         }
         self.records.push_back(Submitted {
             tip,
+            is_refused: false,
             waiting: Vec::new(),
         });
         Ok(self.wait_for_last())
@@ -110,7 +113,25 @@ impl InFlight {
             let waiting = first.flat_map(|first| first.waiting);
             decided.extend(waiting.map(|waiting| (waiting, Fate::Published)));
         }
+        self.refuse_first(&mut decided);
         decided
+    }
+
+    /// Notes that the journal refused this record without having another one in its place: an earlier record was lost.
+    pub(super) fn refused(&mut self, tip: Tip) -> Decided {
+        let mut decided = Decided::new();
+        if let Some(refused) = self.records.iter_mut().find(|record| record.tip == tip) {
+            refused.is_refused = true;
+            self.refuse_first(&mut decided);
+        }
+        decided
+    }
+
+    /// Refuses all records if the journal refused the first.
+    fn refuse_first(&mut self, decided: &mut Decided) {
+        if self.records.front().is_some_and(|first| first.is_refused) {
+            self.refuse(decided);
+        }
     }
 
     fn refuse(&mut self, decided: &mut Decided) {

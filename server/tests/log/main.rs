@@ -11,11 +11,13 @@ mod disk;
 mod fault;
 mod fjall;
 mod flips;
+mod following;
 mod idle_view;
 mod lost;
 mod model;
 mod pin;
 mod rebuilt;
+mod remote;
 mod shared_files;
 mod suite;
 mod test_log;
@@ -29,7 +31,7 @@ use proptest::prelude::*;
 use wayfold_index::PointRef;
 use wayfold_server::log::{
     Catalogue, Effects, Entry, Journal, LogError, MemoryLog, Outcome, PointStore, Receipt, Record,
-    Retention, StoredPoint, Tip, Uid, View,
+    RecordStream, Retention, StoredPoint, Tip, Uid, View,
 };
 
 use test_log::TestLog;
@@ -51,9 +53,12 @@ fn submit(
         ..log.view(uid)?.tip()
     };
     let record = Arc::new(Record::after(tip, effects));
-    let receipt = log.submit(uid, Arc::clone(&record))?;
-    assert!(matches!(receipt, Receipt::Accepted));
+    accepted(log.submit(uid, Arc::clone(&record))?);
     Ok(record)
+}
+
+fn accepted(receipt: Receipt) {
+    assert!(matches!(receipt, Receipt::Accepted));
 }
 
 /// Blocks this thread until a revision is durable, and returns the newest durable revision.
@@ -61,12 +66,14 @@ fn synced(log: &(impl Engine + ?Sized), uid: Uid, revision: u64) -> Result<u64, 
     if revision == 0 {
         return Ok(0);
     }
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .build()
-        .unwrap();
-    let mut records = log.follow(uid, revision - 1);
-    let batch = runtime.block_on(records.next()).unwrap()?;
+    let batch = next(&mut log.follow(uid, revision - 1))?;
     Ok(batch.last().unwrap().revision())
+}
+
+/// Blocks this thread until the stream has the next records.
+fn next(records: &mut RecordStream) -> Result<Vec<Arc<Record>>, LogError> {
+    let runtime = tokio::runtime::Builder::new_current_thread().build();
+    runtime.unwrap().block_on(records.next()).unwrap()
 }
 
 fn entry(name: &str) -> Entry {
@@ -134,7 +141,7 @@ fn cases(cases: u32) -> ProptestConfig {
 
 #[test]
 fn unknown_and_taken_uids_are_refused() {
-    for kept in [TestLog::in_memory(), TestLog::on_disk(), TestLog::faulty(1)] {
+    for kept in TestLog::of_every_kind() {
         check_uids(kept.log());
     }
 }
@@ -172,7 +179,7 @@ fn a_follower_gets_the_newest_record_of_any_size() {
 /// A view that is held while a writer goes on shows exactly one revision.
 #[test]
 fn views_are_never_torn() {
-    for kept in [TestLog::in_memory(), TestLog::on_disk(), TestLog::faulty(1)] {
+    for kept in TestLog::of_every_kind() {
         check_views(kept.log());
     }
 }

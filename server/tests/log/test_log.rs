@@ -2,7 +2,7 @@
 
 use wayfold_server::log::{Durability, FjallLog, MemoryLog};
 
-use crate::{Engine, copied::copied, fault::FaultLog};
+use crate::{Engine, copied::copied, fault::FaultLog, remote::RemoteLog};
 
 /// A log under test: a test closes and reopens it, ends it without closing, and makes it fail.
 pub(crate) enum TestLog {
@@ -12,6 +12,7 @@ pub(crate) enum TestLog {
         directory: tempfile::TempDir,
     },
     Faulty(FaultLog),
+    Remote(Box<RemoteLog>),
 }
 
 impl TestLog {
@@ -35,12 +36,27 @@ impl TestLog {
         Self::Faulty(FaultLog::new(seed))
     }
 
+    /// A log whose journal is on another machine and loses every fifth message.
+    pub(crate) fn remote(seed: u64) -> Self {
+        Self::Remote(Box::new(RemoteLog::new(seed, 0.2)))
+    }
+
+    pub(crate) fn of_every_kind() -> [Self; 4] {
+        [
+            Self::in_memory(),
+            Self::on_disk(),
+            Self::faulty(1),
+            Self::remote(1),
+        ]
+    }
+
     /// An empty log of the same kind that never fails.
     pub(crate) fn another(&self) -> Self {
         match self {
             TestLog::Memory(_) => Self::in_memory(),
             TestLog::Disk { .. } => Self::on_disk(),
             TestLog::Faulty(_) => Self::faulty(0),
+            TestLog::Remote(_) => Self::remote(0),
         }
     }
 
@@ -49,6 +65,7 @@ impl TestLog {
             TestLog::Memory(log) => log,
             TestLog::Disk { log, .. } => &**log.as_ref().unwrap(),
             TestLog::Faulty(log) => log,
+            TestLog::Remote(log) => &**log,
         }
     }
 
@@ -62,6 +79,7 @@ impl TestLog {
                 *log = Some(Box::new(opened));
             }
             TestLog::Faulty(log) => log.close_and_open(),
+            TestLog::Remote(log) => log.reconnect(),
         }
     }
 
@@ -71,13 +89,14 @@ impl TestLog {
             TestLog::Memory(_) => {}
             TestLog::Disk { directory, .. } => *self = Self::in_directory(copied(directory.path())),
             TestLog::Faulty(log) => log.cut(),
+            TestLog::Remote(log) => log.reconnect(),
         }
     }
 
     /// Makes the writing call after this many others fail; false if this store cannot fail.
     pub(crate) fn fail_after(&self, calls: u64) -> bool {
         match self {
-            TestLog::Memory(_) | TestLog::Disk { .. } => false,
+            TestLog::Memory(_) | TestLog::Disk { .. } | TestLog::Remote(_) => false,
             TestLog::Faulty(log) => {
                 log.fail_after(calls);
                 true

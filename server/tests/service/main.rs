@@ -42,6 +42,7 @@ mod slow_disk;
 mod snapshot;
 mod storage_failure;
 mod support;
+mod trims;
 mod update;
 mod verify;
 mod watch;

@@ -1,6 +1,7 @@
 //! Two servers share a journal on another machine. The journal accepts one record of an index at a time, its positions
 //! are not revisions, and it loses requests and answers. Each server has its own point store.
 
+mod every_request;
 mod stream;
 
 use std::{

@@ -34,8 +34,9 @@ struct Journal {
     records: Bounded<Arc<Record>>,
     /// The newest operations.
     operations: Bounded<Arc<Operation>>,
-    /// The heads that submitted records made and that are not yet applied, oldest first. Their versions are pinned.
-    unapplied: VecDeque<Head>,
+    /// The submitted records that are not yet applied, oldest first, with the heads that they made. The versions of
+    /// the heads are pinned.
+    unapplied: VecDeque<(Arc<Record>, Head)>,
 }
 
 /// The newest record, and the sums of all records beside the points.
@@ -87,9 +88,10 @@ impl Store {
         self.write(&record, &mut journal);
         self.versions.write().pin(record.revision());
         let head = journal.head.clone();
-        journal.unapplied.push_back(head);
+        let revision = record.revision();
+        journal.unapplied.push_back((record, head));
         drop(journal);
-        self.announce(record.revision());
+        self.announce(revision);
         Ok(())
     }
 
@@ -104,12 +106,12 @@ impl Store {
             drop(journal);
             return Ok(Arc::clone(self).pin());
         };
-        while let Some(head) = journal.unapplied.pop_front() {
+        while let Some((record, head)) = journal.unapplied.pop_front() {
             if head.tip.revision == last.revision() {
                 return Ok(Arc::new(self.pinned(head)));
             }
             if head.tip.revision > last.revision() {
-                journal.unapplied.push_front(head);
+                journal.unapplied.push_front((record, head));
                 break;
             }
             self.versions.write().unpin(head.tip.revision);
@@ -186,7 +188,7 @@ impl Store {
             };
             let seen = newest.wait_for(has_news).await.map(|seen| seen.clone());
             let records = match seen {
-                Ok(Ok(_)) => store.read(Some(after), usize::MAX),
+                Ok(Ok(_)) => store.read_next(after),
                 Ok(Err(why)) => Err(why),
                 Err(_) => Err(LogError::Closed),
             };
@@ -195,6 +197,20 @@ impl Store {
             Some((records, next.map(|after| (store, newest, after))))
         });
         batches.boxed()
+    }
+
+    /// The records after the revision `after`. Records that were trimmed before they were applied are followed too.
+    fn read_next(&self, after: u64) -> Result<Vec<Arc<Record>>, LogError> {
+        let unapplied: Vec<_> = {
+            let journal = self.journal.lock();
+            let unapplied = journal.unapplied.iter().map(|(record, _)| record);
+            let next = unapplied.filter(|record| record.revision() > after);
+            next.cloned().collect()
+        };
+        match unapplied.first() {
+            Some(first) if first.revision() == after + 1 => Ok(unapplied),
+            _ => self.read(Some(after), usize::MAX),
+        }
     }
 
     /// Adds the versions that `record` makes. Views see them only after the head has moved.

@@ -189,10 +189,14 @@ impl FaultLog {
         let unapplied: Vec<_> = unapplied.collect();
         // Records that were trimmed before they were applied are followed too.
         let first = unapplied.first().map(|first| first.revision());
-        Ok(match first {
-            Some(first) if first == after + 1 => unapplied,
-            _ => index.records_after(after),
-        })
+        if first == Some(after + 1) {
+            return Ok(unapplied);
+        }
+        let oldest = index.head - index.records.len() as u64;
+        match after < oldest {
+            true => Err(LogError::Trimmed { uid, after, oldest }),
+            false => Ok(index.records_after(after)),
+        }
     }
 }
 

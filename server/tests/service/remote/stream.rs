@@ -1,8 +1,11 @@
 //! The journal on the other machine.
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicBool, Ordering::Relaxed},
+use std::{
+    collections::BTreeMap,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed},
+    },
 };
 
 use futures_util::{FutureExt, StreamExt, stream};
@@ -14,25 +17,64 @@ use wayfold_server::log::{
     Effects, Journal, LogError, Origin, Receipt, Record, RecordStream, Retention, Tip, Uid, Window,
 };
 
+/// The fault of one request.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Fault {
+    /// The request does not arrive.
+    LostRequest,
+    /// The request arrives after the next one, and its answer does not.
+    LateRequest,
+    /// The request arrives, and its answer does not.
+    LostAnswer,
+    /// An empty record of another writer arrives first.
+    Fence,
+}
+
 /// The messages of all indices in the order of their arrival, and the chance that a request or its answer is lost.
 pub(crate) struct Stream {
     messages: Mutex<Vec<(Uid, Arc<Record>)>>,
     length: watch::Sender<usize>,
     random: Mutex<ChaCha8Rng>,
     loses: f64,
+    /// The number of the request with a fault.
+    fault: Option<(usize, Fault)>,
+    requests: AtomicUsize,
+    late: Mutex<Option<(Uid, Arc<Record>)>>,
+    /// The origins of restored indices, and the newest trimmed revision of each trimmed index.
+    pub(super) origins: Mutex<BTreeMap<Uid, Tip>>,
+    pub(super) trimmed: Mutex<BTreeMap<Uid, u64>>,
     /// True while no request reaches it.
     pub(super) is_cut: AtomicBool,
 }
 
 impl Stream {
     pub(crate) fn new(seed: u64, loses: f64) -> Arc<Self> {
+        Self::with_fault(seed, loses, None)
+    }
+
+    /// A stream that loses nothing, but has this fault at the request of this number, counted from 0.
+    pub(crate) fn failing_at(request: usize, fault: Fault) -> Arc<Self> {
+        Self::with_fault(0, 0.0, Some((request, fault)))
+    }
+
+    fn with_fault(seed: u64, loses: f64, fault: Option<(usize, Fault)>) -> Arc<Self> {
         Arc::new(Self {
             messages: Mutex::default(),
             length: watch::Sender::new(0),
             random: Mutex::new(ChaCha8Rng::seed_from_u64(seed)),
             loses,
+            fault,
+            requests: AtomicUsize::new(0),
+            late: Mutex::default(),
+            origins: Mutex::default(),
+            trimmed: Mutex::default(),
             is_cut: AtomicBool::new(false),
         })
+    }
+
+    /// The number of requests so far.
+    pub(crate) fn requests(&self) -> usize {
+        self.requests.load(Relaxed)
     }
 
     pub(crate) fn records(&self, uid: Uid) -> Vec<Arc<Record>> {
@@ -46,17 +88,61 @@ impl Stream {
     }
 
     fn publish(&self, uid: Uid, record: &Arc<Record>) -> Result<(), LogError> {
-        let unconfirmed = LogError::Unconfirmed {
+        let unconfirmed = Err(LogError::Unconfirmed {
             uid,
             revision: record.revision(),
             what: "the connection was cut".into(),
-        };
-        if self.is_lost() {
-            return Err(unconfirmed);
+        });
+        let request = self.requests.fetch_add(1, Relaxed);
+        let fault = self.fault.filter(|(at, _)| *at == request);
+        let fault = fault.map(|(_, fault)| fault);
+        if fault == Some(Fault::LostRequest) || self.is_lost() {
+            return unconfirmed;
         }
-        let mut messages = self.messages.lock();
+        if fault == Some(Fault::LateRequest) {
+            *self.late.lock() = Some((uid, Arc::clone(record)));
+            return unconfirmed;
+        }
+        if fault == Some(Fault::Fence) {
+            let other = Record::after(self.newest(uid), Effects::new(1));
+            self.accept(uid, &Arc::new(other))?;
+        }
+        let outcome = self.accept(uid, record);
+        if let Some((uid, late)) = self.late.lock().take() {
+            // Nobody hears its outcome.
+            let _ = self.accept(uid, &late);
+        }
+        if fault == Some(Fault::LostAnswer) || self.is_lost() {
+            return unconfirmed;
+        }
+        outcome
+    }
+
+    pub(crate) fn newest(&self, uid: Uid) -> Tip {
+        let messages = self.messages.lock();
         let newest = messages.iter().rfind(|(of, _)| *of == uid);
-        let newest = newest.map_or(START, |(_, newest)| newest.tip());
+        newest.map_or_else(|| self.origin(uid), |(_, newest)| newest.tip())
+    }
+
+    fn origin(&self, uid: Uid) -> Tip {
+        self.origins.lock().get(&uid).copied().unwrap_or(START)
+    }
+
+    /// The records after the revision `after` that are not trimmed.
+    pub(super) fn after(&self, uid: Uid, after: Option<u64>) -> Result<Vec<Arc<Record>>, LogError> {
+        let trimmed = self.trimmed.lock().get(&uid).copied();
+        let oldest = trimmed.unwrap_or(self.origin(uid).revision);
+        let after = after.unwrap_or(oldest);
+        if after < oldest {
+            return Err(LogError::Trimmed { uid, after, oldest });
+        }
+        let mut records = self.records(uid);
+        records.retain(|record| record.revision() > after);
+        Ok(records)
+    }
+
+    fn accept(&self, uid: Uid, record: &Arc<Record>) -> Result<(), LogError> {
+        let newest = self.newest(uid);
         if !record.follows(newest) {
             return Err(LogError::Fenced {
                 uid,
@@ -64,13 +150,10 @@ impl Stream {
                 head: newest.revision,
             });
         }
+        let mut messages = self.messages.lock();
         messages.push((uid, Arc::clone(record)));
         self.length.send_replace(messages.len());
-        if self.is_lost() {
-            Err(unconfirmed)
-        } else {
-            Ok(())
-        }
+        Ok(())
     }
 }
 
@@ -93,7 +176,7 @@ pub(crate) struct Remote {
 }
 
 impl Remote {
-    pub(super) fn connect(stream: &Arc<Stream>) -> Arc<Self> {
+    pub(crate) fn connect(stream: &Arc<Stream>) -> Arc<Self> {
         let (submissions, mut waiting) = mpsc::unbounded_channel::<Submission>();
         let turns = Arc::new(Semaphore::new(Semaphore::MAX_PERMITS));
         let remote = Arc::new(Self {
@@ -153,19 +236,22 @@ impl Journal for Remote {
     fn follow(&self, uid: Uid, after: u64) -> RecordStream {
         let stream = Arc::clone(&self.stream);
         let is_behind = self.is_behind.subscribe();
-        let position = (stream.length.subscribe(), after);
-        let batches = stream::unfold(position, move |(mut length, after)| {
+        let position = Some((stream.length.subscribe(), after));
+        let batches = stream::unfold(position, move |position| {
             let (stream, mut is_behind) = (Arc::clone(&stream), is_behind.clone());
             async move {
+                let (mut length, after) = position?;
                 loop {
                     is_behind.wait_for(|is_behind| !is_behind).await.ok()?;
                     length.borrow_and_update();
-                    let mut records = stream.records(uid);
-                    records.retain(|record| record.revision() > after);
+                    let records = match stream.after(uid, Some(after)) {
+                        Ok(records) => records,
+                        Err(why) => return Some((Err(why), None)),
+                    };
                     if let Some(last) = records.last().map(|last| last.revision())
                         && !*is_behind.borrow()
                     {
-                        return Some((Ok(records), (length, last)));
+                        return Some((Ok(records), Some((length, last))));
                     }
                     length.changed().await.ok()?;
                 }
@@ -178,14 +264,23 @@ impl Journal for Remote {
         &self,
         uid: Uid,
         after: Option<u64>,
-        _max_bytes: usize,
+        max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError> {
-        let mut records = self.stream.records(uid);
+        let mut records = self.stream.after(uid, after)?;
         self.come_back();
-        records.retain(|record| after.is_none_or(|after| record.revision() > after));
+        let (mut bytes, mut fits) = (0, 0);
+        for record in &records {
+            bytes += record.effects().bytes();
+            if fits > 0 && bytes > max_bytes {
+                break;
+            }
+            fits += 1;
+        }
+        records.truncate(fits);
         Ok(records)
     }
 
+    /// No server trims the records of the others.
     fn trim(&self, _uid: Uid, _retention: &Retention) -> Result<(), LogError> {
         Ok(())
     }

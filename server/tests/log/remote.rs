@@ -1,0 +1,180 @@
+//! A log whose journal is on another machine: one server's connection to it, with a point store and a catalogue of its
+//! own. It does what the apply loop of a server does: it sends a record again if its answer was lost, and applies what
+//! the journal sends.
+
+#[path = "../service/remote/stream.rs"]
+#[expect(
+    dead_code,
+    reason = "only the suite of the service delays and cuts requests"
+)]
+mod stream;
+
+use std::{
+    collections::VecDeque,
+    sync::Arc,
+    time::{Duration, UNIX_EPOCH},
+};
+
+use parking_lot::Mutex;
+use tokio::runtime::{Builder, Runtime};
+use wayfold_server::log::{
+    Catalogue, Entry, Journal, LogError, MemoryLog, Operation, Origin, PointStore, Receipt, Record,
+    RecordStream, Restoring, Retention, Tip, Uid, View,
+};
+
+use crate::next;
+use stream::{Remote, Stream};
+
+/// The maximum number of times that a record is sent.
+const MAX_SENDS: usize = 1000;
+
+/// See the module.
+pub(crate) struct RemoteLog {
+    runtime: Runtime,
+    stream: Arc<Stream>,
+    connection: Arc<Remote>,
+    local: MemoryLog,
+    /// Held while records are applied, so that each caller applies the next ones.
+    applying: Mutex<()>,
+}
+
+impl RemoteLog {
+    /// A log whose journal loses messages with this chance.
+    pub(crate) fn new(seed: u64, loses: f64) -> Self {
+        let runtime = Builder::new_multi_thread().worker_threads(1).build();
+        let runtime = runtime.unwrap();
+        let stream = Stream::new(seed, loses);
+        let connection = {
+            let _entered = runtime.enter();
+            Remote::connect(&stream)
+        };
+        Self {
+            runtime,
+            stream,
+            connection,
+            local: MemoryLog::new(),
+            applying: Mutex::new(()),
+        }
+    }
+
+    /// Connects anew.
+    pub(crate) fn reconnect(&mut self) {
+        let _entered = self.runtime.enter();
+        self.connection = Remote::connect(&self.stream);
+    }
+
+    /// Applies all records that the journal has.
+    fn catch_up(&self, uid: Uid) -> Result<(), LogError> {
+        let _applying = self.applying.lock();
+        let mut revision = PointStore::view(&self.local, uid)?.revision();
+        let newest = self.stream.newest(uid).revision;
+        let mut records = self.connection.follow(uid, revision);
+        while revision < newest {
+            let batch = next(&mut records)?;
+            revision = self.local.apply(uid, &batch)?.revision();
+        }
+        Ok(())
+    }
+}
+
+impl Stream {
+    /// Trims the records up to the revision `applied`.
+    fn trim(&self, uid: Uid, keep: &Retention, applied: u64) {
+        let mut held = VecDeque::from(self.after(uid, None).unwrap());
+        let bytes = held.iter().map(|record| record.effects().bytes());
+        let mut bytes: usize = bytes.sum();
+        let is_old =
+            |record: &Record| UNIX_EPOCH + Duration::from_millis(record.time_ms()) < keep.since;
+        while held.len() > 1
+            && held[0].revision() <= applied
+            && (bytes > keep.record_bytes || is_old(&held[0]))
+        {
+            bytes -= held[0].effects().bytes();
+            self.trimmed.lock().insert(uid, held[0].revision());
+            held.pop_front();
+        }
+    }
+}
+
+impl Journal for RemoteLog {
+    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+        self.local.view(uid)?;
+        for _ in 0..MAX_SENDS {
+            let receipt = self.connection.submit(uid, Arc::clone(&record))?;
+            let Receipt::Awaited(outcome) = receipt else {
+                panic!("a journal elsewhere accepts nothing at once");
+            };
+            let outcome = self.runtime.block_on(outcome);
+            // Whatever the answer was, the journal has the record once it sends it.
+            let has_it = |found: &Arc<Record>| found.digest() == record.digest();
+            if outcome.is_ok() || self.stream.records(uid).iter().any(has_it) {
+                return Ok(Receipt::Accepted);
+            }
+            if let Err(why) = outcome
+                && !matches!(why, LogError::Unconfirmed { .. })
+            {
+                return Err(why);
+            }
+        }
+        panic!("the journal is cut off");
+    }
+
+    fn follow(&self, uid: Uid, after: u64) -> RecordStream {
+        self.connection.follow(uid, after)
+    }
+
+    fn read(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        max_bytes: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
+        self.local.view(uid)?;
+        self.connection.read(uid, after, max_bytes)
+    }
+
+    /// Only what is applied here may be forgotten.
+    fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
+        let applied = self.local.view(uid)?.revision();
+        self.stream.trim(uid, retention, applied);
+        self.local.trim(uid, retention)
+    }
+}
+
+impl PointStore for RemoteLog {
+    fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
+        self.local.apply(uid, records)
+    }
+
+    fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
+        self.catch_up(uid)?;
+        self.local.view(uid)
+    }
+
+    fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
+        self.local.operations(uid)
+    }
+
+    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+        let tip = Tip {
+            revision: origin.revision,
+            digest: origin.digest,
+        };
+        self.stream.origins.lock().insert(entry.uid, tip);
+        self.local.restore(entry, origin)
+    }
+}
+
+impl Catalogue for RemoteLog {
+    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
+        self.local.indexes()
+    }
+
+    fn create(&self, entry: Entry) -> Result<(), LogError> {
+        self.local.create(entry)
+    }
+
+    fn delete(&self, uid: Uid) -> Result<(), LogError> {
+        self.local.delete(uid)
+    }
+}
