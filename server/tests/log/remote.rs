@@ -19,7 +19,7 @@ use parking_lot::Mutex;
 use tokio::runtime::{Builder, Runtime};
 use wayfold_server::log::{
     Catalogue, Entry, Journal, LogError, MemoryLog, Operation, Origin, PointStore, Receipt, Record,
-    RecordStream, Restoring, Retention, Tip, Uid, View,
+    RecordStream, Restoring, Retention, Tip, Uid, View, Window,
 };
 
 use crate::next;
@@ -138,6 +138,15 @@ impl Journal for RemoteLog {
         let applied = self.local.view(uid)?.revision();
         self.stream.trim(uid, retention, applied);
         self.local.trim(uid, retention)
+    }
+
+    fn window(&self, uid: Uid) -> Result<Window, LogError> {
+        let held = self.stream.after(uid, None)?;
+        let bytes = held.iter().map(|record| record.effects().bytes() as u64);
+        Ok(Window {
+            records: held.len() as u64,
+            bytes: bytes.sum(),
+        })
     }
 }
 
