@@ -291,10 +291,12 @@ impl<'a> Traversal<'a> {
             return candidate.distance;
         }
         let distance = self.scale.distance(candidate.key).unwrap_or_else(|| {
-            // The row is read from its block, which is still in the cache.
-            self.row.clear();
-            let numbers = candidate.lane.iter().step_by(BLOCK_ROWS);
-            self.row.extend(numbers.take(self.state.len()));
+            // The row is read from its block, which is still in the cache. By indices: `step_by` took 13 % of the
+            // instructions of a search with a large k.
+            self.row.resize(self.state.len(), 0.0);
+            for (axis, number) in self.row.iter_mut().enumerate() {
+                *number = candidate.lane[axis * BLOCK_ROWS];
+            }
             self.space.distance(self.state, &self.row)
         });
         candidate.distance = distance;
