@@ -131,3 +131,30 @@ async fn a_client_that_cancels_all_its_calls_keeps_its_connection() {
     connection.expect_call().await;
     server.stop().await.unwrap().unwrap();
 }
+
+/// The answer is larger than the window of HTTP/2, and the client makes no room for the rest.
+#[tokio::test]
+async fn a_client_that_reads_none_of_its_answer_is_cut() {
+    let server = TestServer::start(|config| config.grpc.send_timeout_ms = 100).await;
+    server.create_ruler("ruler", 10_000).await;
+    let mut connection = Connection::open(server.address).await;
+    let request = connection.request("PointService/Knn");
+    let (answer, mut body) = connection.begin(request).await.unwrap();
+    let whole = frame(&knn("ruler", &[0.0], 10_000));
+    body.send_data(whole, true).unwrap();
+    let mut answer = answer.await.unwrap().into_body();
+    let mut received = 0;
+    let end = loop {
+        match answer.data().await {
+            Some(Ok(bytes)) => received += bytes.len(),
+            end => break end,
+        }
+    };
+    assert!(
+        matches!(end, Some(Err(_))),
+        "{end:?} after {received} bytes"
+    );
+    assert!(received < 16 * 10_000);
+    Connection::open(server.address).await.expect_call().await;
+    server.stop().await.unwrap().unwrap();
+}
