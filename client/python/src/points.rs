@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use numpy::{Element, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::{prelude::*, types::PyBytes};
 
 use crate::error::OrRaise;
@@ -76,10 +76,16 @@ pub(crate) fn columns<'py>(
 ) -> (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>) {
     let ids = neighbors.iter().map(|neighbor| neighbor.id as i64);
     let distances = neighbors.iter().map(|neighbor| neighbor.distance);
-    (
-        PyArray1::from_iter(py, ids),
-        PyArray1::from_iter(py, distances),
-    )
+    (column(py, ids.collect()), column(py, distances.collect()))
+}
+
+/// An array of numbers. It copies a few: a Python object that owns them would cost more.
+pub(crate) fn column<T: Element + Copy>(py: Python<'_>, numbers: Vec<T>) -> Bound<'_, PyArray1<T>> {
+    const MAX_COPIED: usize = 1_024;
+    match numbers.len() <= MAX_COPIED {
+        true => PyArray1::from_slice(py, &numbers),
+        false => PyArray1::from_vec(py, numbers),
+    }
 }
 
 /// The id of an inserted point, and what the insert found.
@@ -115,7 +121,7 @@ impl StoredPoint {
         StoredPoint {
             id: point.id,
             tag: point.tag,
-            state: PyArray1::from_vec(py, point.state).unbind(),
+            state: column(py, point.state).unbind(),
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::{num::NonZero, panic, sync::Arc, thread};
 
-use numpy::{PyArray1, PyArrayDyn, ndarray::ArrayD};
+use numpy::{PyArrayDyn, ndarray::ArrayD};
 use pyo3::{
     IntoPyObjectExt,
     prelude::*,
@@ -11,7 +11,7 @@ use pyo3::{
 };
 use wayfold::{Error, Neighbor, Search};
 
-use crate::{error::invalid, index::Index, rows::Rows, search::k_of};
+use crate::{error::invalid, index::Index, points::column, rows::Rows, search::k_of};
 
 /// The arguments of `query` besides the states and `k`.
 pub(crate) struct Nearest {
@@ -58,8 +58,7 @@ pub(crate) fn nearest<'py>(
             }
             ranks => {
                 let (distances, ids) = ranks.table([neighbors].into_iter());
-                let distances = PyArray1::from_vec(py, distances);
-                (distances, PyArray1::from_vec(py, ids)).into_pyobject(py)
+                (column(py, distances), column(py, ids)).into_pyobject(py)
             }
         };
     }

@@ -25,11 +25,12 @@ pub(crate) fn rows(
     if let Ok(array) = states.cast::<PyArray1<f64>>()
         && array.len() == width
     {
-        let row = array.readonly();
-        let numbers = match row.as_slice() {
-            Ok(numbers) => numbers.to_vec(),
-            Err(_) => row.as_array().to_vec(),
-        };
+        // A noted borrow would cost more than the copy, during which no other thread of Python has its turn.
+        let numbers = array.to_vec();
+        let numbers = numbers.unwrap_or_else(|_| {
+            let each = (0..width).filter_map(|at| array.get_owned(at));
+            each.collect()
+        });
         return Ok(Rows {
             numbers,
             shape: Vec::new(),

@@ -144,6 +144,14 @@ def test_types_are_scipys() -> None:
     assert index.query(np.asfortranarray(np.eye(3)))[1].tolist() == [0, 1, 2]
     assert index.query(np.eye(3)[:, ::-1][::-1])[1].tolist() == [0, 1, 2]
     assert index.query(np.arange(6.0)[::2] * [0, 0, 0.25])[1] == 2
+    # One state with gaps between its numbers, or backwards in memory.
+    assert index.query(np.array([0.0, 9.0, 1.0, 9.0, 0.0, 9.0])[::2]) == (0.0, 1)
+    assert index.query(np.array([1.0, 0.0, 0.0])[::-1]) == (0.0, 2)
+    # The few numbers of one answer are a copy, and the many are not; both are arrays to write to.
+    index.insert_many(np.zeros((2_000, 3)))
+    for k in (3, 1_500):
+        distances, ids = index.query([1, 0, 0], k)
+        assert distances.shape == ids.shape == (k,) and distances.flags.writeable and ids[0] == 0
 
 
 def test_eps_stays_within_its_factor() -> None:
