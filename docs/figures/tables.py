@@ -136,32 +136,43 @@ def both(server, bare, unit=""):
 
 
 def grpc():
-    got, rows = of("load"), []
-    for key, what in (("one_in_flight", "one call of one state in flight"), ("many_in_flight", "64 calls of one state in flight"),
-                      ("streamed", "one stream, 64 states under way"), ("batches", "1,000 states a call, one call in flight")):
-        server, echo = got["asking"][key]["server"], got["asking"][key]["echo"]
-        timed = server["p50_ms"] is not None
-        calls = [both(server[at] * 1e3, echo[at] * 1e3, " µs") if timed else "–" for at in ("p50_ms", "p99_ms")]
-        rates = both(server["states_per_second"], echo["states_per_second"])
+    got, rows = of("network"), []
+    for key, what in (("one", "one caller, one state a call"), ("many", "64 callers, one state a call"),
+                      ("stream", "one caller, 10,000 states over one stream"), ("batches", "one caller, 1,000 states a call")):
+        server, echo = got["searches"][key]["server"], got["searches"][key]["echo"]
+        calls = [both(server[at] * 1e3, echo[at] * 1e3, " µs") if key != "stream" else "–" for at in ("p50_ms", "p99_ms")]
+        rates = both(server["rows_per_s"], echo["rows_per_s"])
         rows.append([what, rates, *calls, both(server["processor_us"], echo["processor_us"], " µs")])
     header = [f"{got['points']:,} points, server / bare gRPC: ratio", "states a second", "a call, p50", "p99"]
-    return table(["load"], [*header, "processor time a state, both ends"], rows)
+    return table(["network"], [*header, "the server's processor time a state"], rows)
 
 
 def loading():
-    server, echo = of("load")["growth"], of("load")["echo_growth"]
-    rows = [["states inserted a second", both(server["inserts_per_second"], echo["inserts_per_second"])]]
-    for what, key in (("an insert of 1,000 states", "insert_ms"), ("a query of one state", "query_ms")):
+    server, echo = (of("network")["growth"][name] for name in ("server", "echo"))
+    rows = [["states inserted a second", both(server["insert"]["rows_per_s"], echo["insert"]["rows_per_s"])]]
+    for what, key in (("an insert of 1,000 states", "insert"), ("a query of one state", "query")):
         for at, name in (("p50", "p50"), ("p99", "p99"), ("max", "slowest")):
-            rows.append([f"{what}, {name}", both(server[key][at], echo[key][at], " ms")])
-    return table(["load"], [f"while {of('load')['points']:,} points are loaded", "server / bare gRPC: ratio"], rows)
+            rows.append([f"{what}, {name}", both(server[key][f"{at}_ms"], echo[key][f"{at}_ms"], " ms")])
+    return table(["network"], [f"while {of('network')['points']:,} points are loaded", "server / bare gRPC: ratio"], rows)
 
 
 def writers():
     rows = [[str(row["batch"]), digits(row["states_per_second"]), f"{100 * row['writer_held']:.0f} %", digits(row["processors"])]
-            for row in of("load")["inserts_with_neighbors"]]
+            for row in of("writers")["batches"]]
     header = ["64 writers in the process: states a call", "states a second", "the index's writer is held", "processors busy"]
-    return table(["load"], header, rows)
+    return table(["writers"], header, rows)
+
+
+def call_cost():
+    what = {"authentication": "an identity", "metrics": "metrics", "both": "an identity and metrics", "nothing": "nothing: two equal ones"}
+    places = [("in_process", "the code of a call alone"), ("end_to_end", "a call over gRPC, at the server")]
+    rows = []
+    for place, shown in places:
+        for key, got in of("call-cost")[place].items():
+            low, high = got["quartiles_us"]
+            added = f"{got['added_us']:.2f} µs ({low:.2f} to {high:.2f})"
+            rows.append([shown, what[key], added, f"{digits(got['bare_us'])} µs"])
+    return table(["call-cost"], ["processor time of", "added", "by the median of the differences (middle half)", "to"], rows)
 
 
 def zenoh():
@@ -371,7 +382,7 @@ def seconds(source):
 TABLES = {
     "index-50000": lambda: index("50000"), "index-million": lambda: index("1000000"), "index-building": building,
     "index-uneven": uneven, "index-processors": processors, "threads": threads, "slowest": slowest, "grpc": grpc, "loading": loading,
-    "writers": writers, "zenoh": zenoh, "acknowledged": acknowledged, "kept": kept, "pauses": pauses,
+    "writers": writers, "call-cost": call_cost, "zenoh": zenoh, "acknowledged": acknowledged, "kept": kept, "pauses": pauses,
     "sources": sources, "roadmap-workers": lambda: workers("rigid-workers", roadmap_cell),
     "sharing": sharing,
     "alone": lambda: digits(middle(runs_of("maze-workers", "memory", 1), lambda row: row["total_s"])) + " s", "tree-workers": lambda: workers("maze-workers", trees_cell), "ompl": ompl, "speed": readme_speed,
@@ -381,7 +392,7 @@ TABLES = {
     "tree-checks": tree_checks, "ompl-python": python_share,
     "memory": lambda: digits(of("index")["SE3"]["50000"]["uniform"]["memory"]["wayfold-rest"]) + " bytes",
     "roadmap-two": roadmap_two, "roadmap-wait": roadmap_wait,
-    "grpc-call": lambda: digits(of("load")["asking"]["one_in_flight"]["server"]["p50_ms"]) + " ms",
+    "grpc-call": lambda: digits(of("network")["searches"]["one"]["server"]["p50_ms"]) + " ms",
     **CPP,
     "zenoh-call": lambda: digits(of("robots")["forms"]["json"]["one_in_flight_p50_us"]["server"] / 1e3) + " ms",
 }

@@ -1,4 +1,5 @@
-//! A bare tonic server that takes the same messages and returns prepared answers of the same size.
+//! A bare tonic server that takes the same messages and returns prepared answers of the same size. It says that it has an
+//! index of SE(3), so that `wayfold load` calls it as it calls a server.
 
 use std::{
     collections::HashMap,
@@ -9,16 +10,27 @@ use std::{
 use tokio::{net::TcpListener, sync::mpsc};
 use tokio_stream::wrappers::{ReceiverStream, TcpListenerStream};
 use tonic::{Request, Response, Status, Streaming, transport::Server};
-use wayfold_proto::v1::{
-    GetRequest, GetResponse, InsertRequest, InsertResponse, KnnRequest, KnnResponse, Neighbors,
-    OpenSessionRequest, OpenSessionResponse, Outcome, QueryRequest, QueryResponse, RemoveRequest,
-    RemoveResponse, Revision, ScanRequest, ScanResponse, States, StreamKnnRequest,
-    StreamKnnResponse, UpdateRequest, UpdateResponse, WatchRequest, WatchResponse, WriteRequest,
-    WriteResponse, knn_request, neighbor_spec,
-    point_service_server::{PointService, PointServiceServer},
-    stream_knn_response::Result as StreamedAnswer,
+use wayfold_proto::{
+    space,
+    v1::{
+        CreateIndexRequest, CreateIndexResponse, DeleteIndexRequest, DeleteIndexResponse,
+        Durability, GetIndexRequest, GetIndexResponse, GetRequest, GetResponse, GetServerRequest,
+        GetServerResponse, Index, InsertRequest, InsertResponse, KnnRequest, KnnResponse, Limits,
+        ListIndexesRequest, ListIndexesResponse, Neighbors, OpenSessionRequest,
+        OpenSessionResponse, Outcome, QueryRequest, QueryResponse, RemoveRequest, RemoveResponse,
+        RestoreIndexRequest, RestoreIndexResponse, Revision, ScanRequest, ScanResponse,
+        SnapshotIndexRequest, SnapshotIndexResponse, States, StreamKnnRequest, StreamKnnResponse,
+        UpdateRequest, UpdateResponse, VerifyIndexRequest, VerifyIndexResponse, WatchRequest,
+        WatchResponse, WriteRequest, WriteResponse,
+        index_service_server::{IndexService, IndexServiceServer},
+        knn_request, neighbor_spec,
+        point_service_server::{PointService, PointServiceServer},
+        stream_knn_response::Result as StreamedAnswer,
+    },
 };
 
+/// The space of the index.
+const SPACE: &str = "R3*SO3:0.15";
 const UID: &str = "00000000-0000-4000-8000-000000000000";
 /// The number of answers by which a stream may be ahead of its reader.
 const MAX_QUEUED: usize = 32;
@@ -36,13 +48,14 @@ pub fn main() -> ExitCode {
             "listening on http://{}",
             listener.local_addr().expect("an address")
         );
-        let service = PointServiceServer::new(Echo::default());
-        let service = service.max_decoding_message_size(MAX_MESSAGE_BYTES);
+        let points = PointServiceServer::new(Echo::default());
+        let points = points.max_decoding_message_size(MAX_MESSAGE_BYTES);
         let incoming = TcpListenerStream::new(listener);
         let incoming = tokio_stream::StreamExt::map(incoming, |socket| {
             socket.inspect(|socket| socket.set_nodelay(true).expect("a TCP socket"))
         });
-        let serving = Server::builder().add_service(service);
+        let indices = IndexServiceServer::new(Echo::default());
+        let serving = Server::builder().add_service(points).add_service(indices);
         serving
             .serve_with_incoming(incoming)
             .await
@@ -180,6 +193,77 @@ impl PointService for Echo {
     }
 
     async fn watch(&self, _: Request<WatchRequest>) -> Answer<Self::WatchStream> {
+        Err(not_measured())
+    }
+}
+
+#[tonic::async_trait]
+impl IndexService for Echo {
+    type SnapshotIndexStream = ReceiverStream<Result<SnapshotIndexResponse, Status>>;
+    type VerifyIndexStream = ReceiverStream<Result<VerifyIndexResponse, Status>>;
+
+    async fn get_server(&self, _: Request<GetServerRequest>) -> Answer<GetServerResponse> {
+        let most = MAX_MESSAGE_BYTES as u64;
+        Ok(Response::new(GetServerResponse {
+            version: "echo".into(),
+            durability: Durability::Memory.into(),
+            limits: Some(Limits {
+                max_rows_per_call: most,
+                max_ids_per_call: most,
+                max_k: most,
+                max_request_bytes: most,
+                max_answer_bytes: most,
+                max_payload_bytes: most,
+                max_indexes: 1,
+                max_reserved_ids: most,
+            }),
+        }))
+    }
+
+    async fn get_index(&self, request: Request<GetIndexRequest>) -> Answer<GetIndexResponse> {
+        let space = SPACE.parse().expect("a space");
+        let index = Index {
+            name: request.into_inner().index_name,
+            space: Some(space::to_message(&space)),
+            space_text: SPACE.into(),
+            revision: revision(),
+            // An empty index would get points first.
+            point_count: 1,
+            ..Default::default()
+        };
+        Ok(Response::new(GetIndexResponse { index: Some(index) }))
+    }
+
+    async fn create_index(&self, _: Request<CreateIndexRequest>) -> Answer<CreateIndexResponse> {
+        Err(not_measured())
+    }
+
+    async fn list_indexes(&self, _: Request<ListIndexesRequest>) -> Answer<ListIndexesResponse> {
+        Err(not_measured())
+    }
+
+    async fn delete_index(&self, _: Request<DeleteIndexRequest>) -> Answer<DeleteIndexResponse> {
+        Err(not_measured())
+    }
+
+    async fn snapshot_index(
+        &self,
+        _: Request<SnapshotIndexRequest>,
+    ) -> Answer<Self::SnapshotIndexStream> {
+        Err(not_measured())
+    }
+
+    async fn restore_index(
+        &self,
+        _: Request<Streaming<RestoreIndexRequest>>,
+    ) -> Answer<RestoreIndexResponse> {
+        Err(not_measured())
+    }
+
+    async fn verify_index(
+        &self,
+        _: Request<VerifyIndexRequest>,
+    ) -> Answer<Self::VerifyIndexStream> {
         Err(not_measured())
     }
 }

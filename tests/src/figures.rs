@@ -43,16 +43,6 @@ fn status_bytes(process: u32, name: &str) -> Option<u64> {
     Some(kib * 1024)
 }
 
-/// The processor time of this thread.
-///
-/// # Panics
-/// If the system does not report it; Linux does.
-pub fn thread_time() -> Duration {
-    let text = fs::read_to_string("/proc/thread-self/schedstat").expect("Linux's /proc");
-    let nanos = text.split(' ').next().and_then(|nanos| nanos.parse().ok());
-    Duration::from_nanos(nanos.expect("a number of nanoseconds"))
-}
-
 /// The processor time of a process in seconds, if the system reports it.
 pub fn processor_seconds(process: u32) -> Option<f64> {
     /// The ticks of `clock_t` in /proc on Linux. They do not depend on the kernel's own ticks.
@@ -63,4 +53,16 @@ pub fn processor_seconds(process: u32) -> Option<f64> {
     let ticks = fields.split(' ').skip(11).take(2);
     let ticks: u64 = ticks.filter_map(|field| field.parse::<u64>().ok()).sum();
     Some(ticks as f64 / TICKS_PER_SECOND)
+}
+
+/// The processor time of the threads of a process that run now, if the system reports it. Exact once they all wait.
+pub fn processor_time(process: u32) -> Option<Duration> {
+    let threads = fs::read_dir(format!("/proc/{process}/task")).ok()?;
+    let mut nanos = 0;
+    for thread in threads.filter_map(Result::ok) {
+        // A thread that has just ended has no file.
+        let text = fs::read_to_string(thread.path().join("schedstat")).unwrap_or_default();
+        nanos += text.split(' ').next()?.parse().unwrap_or(0);
+    }
+    Some(Duration::from_nanos(nanos))
 }

@@ -1,4 +1,4 @@
-//! Measures the server over Zenoh, a bare queryable that answers the same bytes, and the search by itself.
+//! Measures the server over Zenoh, and a bare queryable that answers the same bytes.
 //!
 //!     cargo run --release -p wayfold-tests --bin robots -- [--points 50000] [--rounds 5] [--json FILE]
 //!
@@ -13,9 +13,9 @@ mod searcher;
 use std::{path::PathBuf, process::ExitCode};
 
 use clap::Parser;
-use wayfold_index::{Forest, ForestOptions, PointRef, Points, Search, Space};
+use wayfold_index::Space;
 use wayfold_proto::v1::InsertRequest;
-use wayfold_tests::{States, Stubs, figures::thread_time, measuring, row_states};
+use wayfold_tests::{States, Stubs, measuring, row_states};
 
 use report::{Report, Rounds};
 use searcher::{Form, Searcher};
@@ -31,8 +31,6 @@ const INDEX: &str = "arm";
 const WIDTH: usize = 7;
 const K: u32 = 10;
 const BATCH: usize = 1_000;
-/// The number of searches over which the time of one is averaged.
-const SEARCHES: usize = 20_000;
 
 /// Measures the server over Zenoh, and a bare queryable for comparison.
 #[derive(Debug, Parser)]
@@ -79,7 +77,6 @@ async fn measure(arguments: &Arguments) -> Report {
     let mut report = Report {
         points: arguments.points,
         rounds,
-        search_us: search_us(&space, &rows),
         forms: Vec::new(),
     };
     let to_server = measuring::connect(&server.zenoh()).await;
@@ -98,38 +95,4 @@ async fn measure(arguments: &Arguments) -> Report {
         report.forms.push((form, measured));
     }
     report
-}
-
-/// Processor time of a search in this process, in microseconds.
-fn search_us(space: &Space, rows: &[f64]) -> f64 {
-    let mut points = Points::new(space.coordinates());
-    let mut rows = rows.to_vec();
-    for (id, row) in (0..).zip(rows.chunks_mut(WIDTH)) {
-        space.canonicalize(row).expect("a state");
-        let (tag, revision) = (0, 1);
-        points.push_point(PointRef {
-            id,
-            tag,
-            revision,
-            row,
-        });
-    }
-    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
-    forest.apply(1, &points, &[]).expect("canonical states");
-    forest.settle();
-    let mut asked = States::new(space.clone(), 2).rows(SEARCHES);
-    let search = Search::nearest_k(K as usize);
-    let before = thread_time();
-    for row in asked.chunks_mut(WIDTH) {
-        space.canonicalize(row).expect("a state");
-        assert_eq!(
-            forest
-                .search(row, &search)
-                .expect("canonical states")
-                .neighbors
-                .len(),
-            K as usize
-        );
-    }
-    (thread_time() - before).as_secs_f64() * 1e6 / SEARCHES as f64
 }

@@ -50,18 +50,10 @@ impl Rounds {
 pub(crate) struct Report {
     pub(crate) points: usize,
     pub(crate) rounds: usize,
-    /// Processor time of the search alone.
-    pub(crate) search_us: f64,
     pub(crate) forms: Vec<(Form, Rounds)>,
 }
 
 impl Report {
-    /// The processor time of the bare queryable and of the search, as a fraction of the server's.
-    fn share(&self, measured: &Rounds) -> f64 {
-        let (server, bare) = measured.processor_us();
-        (bare + self.search_us) / server
-    }
-
     pub(crate) fn to_json(&self) -> Value {
         let pair =
             |(server, bare): Pair| json!({"server": server, "bare": bare, "ratio": server / bare});
@@ -71,14 +63,12 @@ impl Report {
                 "one_in_flight_p99_us": pair(measured.quantile_us(0.99)),
                 "many_in_flight_per_second": pair(measured.rate()),
                 "processor_us": pair(measured.processor_us()),
-                "bare_and_search": self.share(measured),
             });
             (form.key().to_owned(), found)
         });
         json!({
             "points": self.points,
             "rounds": self.rounds,
-            "search_us": self.search_us,
             "forms": Value::Object(forms.collect()),
         })
     }
@@ -86,11 +76,7 @@ impl Report {
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (points, search_us) = (self.points, self.search_us);
-        writeln!(
-            f,
-            "{SPACE}, {points} points, k = {K}: a search in process takes {search_us:.1} us"
-        )?;
+        writeln!(f, "{SPACE}, {} points, k = {K}", self.points)?;
         let line = |f: &mut fmt::Formatter<'_>, what: &str, (server, bare): Pair| {
             let ratio = server / bare;
             writeln!(f, "{what:<38}{server:>10.1}{bare:>10.1}{ratio:>8.2}")
@@ -98,23 +84,10 @@ impl fmt::Display for Report {
         for (form, measured) in &self.forms {
             writeln!(f, "\n{form:?}")?;
             writeln!(f, "{:<38}{:>10}{:>10}{:>8}", "", "server", "bare", "ratio")?;
-            let p50 = measured.quantile_us(0.5);
-            line(f, "one in flight, p50 us", p50)?;
+            line(f, "one in flight, p50 us", measured.quantile_us(0.5))?;
             line(f, "one in flight, p99 us", measured.quantile_us(0.99))?;
-            let beyond = p50.0 - p50.1 - search_us;
-            writeln!(
-                f,
-                "{:<38}{beyond:>10.1}",
-                "  p50 beyond bare and search, us"
-            )?;
             line(f, "64 in flight, answers/s", measured.rate())?;
             line(f, "  processor an answer, us", measured.processor_us())?;
-            let share = self.share(measured);
-            writeln!(
-                f,
-                "{:<38}{share:>28.2}",
-                "  bare's processor and search / ours"
-            )?;
         }
         Ok(())
     }

@@ -1,11 +1,17 @@
-//! Inserts that request the neighbours of the inserted states, 64 at a time, without the network. They show the
+//! Measures inserts that request the neighbours of the inserted states, 64 at a time, without the network. They show the
 //! parallelism of inserts although an index has only one writer.
+//!
+//!     cargo run --release -p wayfold-tests --bin writers -- [--rounds 5] [--json FILE]
 
 use std::{
+    path::PathBuf,
+    process::ExitCode,
     sync::Arc,
     time::{Duration, Instant},
 };
 
+use clap::Parser;
+use serde_json::{Value, json};
 use tokio::task::JoinSet;
 use wayfold_proto::v1::{CreateIndexRequest, InsertRequest, create_index_request::SpaceForm};
 use wayfold_server::{
@@ -13,30 +19,80 @@ use wayfold_server::{
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
 };
-use wayfold_tests::{States, k_nearest, row_states};
+use wayfold_tests::{
+    States,
+    figures::{median, processor_seconds},
+    k_nearest, measuring, row_states,
+};
 
-use crate::{INDEX, K, SPACE, WIDTH};
+/// The server's own allocator, so that the measured program equals the shipped one.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
+const INDEX: &str = "load";
+const SPACE: &str = "R3*SO3:0.15";
+const WIDTH: usize = 7;
+const K: u32 = 10;
 /// The number of concurrent inserts.
-pub(crate) const WRITERS: usize = 64;
+const WRITERS: usize = 64;
 /// The numbers of states in one call.
-pub(crate) const BATCHES: [usize; 2] = [1, 100];
+const BATCHES: [usize; 2] = [1, 100];
 /// The number of initial points, and of inserted ones.
-pub(crate) const POINTS: usize = 50_000;
+const POINTS: usize = 50_000;
+
+/// Measures inserts that request neighbours, 64 at a time, without the network.
+#[derive(Debug, Parser)]
+#[command(name = "writers")]
+struct Arguments {
+    /// The number of rounds; the medians are reported.
+    #[arg(long, default_value_t = 5)]
+    rounds: usize,
+    /// Writes the figures to a file, as JSON.
+    #[arg(long)]
+    json: Option<PathBuf>,
+}
+
+fn main() -> ExitCode {
+    measuring::main(async |arguments: Arguments| {
+        let rounds = arguments.rounds.max(1);
+        let mut batches = Vec::new();
+        for batch in BATCHES {
+            let mut measured = Vec::new();
+            for round in 0..rounds as u64 {
+                measured.push(write(batch, round).await);
+            }
+            batches.push(figures(batch, &measured));
+        }
+        let figures = json!({ "rounds": rounds, "batches": batches });
+        println!("{figures:#}");
+        (figures, arguments.json)
+    })
+}
+
+/// The medians of one batch size.
+fn figures(batch: usize, rounds: &[WriterRates]) -> Value {
+    let of = |part: fn(&WriterRates) -> f64| median(rounds.iter().map(part).collect());
+    json!({
+        "batch": batch,
+        "states_per_second": of(|written| written.rate),
+        "writer_held": of(|written| written.writer),
+        "processors": of(|written| written.processors),
+    })
+}
 
 /// The result of one measurement.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct WriterRates {
+struct WriterRates {
     /// States inserted per second.
-    pub(crate) rate: f64,
+    rate: f64,
     /// The fraction of the time in which one of them held the writer.
-    pub(crate) writer: f64,
+    writer: f64,
     /// The average number of used processors.
-    pub(crate) processors: f64,
+    processors: f64,
 }
 
 /// Inserts into an index in memory, `batch` states per call. Each call requests the nearest neighbour of each state.
-pub(crate) async fn write(batch: usize, round: u64) -> WriterRates {
+async fn write(batch: usize, round: u64) -> WriterRates {
     let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
     registry.replay().expect("an empty log");
     let registry = Arc::new(registry);
@@ -96,5 +152,5 @@ async fn held(registry: &Registry) -> Duration {
 
 /// Processor time of this process.
 fn processor() -> f64 {
-    wayfold_tests::figures::processor_seconds(std::process::id()).unwrap_or(f64::NAN)
+    processor_seconds(std::process::id()).unwrap_or(f64::NAN)
 }
