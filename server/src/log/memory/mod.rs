@@ -87,7 +87,7 @@ impl PointStore for MemoryLog {
     }
 
     fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        Ok(Box::new(Copy {
+        Ok(Box::new(RestoringIndex {
             indexes: Arc::clone(&self.indexes),
             entry,
             origin,
@@ -144,14 +144,14 @@ fn add(
 }
 
 /// An index that is being restored.
-struct Copy {
+struct RestoringIndex {
     indexes: Arc<Indexes>,
     entry: Entry,
     origin: Origin,
     points: Vec<Arc<StoredPoint>>,
 }
 
-impl Restoring for Copy {
+impl Restoring for RestoringIndex {
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError> {
         self.points.extend(points.iter().cloned().map(Arc::new));
         Ok(())
