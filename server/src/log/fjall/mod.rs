@@ -261,6 +261,10 @@ impl PointStore for FjallLog {
         loaded.map_err(|error| engine.note(error))
     }
 
+    fn trim_applied(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
+        Journal::trim(self, uid, retention)
+    }
+
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
         let engine = self.engine()?;
         engine.index(uid)?.operations(&engine.store)

@@ -82,6 +82,10 @@ impl PointStore for MemoryLog {
         Ok(self.store(uid)?.pin())
     }
 
+    fn trim_applied(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
+        Journal::trim(self, uid, retention)
+    }
+
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
         Ok(self.store(uid)?.operations())
     }
