@@ -2,8 +2,8 @@
 //!
 //! The server is one state machine, *mutation log → forest*. A mutation is evaluated, its [`Effects`] are submitted to
 //! the [`Journal`] as one [`Record`], and the apply loop of the index (`registry`) takes the record from the journal
-//! and applies it to the [`PointStore`] and the forest. A restart and a feed read the same records. A record
-//! holds the effects of a mutation, never the request, so applying one decides nothing.
+//! and applies it to the [`PointStore`] and the forest. A restart and a feed read the same records. A record holds the
+//! effects of a mutation, never the request, so applying one decides nothing.
 //!
 //! The point store holds the sum of the records ([`View`]): the checkpoint from which a restart goes on, and the place
 //! where payloads live. The [`Catalogue`] holds the names and uids of the indices.
@@ -140,7 +140,8 @@ pub trait Journal: Send + Sync {
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError>;
 
-    /// Forgets the oldest records and operations that need not be kept, but never the newest of each.
+    /// Forgets the oldest records and operations that need not be kept, but never the newest of each. A journal with a
+    /// point store of its own still sends its follower the records that this store has not applied.
     fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError>;
 
     /// The records that the journal keeps of an index.
@@ -174,6 +175,10 @@ pub trait PointStore: Send + Sync {
             page.iter().try_for_each(|point| visit(point))?;
         }
     }
+
+    /// Forgets the oldest applied records and operations that need not be kept, but never the newest of each. Only for
+    /// a store whose journal is elsewhere: [`Journal::trim`] does both in one engine.
+    fn trim_applied(&self, uid: Uid, retention: &Retention) -> Result<(), LogError>;
 
     /// The newest operations, oldest first. Operations of trimmed records are included.
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError>;
@@ -229,6 +234,18 @@ impl<Engine: Journal + PointStore + Catalogue + 'static> From<Arc<Engine>> for L
             journal: Arc::clone(&engine) as Arc<dyn Journal>,
             points: Arc::clone(&engine) as Arc<dyn PointStore>,
             catalogue: engine,
+        }
+    }
+}
+
+impl Log {
+    /// Trims the journal, and the point store if it is not part of it.
+    pub(crate) fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
+        let trimmed = self.journal.trim(uid, retention);
+        let (journal, points) = (Arc::as_ptr(&self.journal), Arc::as_ptr(&self.points));
+        match std::ptr::addr_eq(journal, points) {
+            true => trimmed,
+            false => trimmed.and(self.points.trim_applied(uid, retention)),
         }
     }
 }

@@ -12,8 +12,8 @@ use crate::log::{Effects, LogError, Operation, Receipt, Record};
 pub(super) const MAX_INLINE_POINTS: usize = 1024;
 pub(super) const MAX_INLINE_BYTES: usize = 128 * 1024;
 
-/// The number of times that memory and disk have the bytes of a mutation: as a record, as points in the store, and in the
-/// forest or in the files that the store writes again.
+/// The number of times that memory and disk have the bytes of a mutation: as a record, as points in the store, and in
+/// the forest or in the files that the store writes again.
 const STORED_COPIES: u64 = 3;
 
 /// The outcome of a commit.
@@ -28,7 +28,8 @@ pub enum Committed {
 
 impl Hosted {
     /// Commits a mutation that was evaluated under `writer`: submits the non-empty `effects`, and returns once they are
-    /// published. Above a watermark a mutation that stores points is refused. From the first poll on the commit completes, even if the caller drops the future.
+    /// published. Above a watermark a mutation that stores points is refused. From the first poll on the commit
+    /// completes, even if the caller drops the future.
     pub async fn commit(
         self: &Arc<Self>,
         writer: WriteGuard,

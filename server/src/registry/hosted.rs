@@ -82,8 +82,8 @@ struct State {
 }
 
 impl Hosted {
-    /// Serves an index from the points of `view`, which are in the forest and the sizes too, and follows the log from there on. Needs a
-    /// runtime.
+    /// Serves an index from the points of `view`, which are in the forest and the sizes too, and follows the log from
+    /// there on. Needs a runtime.
     pub(super) fn new(
         host: &Arc<Host>,
         entry: &Entry,
@@ -323,7 +323,7 @@ impl Hosted {
             operations: window.count,
             operation_bytes: window.bytes,
         };
-        self.host.log.journal.trim(self.uid, &retention)
+        self.host.log.trim(self.uid, &retention)
     }
 
     /// Resumes after the log was reopened, from its points `view`. Returns false if these are not the published points

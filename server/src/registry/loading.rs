@@ -21,8 +21,8 @@ pub(super) fn loaded_bytes(space: &Space, points: usize) -> u64 {
 }
 
 impl Host {
-    /// The greatest number of points that a merge may copy in its share of the memory that is left, above the watermarks
-    /// too: the old levels, their points as rows and the new level exist at a time.
+    /// The greatest number of points that a merge may copy in its share of the memory that is left, above the
+    /// watermarks too: the old levels, their points as rows and the new level exist at a time.
     pub(super) fn merge_rows(&self, space: &Space) -> usize {
         let left = self.watermarks.memory.as_ref().and_then(|it| it.left());
         let bytes = 3 * point_bytes(space) * self.options.merge_threads.max(1);

@@ -69,8 +69,8 @@ impl Registry {
         }
     }
 
-    /// True if mutations that add points are accepted now: the store has not failed, and memory and disk are below their
-    /// watermarks.
+    /// True if mutations that add points are accepted now: the store has not failed, and memory and disk are below
+    /// their watermarks.
     pub fn accepts_growth(&self) -> bool {
         self.failure().is_none() && self.host.watermarks.admit(0).is_ok()
     }

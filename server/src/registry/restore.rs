@@ -26,8 +26,8 @@ pub struct Restore {
 
 impl Registry {
     /// Begins to restore an index as a copy of another, under a new uid. [`RegistryError::Taken`] if the name is taken,
-    /// [`RegistryError::Full`] if there are as many indices as `limits` allow; [`Registry::host`] checks both again. Blocks on
-    /// the log.
+    /// [`RegistryError::Full`] if there are as many indices as `limits` allow; [`Registry::host`] checks both again.
+    /// Blocks on the log.
     pub fn restore(
         &self,
         name: &str,

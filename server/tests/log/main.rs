@@ -22,6 +22,7 @@ mod shared_files;
 mod suite;
 mod test_log;
 mod version_3;
+mod version_4;
 
 use std::{collections::BTreeMap, sync::Arc, time::SystemTime};
 

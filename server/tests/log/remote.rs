@@ -137,7 +137,7 @@ impl Journal for RemoteLog {
     fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
         let applied = self.local.view(uid)?.revision();
         self.stream.trim(uid, retention, applied);
-        self.local.trim(uid, retention)
+        self.local.trim_applied(uid, retention)
     }
 
     fn window(&self, uid: Uid) -> Result<Window, LogError> {
@@ -158,6 +158,10 @@ impl PointStore for RemoteLog {
     fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
         self.catch_up(uid)?;
         self.local.view(uid)
+    }
+
+    fn trim_applied(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
+        self.local.trim_applied(uid, retention)
     }
 
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {

@@ -69,6 +69,14 @@ macro_rules! forward_whole_journal {
 /// Forwards all of `PointStore` but `apply` and `view`.
 macro_rules! forward_points {
     ($field:tt) => {
+        fn trim_applied(
+            &self,
+            uid: Uid,
+            retention: &wayfold_server::log::Retention,
+        ) -> Result<(), LogError> {
+            self.$field.trim_applied(uid, retention)
+        }
+
         fn operations(
             &self,
             uid: Uid,

@@ -25,25 +25,36 @@ use crate::support::*;
 use stream::START;
 pub(crate) use stream::{Remote, Stream};
 
+/// A small window makes most catching up read the journal.
+const WINDOW_BYTES: usize = 2000;
+
 /// A server over the stream that serves the index of this entry from a point store of its own.
 pub(crate) fn server(stream: &Arc<Stream>, entry: &Entry) -> (Service, Arc<Registry>, Arc<Remote>) {
     let points = Arc::new(MemoryLog::new());
     points.create(entry.clone()).unwrap();
+    server_over(stream, points, Limits::default())
+}
+
+/// A server over the stream with this point store.
+fn server_over(
+    stream: &Arc<Stream>,
+    points: Arc<MemoryLog>,
+    limits: Limits,
+) -> (Service, Arc<Registry>, Arc<Remote>) {
     let journal = Remote::connect(stream);
     let log = Log {
         journal: Arc::clone(&journal) as Arc<dyn Journal>,
         points: Arc::clone(&points) as Arc<dyn PointStore>,
         catalogue: points,
     };
-    // A small window makes most catching up read the journal.
     let options = RegistryOptions {
-        window_bytes: 2000,
+        window_bytes: WINDOW_BYTES,
         ..options()
     };
     let registry = Registry::new(log, options);
     registry.replay().unwrap();
     let registry = Arc::new(registry);
-    let service = Service::starting(Limits::default());
+    let service = Service::starting(limits);
     service.set_registry(Arc::clone(&registry));
     service.set_ready();
     (service, registry, journal)
@@ -180,6 +191,31 @@ async fn no_two_points_are_too_close_across_servers() {
     rows.sort_by(f64::total_cmp);
     assert!(rows.len() > 10);
     assert!(rows.array_windows().all(|[a, b]| b - a >= 0.5), "{rows:?}");
+}
+
+/// The journal is elsewhere, and so are the records that its followers may ask for.
+#[tokio::test]
+async fn a_point_store_forgets_old_records_and_operations() {
+    let (stream, entry) = (Stream::new(9, 0.0), named_arm());
+    let points = Arc::new(MemoryLog::new());
+    points.create(entry.clone()).unwrap();
+    let limits = Limits {
+        max_operations: 5,
+        ..Limits::default()
+    };
+    let (service, ..) = server_over(&stream, Arc::clone(&points), limits);
+    for number in 0..100 {
+        let request = v1::InsertRequest {
+            operation_id: number.to_string(),
+            ..insertion(&[[f64::from(number)]], &[])
+        };
+        service.insert(&CALL, request).await.unwrap();
+        let records = points.read(entry.uid, None, usize::MAX).unwrap();
+        let bytes = records.iter().map(|record| record.effects().bytes());
+        assert!(bytes.sum::<usize>() <= WINDOW_BYTES);
+        assert!(points.operations(entry.uid).unwrap().len() <= 5);
+    }
+    settled(&stream, &entry, &[&service]).await;
 }
 
 /// Inserts a state once the index is available again; returns the revision.

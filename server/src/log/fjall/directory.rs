@@ -258,8 +258,8 @@ fn make(path: &Path) -> io::Result<()> {
     let made: Vec<&Path> = path.ancestors().take_while(missing).collect();
     fs::create_dir_all(path)?;
     for parent in made.iter().filter_map(|path| path.parent()) {
-        let here = parent.as_os_str().is_empty();
-        sync_directory(if here { Path::new(".") } else { parent })?;
+        let is_current = parent.as_os_str().is_empty();
+        sync_directory(if is_current { Path::new(".") } else { parent })?;
     }
     Ok(())
 }

@@ -14,7 +14,7 @@ use super::{
     journal::{self, Journal},
     layout::{Named, Number, Stage, Sum, entry_key},
     manifest, manifest_copy, recovery,
-    restoring::Copy,
+    restoring::RestoringIndex,
     store::{Store, not_readable, shut, storage, unopened},
     sweeper::Sweeper,
     sync_marks::{Mark, Marked, Marks},
@@ -28,7 +28,7 @@ pub(super) struct Engine {
     syncer: Option<Syncer>,
     pub(super) sweeper: Sweeper,
     indexes: RwLock<BTreeMap<Uid, Arc<Index>>>,
-    gone: Mutex<BTreeMap<Number, Lost>>,
+    lost: Mutex<BTreeMap<Number, Lost>>,
     /// The number of the next index. Its lock serialises creating and deleting indices.
     next: Mutex<Number>,
     failure: Arc<Failure>,
@@ -37,8 +37,8 @@ pub(super) struct Engine {
 }
 
 impl Engine {
-    /// Opens the existing store of a directory in a server that may use `memory` bytes, or returns the error that prevents
-    /// it.
+    /// Opens the existing store of a directory in a server that may use `memory` bytes, or returns the error that
+    /// prevents it.
     pub(super) fn open(
         directory: &Arc<Directory>,
         durability: Durability,
@@ -108,7 +108,7 @@ impl Engine {
             syncer,
             sweeper,
             indexes: RwLock::new(indexes.map(|index| (index.entry.uid, index)).collect()),
-            gone: Mutex::new(found.gone),
+            lost: Mutex::new(found.lost),
             next: Mutex::new(found.next),
             failure,
             store,
@@ -128,8 +128,8 @@ impl Engine {
         indexes.values().map(|index| index.entry.clone()).collect()
     }
 
-    pub(super) fn gone(&self) -> Vec<Lost> {
-        self.gone.lock().values().cloned().collect()
+    pub(super) fn lost(&self) -> Vec<Lost> {
+        self.lost.lock().values().cloned().collect()
     }
 
     /// The failure that stopped all writing.
@@ -198,24 +198,28 @@ impl Engine {
         let number = *next;
         let index = Index::new(number, entry, State::new(Origin::START, Sum::default()));
         *next += 1;
-        self.put(&index, Stage::Whole, index.here())?;
+        self.put(&index, Stage::Whole, index.head_mark())?;
         self.indexes.write().insert(index.entry.uid, index);
         Ok(())
     }
 
-    pub(super) fn restore(self: Arc<Self>, entry: Entry, origin: Origin) -> Result<Copy, LogError> {
+    pub(super) fn restore(
+        self: Arc<Self>,
+        entry: Entry,
+        origin: Origin,
+    ) -> Result<RestoringIndex, LogError> {
         self.writable()?;
         let mut next = self.next.lock();
         self.untaken(entry.uid)?;
         let number = *next;
         *next += 1;
         drop(next);
-        Copy::begin(self, number, entry, origin)
+        RestoringIndex::begin(self, number, entry, origin)
     }
 
     /// Adds an index that is in the store, once it is durable there.
     pub(super) fn add(&self, index: Arc<Index>) -> Result<(), LogError> {
-        self.written(&index, index.here());
+        self.written(&index, index.head_mark());
         self.wait()?;
         self.indexes.write().insert(index.entry.uid, index);
         Ok(())
@@ -250,8 +254,8 @@ impl Engine {
 
     /// Marks a lost index as deleted, of which only the mark is left; false if the index is not lost.
     fn forget(&self, uid: Uid) -> Result<bool, LogError> {
-        let mut gone = self.gone.lock();
-        let found = gone.iter().find(|(_, gone)| gone.uid == uid);
+        let mut lost = self.lost.lock();
+        let found = lost.iter().find(|(_, lost)| lost.uid == uid);
         let Some((&number, _)) = found else {
             return Ok(false);
         };
@@ -260,7 +264,7 @@ impl Engine {
         cleared.map_err(|error| LogError::Storage {
             what: error.to_string(),
         })?;
-        gone.remove(&number);
+        lost.remove(&number);
         // If the entry could not be read, the other keys of the index may still exist.
         self.sweeper.sweep(number);
         Ok(true)
@@ -357,8 +361,9 @@ fn save_manifest(directory: &Directory) {
 
 /// Marks these indices as synced up to their heads.
 fn write_marks(marks: &mut Marks, indexes: &[Arc<Index>]) -> std::io::Result<()> {
-    let here = indexes.iter();
-    let here = here.filter_map(|index| Some((index.number, index.mark()?)));
-    let here: Vec<_> = here.collect();
-    marks.write(here.iter().map(|(number, mark)| (*number, mark)))
+    let heads = indexes
+        .iter()
+        .filter_map(|index| Some((index.number, index.mark()?)));
+    let heads: Vec<_> = heads.collect();
+    marks.write(heads.iter().map(|(number, mark)| (*number, mark)))
 }

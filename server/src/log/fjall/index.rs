@@ -97,13 +97,13 @@ impl State {
     }
 
     /// Counts a stored record.
-    pub(super) fn held(&mut self, record: &Record) {
+    pub(super) fn remember(&mut self, record: &Record) {
         let bytes = record.effects().bytes();
         self.records.push(record.time_ms(), bytes);
     }
 
     /// Counts a stored operation.
-    pub(super) fn held_operation(&mut self, revision: u64, operation: &Operation) {
+    pub(super) fn remember_operation(&mut self, revision: u64, operation: &Operation) {
         self.operations.push(revision, operation.bytes());
     }
 }
@@ -164,7 +164,7 @@ impl Index {
     }
 
     /// The mark of its head.
-    pub(super) fn here(&self) -> Mark {
+    pub(super) fn head_mark(&self) -> Mark {
         self.mark_of(&self.state.lock().head)
     }
 
@@ -310,9 +310,9 @@ impl Index {
         state.removed = head.trimmed;
         state.forgotten.clear();
         state.sessions.apply_changes(changes);
-        state.held(record);
+        state.remember(record);
         if let Some(operation) = record.effects().operation() {
-            state.held_operation(record.revision(), operation);
+            state.remember_operation(record.revision(), operation);
         }
         state.head = head;
         Ok(())

@@ -4,10 +4,10 @@
 //! | key | value |
 //! |---|---|
 //! | `e`, index | [`Named`]: its [`Stage`], its uid, its name, its space as text |
-//! | `h`, index | [`Head`]: revision, next id, the newest trimmed revision, the newest record's digest, the [`Sum`] of the points |
+//! | `h`, index | [`Head`]: revision, next id, newest trimmed revision, newest digest, [`Sum`] of the points |
 //! | `p`, index, id | the point: see [`point`](super::point) |
 //! | `r`, index, revision | the record, as [`Record`](crate::log::Record) documents it |
-//! | `o`, index, revision | a second copy of the record's operation, kept for a longer or shorter time than the record |
+//! | `o`, index, revision | a second copy of the record's operation, kept for a time of its own |
 //! | `s`, index, session | the writer session: see [`session`](super::session) |
 //! | `b`, index, first id | the block of ids that a session reserved |
 //!

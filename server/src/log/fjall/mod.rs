@@ -7,10 +7,10 @@
 //! Modules: `directory` (ownership and lock of the data directory), `engine` and `store` (the open store), `manifest`
 //! and `manifest_copy` (checks before it is opened), `layout` and `point` (keys and values, byte for byte), `index`
 //! (the writer of one index), `follow` (its records as a stream), `view` (its points at one revision), `restoring` (an
-//! index made from a copy), `journal`, `syncer` and `sync_marks` (syncing, and the synced revisions), `failure` (the
-//! first failure, which stops all writing), `recovery` (from the files to the state), `rebuild` (a new store, or one
-//! rebuilt from a damaged one), `unclean_marker` (an unclean shutdown without fsync), `sweeper` (removal of deleted
-//! indices).
+//! index made from a copy), `session` (the stored writer sessions), `journal`, `syncer` and `sync_marks` (syncing, and
+//! the synced revisions), `failure` (the first failure, which stops all writing), `recovery` (from the files to the
+//! state), `rebuild` (a new store, or one rebuilt from a damaged one), `unclean_marker` (an unclean shutdown without
+//! fsync), `sweeper` (removal of deleted indices).
 //!
 //! A failed store takes no writes and still serves reads. [`PointStore::reopen`] closes it and opens it as a start
 //! does: there is no other path from the files to the state. A damaged store serves what is readable; only [`repair`]
@@ -265,6 +265,10 @@ impl PointStore for FjallLog {
         loaded.map_err(|error| engine.note(error))
     }
 
+    fn trim_applied(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
+        Journal::trim(self, uid, retention)
+    }
+
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
         let engine = self.engine()?;
         engine.index(uid)?.operations(&engine.store)
@@ -329,12 +333,12 @@ impl Catalogue for FjallLog {
 
     fn lost(&self) -> Vec<Lost> {
         match &*self.opened.read() {
-            Opened::Open(engine) => engine.gone(),
+            Opened::Open(engine) => engine.lost(),
             Opened::Not(why, marked) => {
                 let lost = marked.live().map(|(_, mark)| Lost {
                     name: mark.name.to_string(),
                     uid: mark.uid,
-                    why: why_gone(why, mark),
+                    why: lost_error(why, mark),
                 });
                 lost.collect()
             }
@@ -351,7 +355,7 @@ impl Catalogue for FjallLog {
 }
 
 /// The error of an index in a store that cannot be opened.
-fn why_gone(why: &LogError, mark: &Mark) -> LogError {
+fn lost_error(why: &LogError, mark: &Mark) -> LogError {
     match why {
         LogError::Unopened { what, .. } => LogError::Unopened {
             what: what.clone(),

@@ -25,7 +25,7 @@ pub(super) struct Found {
     /// True if a part of the indices was unreadable.
     pub(super) unreadable: bool,
     /// Lost indices, of which only the mark is left.
-    pub(super) gone: BTreeMap<Number, Lost>,
+    pub(super) lost: BTreeMap<Number, Lost>,
     /// Deleted indices that may have keys left.
     pub(super) deleted: Vec<Number>,
     /// The number of the next index.
@@ -39,7 +39,7 @@ pub(super) fn recover(handles: &Handles, marks: &Marked, renamed: bool) -> Resul
     let mut found = Found {
         indexes: Vec::new(),
         unreadable: false,
-        gone: BTreeMap::new(),
+        lost: BTreeMap::new(),
         deleted: Vec::new(),
         // The number of a lost index stays in use.
         next: marks.next(),
@@ -54,7 +54,7 @@ pub(super) fn recover(handles: &Handles, marks: &Marked, renamed: bool) -> Resul
             Err(damage) => {
                 found.unreadable = true;
                 if let Some(mark) = left.remove(&number) {
-                    found.lose(number, mark, damaged_index(mark.uid, &damage));
+                    found.add_lost(number, mark, damaged_index(mark.uid, &damage));
                 }
                 continue;
             }
@@ -85,7 +85,9 @@ pub(super) fn recover(handles: &Handles, marks: &Marked, renamed: bool) -> Resul
                 found.unreadable |= matches!(index.closed(), Some(LogError::Unreadable { .. }));
                 found.indexes.push(index);
             }
-            Stage::Unreadable => found.indexes.push(left_out(number, named.entry, mark)),
+            Stage::Unreadable => found
+                .indexes
+                .push(unreadable_index(number, named.entry, mark)),
         }
         left.remove(&number);
     }
@@ -95,18 +97,18 @@ pub(super) fn recover(handles: &Handles, marks: &Marked, renamed: bool) -> Resul
             first: 1,
             last: mark.revision,
         };
-        found.lose(number, mark, why);
+        found.add_lost(number, mark, why);
     }
     Ok(found)
 }
 
 impl Found {
     /// Adds a lost index. Only its mark is left.
-    fn lose(&mut self, number: Number, mark: &Mark, why: LogError) {
+    fn add_lost(&mut self, number: Number, mark: &Mark, why: LogError) {
         error!(index = &*mark.name, error = %why, "an index is lost: every call for it fails");
         let (name, uid) = (mark.name.to_string(), mark.uid);
         self.used.insert(number);
-        self.gone.insert(number, Lost { name, uid, why });
+        self.lost.insert(number, Lost { name, uid, why });
     }
 }
 
@@ -188,7 +190,7 @@ fn open(
 }
 
 /// An index of which a rebuilt store holds only the entry.
-fn left_out(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<Index> {
+fn unreadable_index(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<Index> {
     let revisions = match mark.map_or(0, |mark| mark.revision) {
         0 => String::new(),
         last => format!(" of the revisions 1 to {last}"),
@@ -196,8 +198,8 @@ fn left_out(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<Index> {
     let why = LogError::Unreadable {
         uid: entry.uid,
         what: format!(
-            "a block{revisions} could not be read when the store was repaired, and the index was left out; the damaged store \
-             is kept in the data directory as one of {DAMAGED_STORE}N"
+            "a block{revisions} could not be read when the store was repaired, and the index was left out; the damaged \
+             store is kept in the data directory as one of {DAMAGED_STORE}N"
         ),
     };
     error!(index = entry.name, error = %why, "an index is damaged: every call for it fails");
@@ -246,13 +248,13 @@ fn state(handles: &Handles, index: &Index, mark: Option<&Mark>) -> Result<State,
             return Err(damaged(revision, "it is not the one that was synced"));
         }
         previous = Some(*record.digest());
-        state.held(&record);
+        state.remember(&record);
     }
     if previous.is_some_and(|previous| previous != head.digest) {
         return Err(damaged(head.revision, "it is not the newest"));
     }
     for (revision, operation) in index.stored_operations(handles)? {
-        state.held_operation(revision, &operation);
+        state.remember_operation(revision, &operation);
     }
     state.sessions = session::read(handles, number, uid, &mut Sum::default())?;
     Ok(state)
@@ -310,7 +312,7 @@ mod tests {
         let records: Vec<_> = (0..3).map(append).collect();
         let handles = store.handles().unwrap();
         damage(&handles, &records);
-        let mark = Some(index.here());
+        let mark = Some(index.head_mark());
         match state(&handles, &index, mark.as_ref()) {
             Ok(found) => index.restore(found),
             Err(error) => return Some(error.to_string()),

@@ -17,7 +17,7 @@ use super::{
 use crate::log::{Entry, LogError, Origin, Restoring, Sessions, StoredPoint};
 
 /// An index that is being restored.
-pub(super) struct Copy {
+pub(super) struct RestoringIndex {
     engine: Arc<Engine>,
     number: Number,
     entry: Entry,
@@ -27,7 +27,7 @@ pub(super) struct Copy {
     finished: bool,
 }
 
-impl Copy {
+impl RestoringIndex {
     /// Begins a restore under a new number.
     pub(super) fn begin(
         engine: Arc<Engine>,
@@ -99,7 +99,7 @@ impl Copy {
     }
 }
 
-impl Restoring for Copy {
+impl Restoring for RestoringIndex {
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError> {
         self.write(points, None)
     }
@@ -115,7 +115,7 @@ impl Restoring for Copy {
     }
 }
 
-impl Drop for Copy {
+impl Drop for RestoringIndex {
     fn drop(&mut self) {
         if !self.finished {
             self.engine.sweeper.sweep(self.number);

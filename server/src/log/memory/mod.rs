@@ -86,12 +86,16 @@ impl PointStore for MemoryLog {
         Ok(self.store(uid)?.pin())
     }
 
+    fn trim_applied(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
+        Journal::trim(self, uid, retention)
+    }
+
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
         Ok(self.store(uid)?.operations())
     }
 
     fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        Ok(Box::new(Copy {
+        Ok(Box::new(RestoringIndex {
             indexes: Arc::clone(&self.indexes),
             entry,
             origin,
@@ -148,14 +152,14 @@ fn add(
 }
 
 /// An index that is being restored.
-struct Copy {
+struct RestoringIndex {
     indexes: Arc<Indexes>,
     entry: Entry,
     origin: Origin,
     points: Vec<Arc<StoredPoint>>,
 }
 
-impl Restoring for Copy {
+impl Restoring for RestoringIndex {
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError> {
         self.points.extend(points.iter().cloned().map(Arc::new));
         Ok(())

@@ -258,6 +258,10 @@ impl PointStore for FaultLog {
         }))
     }
 
+    fn trim_applied(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
+        log::Journal::trim(self, uid, retention)
+    }
+
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
         let journal = self.0.lock();
         Ok(journal.index(uid)?.operations.iter().cloned().collect())
