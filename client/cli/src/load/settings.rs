@@ -15,13 +15,13 @@ pub(super) struct PhaseSettings {
     /// The concurrent callers, each with a connection, a session or a copy of its own [default: 8]
     #[arg(long, value_name = "N", value_parser = workers)]
     workers: Option<usize>,
-    /// The verbs and their weights [default: insert=1,knn=8,query=1,get=1]
+    /// The verbs (insert, knn, query, get, stream: knn over one stream) and their weights [default: insert=1,knn=8,query=1,get=1]
     #[arg(long, value_name = "VERB=WEIGHT,...", value_parser = Mix::parse)]
     mix: Option<Mix>,
     /// The states (or ids) of a call [default: 1]
     #[arg(long, value_name = "N", value_parser = batch)]
     batch: Option<usize>,
-    /// The neighbours that knn asks for [default: 10]
+    /// The neighbours that knn and stream ask for [default: 10]
     #[arg(short, long, value_name = "K", value_parser = k)]
     k: Option<u32>,
     /// The radius of query [default: the distance of the k-th neighbour, the median of some probes]
