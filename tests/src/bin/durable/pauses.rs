@@ -12,7 +12,11 @@ use std::{
 };
 
 use wayfold_proto::v1::{KnnRequest, knn_request::KForm};
-use wayfold_tests::{States, Stubs, figures::quantile_ms, measuring, row_states};
+use wayfold_tests::{
+    States, Stubs,
+    figures::{quantile_ms, resident_bytes},
+    measuring, row_states,
+};
 
 use crate::{
     INDEX, K, SPACE, WIDTH,
@@ -29,6 +33,9 @@ const SLOW_SYNC: Duration = Duration::from_millis(10);
 /// The interval between syncs of the witness.
 const SYNC_INTERVAL: Duration = Duration::from_millis(2);
 
+/// The time from the end of the load to the second reading of the memory: by then all levels are merged.
+const REST: Duration = Duration::from_secs(30);
+
 /// The start and the duration of an event.
 type TimedEvent = (Instant, Duration);
 
@@ -44,6 +51,8 @@ pub(crate) async fn measure(place: &Place, points: usize, report: &mut Report) {
             ("memory".into(), "in memory")
         };
         let server = measuring::server(&data);
+        let process = server.process().id();
+        let before = resident_bytes(process);
         Stubs::connect(server.uri())
             .await
             .create(INDEX, SPACE)
@@ -68,8 +77,20 @@ pub(crate) async fn measure(place: &Place, points: usize, report: &mut Report) {
         drop(stop);
         let syncs = witness.join().expect("a witness");
         report.note(&format!("{on}: points loaded a second"), rate, "/s");
+        let inserts = inserts.expect("inserts");
+        let stored = (points.next_multiple_of(BATCH) + inserts.len()) as f64;
+        for moment in ["right after the load", "30 s later"] {
+            if moment == "30 s later" {
+                tokio::time::sleep(REST).await;
+            }
+            // Only some systems report it.
+            if let Some((before, after)) = before.zip(resident_bytes(process)) {
+                let what = format!("{on}: resident bytes a point, {moment}");
+                report.note(&what, after.saturating_sub(before) as f64 / stored, "");
+            }
+        }
         for (what, taken) in [
-            ("single inserts", inserts.expect("inserts")),
+            ("single inserts", inserts),
             ("k = 10 queries", queries.expect("queries")),
         ] {
             tell(report, &format!("{on}: {what}"), &taken);
