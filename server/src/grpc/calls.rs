@@ -27,6 +27,7 @@ use super::{
     connections::Activity,
     deadline, refusals,
     request_body::{RequestBody, RequestLimits},
+    verbs::{has_stream_of_answers, has_stream_of_requests, our_rpc, verb},
 };
 use crate::{
     admission::{CALL_BYTES, Flow, HeldBytes},
@@ -37,44 +38,6 @@ use crate::{
     service::{Call, Error},
     status,
 };
-
-/// The calls that this layer is for.
-const OURS: &str = "/wayfold.v1.";
-
-/// The calls whose requests are streams.
-const REQUEST_STREAMS: [&str; 2] = ["PointService/StreamKnn", "IndexService/RestoreIndex"];
-
-/// The calls whose answers are streams.
-const ANSWER_STREAMS: [&str; 5] = [
-    "PointService/StreamKnn",
-    "PointService/Scan",
-    "PointService/Watch",
-    "IndexService/SnapshotIndex",
-    "IndexService/VerifyIndex",
-];
-
-/// All calls, and their verbs in metrics.
-const VERBS: [(&str, &str); 19] = [
-    ("IndexService/GetServer", "server"),
-    ("IndexService/CreateIndex", "create"),
-    ("IndexService/GetIndex", "info"),
-    ("IndexService/ListIndexes", "list"),
-    ("IndexService/DeleteIndex", "delete"),
-    ("IndexService/SnapshotIndex", "snapshot"),
-    ("IndexService/RestoreIndex", "restore"),
-    ("IndexService/VerifyIndex", "verify"),
-    ("PointService/Insert", "insert"),
-    ("PointService/Update", "update"),
-    ("PointService/Remove", "remove"),
-    ("PointService/OpenSession", "session"),
-    ("PointService/Write", "write"),
-    ("PointService/Get", "get"),
-    ("PointService/Knn", "knn"),
-    ("PointService/Query", "query"),
-    ("PointService/StreamKnn", "stream_knn"),
-    ("PointService/Scan", "scan"),
-    ("PointService/Watch", "watch"),
-];
 
 /// The service's context of a call, which the layer leaves in the request's extensions for the handler.
 pub(crate) fn call_of<T>(request: &tonic::Request<T>) -> Call {
@@ -211,7 +174,7 @@ where
         let mut record =
             CallRecord::begin(rpc, verb, arrived, &settings.shared.metrics, origin).of_peer(peer);
         let held = Arc::new(flow.hold());
-        let is_stream = ANSWER_STREAMS.contains(&rpc) || REQUEST_STREAMS.contains(&rpc);
+        let is_stream = has_stream_of_answers(rpc) || has_stream_of_requests(rpc);
         // The service checks the caller too; here a stranger is refused before it sends its request.
         let deadline = match (caller.check(), deadline::read(request.headers(), arrived)) {
             (Err(why), _) => {
@@ -247,9 +210,9 @@ where
                 caller,
                 index: Arc::clone(record.index()),
             },
-            is_stream: REQUEST_STREAMS.contains(&rpc),
+            is_stream: has_stream_of_requests(rpc),
         };
-        let is_answer_stream = ANSWER_STREAMS.contains(&rpc);
+        let is_answer_stream = has_stream_of_answers(rpc);
         let span = record.span().clone();
         let slow_calls = settings.shared.slow_calls.clone();
         let answer = async move {
@@ -309,8 +272,8 @@ impl CallsLayer {
     /// The flow of a call: that of its connection, or that of an operator's short calls, which load does not close.
     fn flow(&self, rpc: &str, activity: Option<&Activity>) -> Arc<Flow> {
         let is_admin = rpc.starts_with("IndexService/")
-            && !ANSWER_STREAMS.contains(&rpc)
-            && !REQUEST_STREAMS.contains(&rpc);
+            && !has_stream_of_answers(rpc)
+            && !has_stream_of_requests(rpc);
         match activity {
             Some(activity) if !is_admin => Arc::clone(activity.flow()),
             _ => self.shared.admission.admin(),
@@ -380,17 +343,6 @@ fn unless_left(status: Status) -> Status {
         true => Status::cancelled("the request was cut"),
         false => status,
     }
-}
-
-/// The verb of a call in metrics. A call that does not exist has none of its own: its name may be anything.
-fn verb(rpc: &str) -> &'static str {
-    let known = VERBS.iter().find(|(known, _)| *known == rpc);
-    known.map_or("other", |(_, verb)| verb)
-}
-
-/// `PointService/Knn` of `/wayfold.v1.PointService/Knn`; None for paths of other packages.
-fn our_rpc(path: &str) -> Option<&str> {
-    path.strip_prefix(OURS)
 }
 
 #[cfg(test)]

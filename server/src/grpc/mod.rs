@@ -14,6 +14,7 @@ mod request_body;
 mod status;
 mod stream_knn;
 mod tls;
+mod verbs;
 
 use std::{io, sync::Arc, time::Duration};
 

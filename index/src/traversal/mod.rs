@@ -1,17 +1,21 @@
 //! One search under way: depth first through the trees of a structure, the nearest child of a node first.
 
+mod tree;
+
 use std::time::Instant;
 
 use arrayvec::ArrayVec;
 
 use crate::{
-    Answer, Filter, Neighbor, Points, Search, SearchError, Space,
+    Answer, Filter, Neighbor, Search, SearchError, Space,
     candidates::{Candidate, Few, MAX_FEW, Many},
     kernel::{self, KeyScale},
-    lanes::{BLOCK_ROWS, Isa, MAX_CHILDREN},
+    lanes::{BLOCK_ROWS, Isa},
     quantize::{self, QuantizedQuery, Quantizer},
     scan_policy::ScanPolicy,
 };
+use tree::OpenNode;
+pub(crate) use tree::{Frontier, Labels, MAX_HEIGHT, Tree};
 
 /// The number of leaves visited between two reads of the clock. One read costs about a tenth of a leaf.
 pub(crate) const LEAVES_PER_CLOCK_READ: usize = 32;
@@ -19,65 +23,12 @@ pub(crate) const LEAVES_PER_CLOCK_READ: usize = 32;
 /// The greatest number of neighbours of a search that a scan policy learns from: a larger answer must read many leaves.
 const MAX_OBSERVED_NEIGHBORS: usize = 100;
 
-/// No tree is higher. A static tree of as many points as slots can number, one in a leaf, has 8 levels of nodes, and a
-/// growing tree is sealed before it gets there.
-pub(crate) const MAX_HEIGHT: usize = 11;
-
 /// The ratio of a candidate's upper bound to its key above which its distance is computed at once: a larger bound would
 /// admit more candidates than computing one exact distance costs.
 const MAX_BOUND_RATIO: f64 = 1.001;
 
 /// The number of points of a block from which on it costs less to measure them all, side by side.
 const MIN_MEASURED_TOGETHER: u32 = 3;
-
-/// A tree of a structure, as one search sees it. `'a` is the lifetime of its points.
-pub(crate) trait Tree<'a> {
-    /// A node or a leaf.
-    type Cell: Copy;
-    /// A node with children still to be visited.
-    type Node: Copy;
-
-    /// The newest revision of a state in the tree.
-    fn newest(&self) -> u64;
-    fn root(&self) -> Option<Self::Cell>;
-    fn child(&self, node: Self::Node, child: usize) -> Self::Cell;
-    /// Scans a leaf, or adds a node to the frontier.
-    fn visit<I: Isa>(
-        &mut self,
-        cell: Self::Cell,
-        traversal: &mut Traversal<'a>,
-        frontier: &mut Frontier<Self::Node>,
-    );
-    /// Scans all points in memory order.
-    fn scan<I: Isa>(&mut self, traversal: &mut Traversal<'a>);
-    /// The policy that chooses between both; None for a tree too small for a choice.
-    fn scan_policy(&self) -> Option<&'a ScanPolicy>;
-    /// True if a scan would have cost less than a descent that visited `leaves` leaves.
-    fn scan_is_cheaper(&self, leaves: usize) -> bool;
-    /// Fetches what the search reads after the next cell.
-    fn prefetch(&self, _: &Frontier<Self::Node>) {}
-}
-
-/// A node with children still to be visited.
-struct OpenNode<N> {
-    node: N,
-    /// The keys of its children, and a bit for each child that remains.
-    keys: [f64; MAX_CHILDREN],
-    remaining: u32,
-    /// The nearest remaining child.
-    nearest: usize,
-}
-
-/// The nodes between the root and the current cell that have children left.
-pub(crate) struct Frontier<N>(ArrayVec<OpenNode<N>, MAX_HEIGHT>);
-
-impl<N: Copy> Frontier<N> {
-    /// The node and child to visit next, unless the current cell makes it too far away.
-    #[inline(always)]
-    pub(crate) fn peek(&self) -> Option<(N, usize)> {
-        self.0.last().map(|open| (open.node, open.nearest))
-    }
-}
 
 /// One search under way, carried through every tree and table that takes part in it.
 pub(crate) struct Traversal<'a> {
@@ -433,26 +384,5 @@ impl<'a> Traversal<'a> {
         debug_assert!(neighbors.is_sorted());
         neighbors.truncate(self.search.k);
         Ok(Answer { neighbors })
-    }
-}
-
-/// The id, tag and revision of each point, by its slot.
-pub(crate) trait Labels {
-    fn id(&self, slot: usize) -> u64;
-    fn tag(&self, slot: usize) -> u64;
-    fn revision(&self, slot: usize) -> u64;
-}
-
-impl Labels for Points {
-    fn id(&self, slot: usize) -> u64 {
-        self.id(slot)
-    }
-
-    fn tag(&self, slot: usize) -> u64 {
-        self.tag(slot)
-    }
-
-    fn revision(&self, slot: usize) -> u64 {
-        self.revision(slot)
     }
 }
