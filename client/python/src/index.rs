@@ -390,12 +390,13 @@ impl Index {
         traceback: &Bound<'_, PyAny>,
     ) -> PyResult<()> {
         let (py, _) = (traceback.py(), error);
-        if kind.is_none() {
-            // Raises the reason, if the writes cannot be sent. `close` has only the writes.
-            self.flush(py)?;
-        }
+        // Raises the reason, if the writes cannot be sent. `close` has only the writes.
+        let flushed = match kind {
+            None => self.flush(py),
+            Some(_) => Ok(()),
+        };
         self.close(py, 30.0)?;
-        Ok(())
+        flushed
     }
 
     /// Writes all points of an index in memory to a file, which `load` reads.

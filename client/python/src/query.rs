@@ -101,7 +101,11 @@ pub(crate) fn ball<'py>(
             _ => numbers
                 .chunks_exact(width)
                 .zip(&radii)
-                .map(|(row, &radius)| Ok(index.search(row, &within(radius))?.neighbors))
+                .enumerate()
+                .map(|(number, (row, &radius))| {
+                    let found = index.search(row, &within(radius));
+                    Ok(found.map_err(|error| later_row(error, number))?.neighbors)
+                })
                 .collect::<Result<_, Error>>()?,
         };
         let ids = found.into_iter().map(|found: Vec<Neighbor>| {

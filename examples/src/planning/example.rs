@@ -115,6 +115,10 @@ impl<P: Verify> Example<P> {
     ) -> Result<(), PlanningError> {
         let grown = comparison::grow(problem, options, samples)?;
         print!("{}", report::progress(&grown));
+        let rows = grown
+            .iter()
+            .map(|(source, star)| star.row(*source, options.seed));
+        figures::write(rows, options.json.as_deref())?;
         let star = grown.first().map(|(_, star)| star);
         let Some((star, goal)) = star.and_then(|star| Some((star, star.goal?))) else {
             let nodes = star.map_or(0, |star| star.tree.len());

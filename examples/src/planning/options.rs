@@ -37,7 +37,7 @@ pub struct Options {
     #[arg(long, group = "several")]
     pub scaling: bool,
     /// Builds one tree by RRT* from this many samples instead, and prints how its path becomes shorter
-    #[arg(long, value_name = "SAMPLES", conflicts_with_all = ["several", "max_nodes", "json"])]
+    #[arg(long, value_name = "SAMPLES", conflicts_with_all = ["several", "max_nodes"])]
     pub rrt_star: Option<usize>,
     /// The number of nodes at which it gives up
     #[arg(long, default_value_t = 1_000_000)]

@@ -234,7 +234,7 @@ pub fn progress(grown: &[(Source, Star)]) -> String {
         text.push('\n');
     }
     for (source, star) in grown.iter().filter(|(source, _)| source.is_served()) {
-        let (name, flushing) = (source.name(), star.flushing.as_secs_f64());
+        let (name, flushing) = (source.name(), star.account.flushing.as_secs_f64());
         let _ = writeln!(
             text,
             "{name}: the server had acknowledged every insert {flushing:.3} s later."

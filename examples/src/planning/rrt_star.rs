@@ -5,6 +5,7 @@
 //! path to the root. It then becomes the parent of those whose path to the root it shortens.
 
 use std::{
+    cell::Cell,
     collections::HashMap,
     time::{Duration, Instant},
 };
@@ -15,7 +16,10 @@ use wayfold::{Scaling, States};
 use wayfold_index::Search;
 
 use super::{
+    account::Account,
     error::PlanningError,
+    figures::{Row, RunTimes},
+    options::Source,
     problem::Problem,
     sampling,
     source::{TimedIndex, Usage},
@@ -117,8 +121,25 @@ pub struct Star {
     pub progress: Vec<Progress>,
     /// The numbers of samples after which the path to the goal was found or became shorter, each with its length.
     pub shortened: Vec<(usize, f64)>,
-    /// The time from the end of the run until the server had acknowledged every insert.
-    pub flushing: Duration,
+    /// The account of the run's time.
+    pub account: Account,
+}
+
+impl Star {
+    /// The figures of its run.
+    pub fn row(&self, source: Source, seed: u64) -> Row {
+        let length = self.goal.map(|goal| self.tree.costs[goal]);
+        Row {
+            planner: "RRT*",
+            source: source.name(),
+            workers: 1,
+            seed,
+            nodes: self.tree.len() as u64,
+            spent: RunTimes::from(&self.account),
+            checks: self.account.checks as u64,
+            path_lengths: length.into_iter().collect(),
+        }
+    }
 }
 
 /// Builds a tree from the given number of samples. The same seed gives the same tree with any exact source.
@@ -153,9 +174,15 @@ pub fn grow(
             next = drawn * 2;
         }
     }
-    let flushing = planner.index.flush()?;
+    let account = Account {
+        total: started.elapsed(),
+        neighbors: planner.index.usage(),
+        checking: planner.checking.get(),
+        checks: planner.checks.get() as usize,
+        flushing: planner.index.flush()?,
+    };
     Ok(Star {
-        flushing,
+        account,
         tree: planner.tree,
         goal: planner.goal,
         progress,
@@ -171,6 +198,9 @@ struct Planner<'a, P> {
     index: TimedIndex,
     tree: StarTree,
     goal: Option<usize>,
+    /// The time of collision checks, and the number of checked states.
+    checking: Cell<Duration>,
+    checks: Cell<u64>,
 }
 
 /// A near node, and the known facts about the motion to it.
@@ -195,6 +225,8 @@ impl<'a, P: Problem> Planner<'a, P> {
             index,
             tree,
             goal: None,
+            checking: Cell::default(),
+            checks: Cell::default(),
         };
         planner.insert(problem.start())?;
         Ok(planner)
@@ -249,7 +281,10 @@ impl<'a, P: Problem> Planner<'a, P> {
             let space = self.problem.space();
             space.interpolate(from, target, share, &mut state);
         }
-        let free = self.problem.is_free(&state);
+        let free = self.check(|checks| {
+            *checks += 1;
+            self.problem.is_free(&state)
+        });
         Ok(free.then_some((node, state)))
     }
 
@@ -260,7 +295,7 @@ impl<'a, P: Problem> Planner<'a, P> {
         state: &[f64],
     ) -> Result<Option<Vec<NearNode>>, PlanningError> {
         let (problem, from) = (self.problem, self.tree.states.row(nearest));
-        if !problem.is_free_way(from, state, &mut 0) {
+        if !self.check(|checks| problem.is_free_way(from, state, checks)) {
             return Ok(None);
         }
         // k(n) is evaluated here, because no other client inserts. So all sources answer the same plain search.
@@ -291,8 +326,16 @@ impl<'a, P: Problem> Planner<'a, P> {
 
     fn is_free_way(&self, near: &mut NearNode, state: &[f64]) -> bool {
         let from = self.tree.states.row(near.node);
-        *near
-            .free
-            .get_or_insert_with(|| self.problem.is_free_way(from, state, &mut 0))
+        let check = || self.check(|checks| self.problem.is_free_way(from, state, checks));
+        *near.free.get_or_insert_with(check)
+    }
+
+    /// The result of a check, which counts its states.
+    fn check(&self, check: impl FnOnce(&mut u64) -> bool) -> bool {
+        let (started, mut checks) = (Instant::now(), self.checks.get());
+        let free = check(&mut checks);
+        self.checks.set(checks);
+        self.checking.set(self.checking.get() + started.elapsed());
+        free
     }
 }

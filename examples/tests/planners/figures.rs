@@ -33,7 +33,7 @@ fn writes(program: &str, arguments: &str, expected: (&str, &str, u64, u64), path
         .args(["--json", "rows.json"]);
     let output = command.current_dir(&directory).output().unwrap();
     let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{arguments}: {errors}");
+    assert_eq!(output.status.success(), paths > 0, "{arguments}: {errors}");
     let text = fs::read(directory.path().join("rows.json")).unwrap();
     let rows: Vec<Value> = serde_json::from_slice(&text).unwrap();
     let [row] = &rows[..] else {
@@ -76,6 +76,13 @@ fn writes(program: &str, arguments: &str, expected: (&str, &str, u64, u64), path
 fn maze_writes_a_row() {
     let of = ("RRTConCon", "memory", 1, 3);
     writes(MAZE, "--source memory --seed 3", of, 1);
+}
+
+#[test]
+fn a_tree_of_rrt_star_writes_a_row() {
+    let of = ("RRT*", "memory", 1, 3);
+    // So few samples find no path, which is an error.
+    writes(MAZE, "--source memory --seed 3 --rrt-star 2000", of, 0);
 }
 
 #[test]

@@ -166,7 +166,8 @@ impl KeyScale {
     pub(crate) fn epsilon_factor(&self, epsilon: f64) -> f64 {
         let share = 1.0 / (1.0 + epsilon);
         match self.per_weight {
-            Some(_) => share * share,
+            // Not 0: an infinite limit stays one.
+            Some(_) => (share * share).max(f64::MIN_POSITIVE),
             None => share,
         }
     }

@@ -218,3 +218,19 @@ fn the_least_ids_of_coinciding_points_win() {
         }
     }
 }
+
+/// The square of 1/(1 + epsilon) is below the least number.
+#[test]
+fn the_greatest_epsilon_finds_neighbours() {
+    for space_text in ["R2", "sum(R2, SO3)"] {
+        let space: Space = space_text.parse().unwrap();
+        let points = table(&space, &states(&space, Shape::Uniform, 1000, &mut rng(77)));
+        let tree = KdTree::new(space, points.clone(), 8).unwrap();
+        let search = Search {
+            epsilon: f64::MAX,
+            ..Search::nearest_k(3)
+        };
+        let answer = tree.search(points.row(0), &search).unwrap();
+        assert_eq!(answer.neighbors.len(), 3, "{space_text}");
+    }
+}

@@ -141,14 +141,14 @@ where
     }
 
     fn call(&mut self, request: Request<Body>) -> ResponseFuture {
+        let Some(rpc) = our_rpc(request.uri().path()) else {
+            return Box::pin(self.inner.call(request));
+        };
         let activity = request.extensions().get::<Activity>().cloned();
         let active = match activity.as_ref().map(Activity::begin) {
             // The connection is being cut, and its calls with it.
             Some(None) => return Box::pin(std::future::pending()),
             begun => begun.flatten(),
-        };
-        let Some(rpc) = our_rpc(request.uri().path()) else {
-            return Box::pin(self.inner.call(request));
         };
         let settings = &self.settings;
         let flow = settings.flow(rpc, activity.as_ref());

@@ -149,6 +149,15 @@ impl Connection {
     }
 }
 
+impl Connection {
+    fn note_written(&self, written: &Poll<io::Result<usize>>) {
+        self.open.activity().set_stalled(written.is_pending());
+        if let Poll::Ready(Ok(1..)) = written {
+            self.open.activity().note_departure();
+        }
+    }
+}
+
 impl Connected for Connection {
     type ConnectInfo = Activity;
 
@@ -211,7 +220,7 @@ impl AsyncWrite for Connection {
         // A client that no longer reads keeps a connection here.
         self.check(context)?;
         let written = Pin::new(&mut self.socket).poll_write(context, bytes);
-        self.open.activity().set_stalled(written.is_pending());
+        self.note_written(&written);
         written
     }
 
@@ -222,7 +231,7 @@ impl AsyncWrite for Connection {
     ) -> Poll<io::Result<usize>> {
         self.check(context)?;
         let written = Pin::new(&mut self.socket).poll_write_vectored(context, slices);
-        self.open.activity().set_stalled(written.is_pending());
+        self.note_written(&written);
         written
     }
 

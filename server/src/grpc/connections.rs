@@ -2,8 +2,8 @@
 //!
 //! A client that only holds connections cannot lock others out: once all places are taken, a new connection gets the
 //! place of one without a call under way. Connections that never made a call go first, then those whose last call is
-//! the longest ago. If all have calls, the one that has been silent for the longest time goes, such as one with an idle
-//! stream. A client reconnects at its next call. Health and reflection are no calls of this kind.
+//! the longest ago. If all others have calls, the one that has been silent for the longest time goes, such as one with an
+//! idle stream. A client reconnects at its next call. Health and reflection are no calls of this kind.
 
 use std::{
     collections::BTreeMap,
@@ -155,33 +155,31 @@ impl Connections {
         }
     }
 
-    /// Gives up the first connection without calls or, if all have some, the one that is silent for the longest time;
-    /// false if it is not for long enough.
+    /// Gives up the first connection without calls or, if that was opened or called just now, the one with calls that is
+    /// silent for the longest time; false if there is none.
     fn give_one_up(&self) -> bool {
         let open = self.open.lock();
         let idle = open
             .values()
             .filter(|state| state.calls.load(SeqCst) == 0 && !state.is_stalled.load(SeqCst));
-        let Some(first) = idle.min_by_key(|state| state.rank.load(SeqCst)) else {
-            let silent = open.values().filter(|state| !state.cut.is_cancelled());
-            let first = silent.min_by_key(|state| *state.active_at.lock());
-            let given_up = first.filter(|state| state.silence() >= MAX_SILENCE);
-            if let Some(state) = given_up {
-                debug!(peer = ?state.peer, "a silent connection makes room for another");
-                state.cut.cancel();
-            }
-            return given_up.is_some();
-        };
+        let first = idle.min_by_key(|state| state.rank.load(SeqCst));
         // A younger one is waited for: one that has called does not leave in its place.
-        let is_given_up = first.silence() >= MIN_IDLE
-            && (first.calls)
-                .compare_exchange(0, GIVEN_UP, SeqCst, SeqCst)
-                .is_ok();
-        if is_given_up {
-            debug!(peer = ?first.peer, "an idle connection makes room for another");
-            first.cut.cancel();
+        let idle = first.filter(|state| {
+            state.silence() >= MIN_IDLE
+                && (state.calls)
+                    .compare_exchange(0, GIVEN_UP, SeqCst, SeqCst)
+                    .is_ok()
+        });
+        let given_up = idle.or_else(|| {
+            let open = open.values().filter(|state| !state.cut.is_cancelled());
+            let silent = open.min_by_key(|state| *state.active_at.lock());
+            silent.filter(|state| state.silence() >= MAX_SILENCE)
+        });
+        if let Some(state) = given_up {
+            debug!(peer = ?state.peer, "an idle or silent connection makes room for another");
+            state.cut.cancel();
         }
-        is_given_up
+        given_up.is_some()
     }
 
     /// Cuts each connection whose client reads nothing of its answers for `most`.
@@ -236,6 +234,13 @@ impl Activity {
     /// Notes that a part of a request has arrived.
     pub(super) fn note_arrival(&self) {
         self.state.note_activity();
+    }
+
+    /// Notes that bytes have left, which are a sign of life if an answer waits for its client.
+    pub(super) fn note_departure(&self) {
+        if self.state.unread.lock().frames > 0 {
+            self.state.note_activity();
+        }
     }
 
     /// Notes that its client does not read what the server sends, or reads again.

@@ -6,7 +6,7 @@ use client::{Credentials, Index};
 
 use super::{
     index::WayfoldIndex,
-    pointers::{give, index_of, parse_space, put, text},
+    pointers::{give, index_of, null, parse_space, put, text},
 };
 use crate::{
     code::Code,
@@ -129,6 +129,9 @@ pub unsafe extern "C" fn wayfold_index_close(
     unsent: *mut usize,
 ) -> Code {
     call(|| {
+        if unsent.is_null() {
+            return Err(null("unsent"));
+        }
         // SAFETY: the caller's promise.
         let writes = unsafe { index_of(index) }?.close(Duration::from_millis(timeout_ms));
         // SAFETY: the caller's promise.

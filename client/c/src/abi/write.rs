@@ -84,6 +84,10 @@ pub unsafe extern "C" fn wayfold_index_insert_with(
         // SAFETY: the caller's promise.
         let search = unsafe { search.as_ref() }.map(WayfoldSearch::search);
         if let Some(search) = search {
+            // Before the point is stored: a retry would store it again.
+            if found.is_null() {
+                return Err(null("found"));
+            }
             options = options.ask(search);
         }
         let inserted = index.insert_with(row, options)?;

@@ -12,6 +12,10 @@ const MAX_BYTES: usize = 16 << 20;
 /// The most points of others that wait for open questions, 32 bytes each.
 const MAX_ARRIVALS: usize = 1 << 20;
 
+/// The most neighbours of an answer that no distance bounds. One that is missed has as many nearer ones, which came while
+/// the copy was read again.
+const MAX_SUPERSET: usize = 1 << 16;
+
 /// The most distances that the thread of all calls computes at once: about a millisecond.
 const MAX_INLINE_DISTANCES: usize = 1 << 14;
 
@@ -60,7 +64,7 @@ pub(super) struct Question {
     bound: f64,
     /// The radius of the question, which bounds all neighbours.
     radius: f64,
-    /// The neighbours that the insert found.
+    /// The neighbours that the insert found, if the last of them is the bound.
     found: Vec<Neighbor>,
     /// The change that stored the point in the copy.
     at: u64,
@@ -89,7 +93,8 @@ impl Question {
             k: search.k,
             bound: farthest.map_or(search.radius, |farthest| farthest.distance),
             radius: search.radius,
-            found: found.to_vec(),
+            // Otherwise the radius is the bound.
+            found: farthest.map_or_else(Vec::new, |_| found.to_vec()),
             at,
             points_before: 0,
             is_reloaded: false,
@@ -293,7 +298,8 @@ impl Answerable {
         neighbors
     }
 
-    /// All points within the bound, or within the radius if a point of the insert's answer has left or moved.
+    /// All points within the bound or, if a point of the insert's answer has left or moved, the [`MAX_SUPERSET`] nearest
+    /// within the radius.
     fn superset(&self, question: &Question, space: &Space) -> Vec<Neighbor> {
         let Some(points) = &self.snapshot else {
             return Vec::new();
@@ -304,10 +310,13 @@ impl Answerable {
                     && space.distance(&question.row, &point.row) == found.distance
             })
         };
-        let mut search = Search::nearest_r(match question.found.iter().all(stays) {
-            true => question.bound,
-            false => question.radius,
-        });
+        let mut search = match question.found.iter().all(stays) {
+            true => Search::nearest_r(question.bound),
+            false => Search {
+                radius: question.radius,
+                ..Search::nearest_k(MAX_SUPERSET)
+            },
+        };
         search.filter = question.filter;
         let answer = points.search(&question.row, &search);
         let mut neighbors = answer.map_or_else(|_| Vec::new(), |answer| answer.neighbors);

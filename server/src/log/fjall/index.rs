@@ -34,6 +34,8 @@ pub(super) struct Index {
     unapplied: Mutex<VecDeque<Unapplied>>,
     /// The holder of this lock may write, and sees the store at this head.
     state: Mutex<State>,
+    /// The records that were kept when they were last counted. Lock it after `state`.
+    window: Mutex<Window>,
 }
 
 pub(super) struct State {
@@ -120,6 +122,7 @@ impl Index {
             }),
             unapplied: Mutex::default(),
             state: Mutex::new(state),
+            window: Mutex::default(),
         })
     }
 
@@ -386,14 +389,23 @@ impl Index {
         view
     }
 
-    /// The records that are kept.
-    pub(super) fn window(&self) -> Result<Window, LogError> {
-        Ok(self.open()?.records.window())
+    /// The records that are kept; while the store writes, as many as before.
+    pub(super) fn window(&self) -> Window {
+        if let Some(state) = self.state.try_lock() {
+            *self.window.lock() = state.records.window();
+        }
+        *self.window.lock()
     }
 
-    /// Forgets the oldest records and operations. The next write of a record removes them from the store.
+    /// Forgets the oldest records and operations. The next write of a record removes them from the store. While the
+    /// store writes, nothing is forgotten: the caller may be a thread that answers calls, and the next trim catches up.
     pub(super) fn trim(&self, keep: &Retention) -> Result<(), LogError> {
-        let mut state = self.open()?;
+        let Some(mut state) = self.state.try_lock() else {
+            return Ok(());
+        };
+        if let Some(why) = &state.closed {
+            return Err(why.clone());
+        }
         let state = &mut *state;
         let forgotten = keep.forget_records(&mut state.records, |time_ms| *time_ms);
         state.head.trimmed += forgotten.count() as u64;

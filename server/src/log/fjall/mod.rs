@@ -240,7 +240,7 @@ impl Journal for FjallLog {
     }
 
     fn window(&self, uid: Uid) -> Result<Window, LogError> {
-        self.engine()?.index(uid)?.window()
+        Ok(self.engine()?.index(uid)?.window())
     }
 
     fn is_busy(&self) -> bool {

@@ -119,7 +119,10 @@ impl Stream {
     }
 
     pub(crate) fn newest(&self, uid: Uid) -> Tip {
-        let messages = self.messages.lock();
+        self.newest_of(&self.messages.lock(), uid)
+    }
+
+    fn newest_of(&self, messages: &[(Uid, Arc<Record>)], uid: Uid) -> Tip {
         let newest = messages.iter().rfind(|(of, _)| *of == uid);
         newest.map_or_else(|| self.origin(uid), |(_, newest)| newest.tip())
     }
@@ -142,7 +145,9 @@ impl Stream {
     }
 
     fn accept(&self, uid: Uid, record: &Arc<Record>) -> Result<(), LogError> {
-        let newest = self.newest(uid);
+        // Held until the record is here: of two writers at a revision one wins.
+        let mut messages = self.messages.lock();
+        let newest = self.newest_of(&messages, uid);
         if !record.follows(newest) {
             return Err(LogError::Fenced {
                 uid,
@@ -150,7 +155,6 @@ impl Stream {
                 head: newest.revision,
             });
         }
-        let mut messages = self.messages.lock();
         messages.push((uid, Arc::clone(record)));
         self.length.send_replace(messages.len());
         Ok(())
