@@ -1,4 +1,4 @@
-// What the programs of client/cpp/race do; each prints one line of JSON. report.py starts them in turns.
+// The contests of client/cpp/race. Each contest prints one line of JSON, and report.py runs them in turns.
 #pragma once
 
 // Grows one planner in this process: OMPL takes one seed.

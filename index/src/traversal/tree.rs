@@ -1,4 +1,4 @@
-//! What a search needs of a tree, and the nodes that it has still to visit.
+//! The interface of a tree to a search, and the frontier of nodes that remain to be visited.
 
 use arrayvec::ArrayVec;
 

@@ -70,7 +70,7 @@ fn a_stream_goes_on_beside_trims() {
     }
 }
 
-/// A follower that is not the loop may come too late, and then it is told so.
+/// A follower other than the loop may read after a trim; it gets the error `Trimmed` then.
 #[test]
 fn a_stream_from_before_the_trim_fails() {
     for kept in TestLog::of_every_kind() {

@@ -57,7 +57,7 @@ impl RemoteLog {
         }
     }
 
-    /// Connects anew.
+    /// Replaces the connection by a new one.
     pub(crate) fn reconnect(&mut self) {
         let _entered = self.runtime.enter();
         self.connection = Remote::connect(&self.stream);

@@ -119,7 +119,7 @@ impl State {
         }
     }
 
-    /// A turn of `flow` begins, for which nobody waited.
+    /// Begins a turn of `flow` that did not wait in the queue.
     pub(super) fn begin(&mut self, flow: FlowNumber) {
         let flow = self.flows.entry(flow).or_default();
         flow.used_ns = flow.used_ns.max(self.clock_ns);

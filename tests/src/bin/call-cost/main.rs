@@ -64,7 +64,7 @@ fn main() -> ExitCode {
     })
 }
 
-/// The identities of several teams, of which the last calls: all digests are compared.
+/// The identities of several teams. The last one calls, so the server compares all digests.
 fn identities() -> String {
     const OTHERS: usize = 19;
     let identity = |name: &str, digest: &str| {
@@ -77,7 +77,8 @@ fn identities() -> String {
     others.collect::<String>() + &identity("cell-3", TOKEN_SHA256)
 }
 
-/// What a contestant's calls take more than those of the one without anything, turn by turn, in microseconds a call.
+/// The added time of a contestant's calls over those of the contestant without anything, turn by turn, in microseconds a
+/// call.
 #[derive(Default)]
 struct Added {
     differences_us: Vec<f64>,

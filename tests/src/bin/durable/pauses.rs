@@ -11,6 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use tokio::time::interval;
 use wayfold_proto::v1::{KnnRequest, knn_request::KForm};
 use wayfold_tests::{
     States, Stubs,
@@ -33,8 +34,8 @@ const SLOW_SYNC: Duration = Duration::from_millis(10);
 /// The interval between syncs of the witness.
 const SYNC_INTERVAL: Duration = Duration::from_millis(2);
 
-/// The time from the end of the load to the second reading of the memory: by then all levels are merged.
-const REST: Duration = Duration::from_secs(30);
+/// The readings of the memory after the load, one a second: within them all levels are merged.
+const MEMORY_READINGS: u32 = 30;
 
 /// The start and the duration of an event.
 type TimedEvent = (Instant, Duration);
@@ -79,12 +80,13 @@ pub(crate) async fn measure(place: &Place, points: usize, report: &mut Report) {
         report.note(&format!("{on}: points loaded a second"), rate, "/s");
         let inserts = inserts.expect("inserts");
         let stored = (points.next_multiple_of(BATCH) + inserts.len()) as f64;
-        for moment in ["right after the load", "30 s later"] {
-            if moment == "30 s later" {
-                rest().await;
-            }
+        let after = [
+            ("right after the load", resident_bytes(process)),
+            ("the least within 30 s", least_resident_bytes(process).await),
+        ];
+        for (moment, after) in after {
             // Only some systems report it.
-            if let Some((before, after)) = before.zip(resident_bytes(process)) {
+            if let Some((before, after)) = before.zip(after) {
                 let what = format!("{on}: resident bytes a point, {moment}");
                 report.note(&what, after.saturating_sub(before) as f64 / stored, "");
             }
@@ -175,10 +177,12 @@ async fn ask(mut stubs: Stubs, queries: bool, loaded: Arc<AtomicBool>) -> Vec<Ti
     taken
 }
 
-#[expect(
-    clippy::disallowed_methods,
-    reason = "the time is the condition: what the server still holds after it is measured"
-)]
-async fn rest() {
-    tokio::time::sleep(REST).await;
+/// The least memory of a process that rests.
+async fn least_resident_bytes(process: u32) -> Option<u64> {
+    let (mut seconds, mut least) = (interval(Duration::from_secs(1)), None);
+    for _ in 0..MEMORY_READINGS {
+        seconds.tick().await;
+        least = least.into_iter().chain(resident_bytes(process)).min();
+    }
+    least
 }

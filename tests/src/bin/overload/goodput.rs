@@ -18,8 +18,8 @@ use crate::{
 const CONNECTIONS: usize = 50;
 const DEADLINE: Duration = Duration::from_millis(500);
 
-/// The calls of one size: the rows of each, the number of different ones, and the numbers in flight of which the best
-/// is the peak.
+/// The calls of one size: the rows of each call, and the number of different calls. The peak is the better of two runs
+/// with these numbers of calls in flight.
 struct Size {
     rows: usize,
     requests: usize,
