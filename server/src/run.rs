@@ -21,7 +21,10 @@ use crate::{
     http::{self, Pages, State},
     identity::{Identities, TableError},
     lifecycle::{Lifecycle, Phase, PhaseWatch},
-    log::{FjallLog, Log, MemoryLog, OpenError, SYNCS},
+    log::{
+        Catalogue, FjallLog, Journal, Log, MemoryLog, NatsError, NatsOptions, OpenError,
+        PointStore, SYNCS, connect_nats,
+    },
     registry::{Registry, RegistryError, RegistryOptions},
     service::Service,
     snapshots::{Schedule, SnapshotsError},
@@ -74,6 +77,9 @@ pub enum ServerError {
     /// The data directory could not be opened.
     #[error(transparent)]
     Data(#[from] OpenError),
+    /// The journal in NATS cannot be used.
+    #[error(transparent)]
+    Nats(#[from] NatsError),
     /// The log cannot be replayed.
     #[error("cannot replay the log: {0}")]
     Replay(#[from] RegistryError),
@@ -178,7 +184,7 @@ pub(crate) async fn serve(
     // Meanwhile connections are accepted, and calls get UNAVAILABLE.
     let opening = open_registry(
         config.index.options(&config.limits),
-        config.data.clone(),
+        (config.data.clone(), config.cluster.options()),
         config.watermarks(),
     );
     let live = async {
@@ -329,7 +335,7 @@ async fn idle(faces: &[TaskTracker]) {
 /// Opens the log and replays it into a registry, on a blocking thread.
 async fn open_registry(
     options: RegistryOptions,
-    data: DataConfig,
+    (data, cluster): (DataConfig, Option<NatsOptions>),
     watermarks: Watermarks,
 ) -> Result<Registry, ServerError> {
     let open = move || {
@@ -337,13 +343,10 @@ async fn open_registry(
             Some(directory) => {
                 let memory = watermarks.memory.as_ref().and_then(|memory| memory.limit());
                 let memory = memory.unwrap_or(u64::MAX);
-                Log::from(Arc::new(FjallLog::open_within(
-                    directory,
-                    data.durability,
-                    memory,
-                )?))
+                let local = FjallLog::open_within(directory, data.durability, memory)?;
+                log_over(Arc::new(local), cluster.as_ref())?
             }
-            None => Log::from(Arc::new(MemoryLog::new())),
+            None => log_over(Arc::new(MemoryLog::new()), cluster.as_ref())?,
         };
         let registry = Registry::with_watermarks(log, options, watermarks);
         registry.replay()?;
@@ -352,4 +355,15 @@ async fn open_registry(
     // The join fails only if the task panicked.
     let opened = tokio::task::spawn_blocking(open).await;
     opened.unwrap_or(Err(ServerError::Ended))
+}
+
+/// The log over the engine of this server: the engine itself, or its points under the journal of a cluster.
+fn log_over<Engine>(local: Arc<Engine>, cluster: Option<&NatsOptions>) -> Result<Log, NatsError>
+where
+    Engine: Journal + PointStore + Catalogue + 'static,
+{
+    match cluster {
+        None => Ok(Log::from(local)),
+        Some(options) => connect_nats(options, local),
+    }
 }

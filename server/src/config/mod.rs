@@ -11,7 +11,7 @@ use serde::Deserialize;
 pub use error::ConfigError;
 
 use crate::{
-    log::Durability,
+    log::{Durability, NatsOptions},
     observe::LogFormat,
     registry::RegistryOptions,
     service::Limits,
@@ -48,6 +48,8 @@ pub struct Config {
     pub log: LogConfig,
     /// Storage of the indices.
     pub data: DataConfig,
+    /// The journal that several servers share.
+    pub cluster: ClusterConfig,
     /// The watermarks of memory.
     pub memory: MemoryConfig,
     /// The watermark of the disk.
@@ -251,6 +253,34 @@ impl DataConfig {
     /// The directory; None if the indices are kept in memory.
     pub(crate) fn directory(&self) -> Option<&Path> {
         (self.dir != Self::MEMORY).then(|| Path::new(&self.dir))
+    }
+}
+
+/// `[cluster]`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct ClusterConfig {
+    /// The URLs of the servers of NATS, separated by commas, or [`OFF`].
+    pub nats: String,
+    /// The name before those of the streams and the bucket.
+    pub name: String,
+    /// The number of servers of NATS that store each record.
+    pub replicas: usize,
+    /// The file of the credentials for NATS, or [`OFF`].
+    pub credentials: String,
+    /// The file of the authorities of NATS's certificates, or [`OFF`].
+    pub ca: String,
+}
+
+impl ClusterConfig {
+    /// The shared journal; None if this server has its own.
+    pub(crate) fn options(&self) -> Option<NatsOptions> {
+        (self.nats != OFF).then(|| NatsOptions {
+            servers: self.nats.clone(),
+            name: self.name.clone(),
+            replicas: self.replicas,
+            credentials: file(&self.credentials).map(Path::to_path_buf),
+            ca: file(&self.ca).map(Path::to_path_buf),
+        })
     }
 }
 

@@ -23,6 +23,29 @@ pub enum LogError {
         /// The uid.
         uid: Uid,
     },
+    /// Another server has given this name to an index.
+    #[error("another server has created an index named \"{name}\"")]
+    NameTaken {
+        /// The name.
+        name: String,
+    },
+    /// A record does not fit into a message of NATS.
+    #[error(
+        "its record takes {bytes} bytes, and a message of NATS at most {most}; split the call, or raise max_payload in \
+         the configuration of NATS"
+    )]
+    TooLarge {
+        /// The bytes of the record.
+        bytes: usize,
+        /// The greatest number of bytes.
+        most: usize,
+    },
+    /// NATS does not answer.
+    #[error("NATS does not answer ({what}); the server tries again, and so can you")]
+    Unreachable {
+        /// The problem.
+        what: String,
+    },
     /// Another writer was first.
     #[error("index {uid}: the newest revision is {head}, not {expected}: another writer was first")]
     Fenced {

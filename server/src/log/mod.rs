@@ -9,8 +9,9 @@
 //! where payloads live. The [`Catalogue`] holds the names and uids of the indices.
 //!
 //! Two engines implement all three: `fjall` in a directory, where a record and the points that it changes are one
-//! batch, and `memory` in the process. One conformance suite runs over these, over an engine that fails on purpose, and
-//! over a journal that behaves like one on another machine.
+//! batch, and `memory` in the process. Several servers share a journal and a catalogue in `nats`, each over one of these
+//! engines. One conformance suite runs over all, over an engine that fails on purpose, and over a journal that behaves
+//! like one on another machine.
 //!
 //! Invariants:
 //! - The revisions of an index start at 1 and have no gaps; record `n` carries the digest of record `n - 1`. Every
@@ -24,6 +25,7 @@ mod effects;
 mod error;
 mod fjall;
 mod memory;
+mod nats;
 mod record;
 mod retention;
 mod session;
@@ -33,6 +35,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use futures_util::{future::BoxFuture, stream::BoxStream};
+use tokio::sync::watch;
 use wayfold_index::{PointRef, Space};
 
 pub(crate) use self::fjall::SYNCS;
@@ -42,6 +45,7 @@ pub use self::fjall::{Durability, FjallLog, OpenError, RepairError, RepairReport
 pub use effects::{Effects, Operation, Outcome};
 pub use error::LogError;
 pub use memory::MemoryLog;
+pub use nats::{NatsError, NatsOptions, connect as connect_nats};
 pub use record::{Digest, Record, RunId};
 pub(crate) use retention::Bounded;
 pub use retention::{Retention, Window};
@@ -151,6 +155,11 @@ pub trait Journal: Send + Sync {
     fn is_busy(&self) -> bool {
         false
     }
+
+    /// True if other servers may submit records too.
+    fn is_shared(&self) -> bool {
+        false
+    }
 }
 
 /// The points of all indices as of the newest record that was applied: the local checkpoint, where payloads live.
@@ -210,11 +219,16 @@ pub trait Catalogue: Send + Sync {
         Vec::new()
     }
 
-    /// Adds a new index, at revision 0.
+    /// Adds a new index, at revision 0. [`LogError::NameTaken`] if another server has given its name to an index.
     fn create(&self, entry: Entry) -> Result<(), LogError>;
 
     /// Deletes an index with its records and points. Existing views stay valid.
     fn delete(&self, uid: Uid) -> Result<(), LogError>;
+
+    /// Notified of the changes that other servers make; None if no other server can.
+    fn changes(&self) -> Option<watch::Receiver<()>> {
+        None
+    }
 }
 
 /// The three parts of a log: one engine, or a journal on another machine and a local point store.

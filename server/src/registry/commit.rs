@@ -52,6 +52,13 @@ impl Hosted {
                 .await
                 .map_err(|_| RegistryError::Stopped)?
         };
+        self.decided(submitted).await
+    }
+
+    async fn decided(
+        &self,
+        submitted: Result<oneshot::Receiver<Fate>, RegistryError>,
+    ) -> Result<Committed, RegistryError> {
         match submitted {
             Ok(fate) => decided(fate).await,
             Err(RegistryError::Log(LogError::Fenced { head, .. })) => {
@@ -65,8 +72,13 @@ impl Hosted {
     }
 
     /// Waits until the newest record of `writer` is published. A response that was evaluated under `writer` and changes
-    /// nothing may be returned then.
+    /// nothing may be returned then. If other servers share the journal, an empty record shows that none has written
+    /// since.
     pub async fn settled(&self, writer: WriteGuard) -> Result<Committed, RegistryError> {
+        if self.host.log.journal.is_shared() {
+            let effects = Effects::new(self.space().coordinates());
+            return self.decided(self.submit(writer, effects)).await;
+        }
         let fate = {
             let mut in_flight = self.in_flight.lock();
             in_flight.wait_for(writer.tip(), writer.refusals())

@@ -23,6 +23,12 @@ pub enum RegistryError {
     /// An index of this name exists, so none can be restored under it.
     #[error("an index of this name exists")]
     Taken,
+    /// Several servers share the journal, and none of them can restore an index.
+    #[error(
+        "servers that share a journal cannot restore an index yet: create it and insert its points, or restore it on a \
+         server with cluster.nats = \"off\""
+    )]
+    SharedJournal,
     /// The index has another uid.
     #[error("the index has the uid {found}")]
     OtherUid {
@@ -65,6 +71,9 @@ impl From<LogError> for RegistryError {
         match error {
             LogError::UnknownIndex { .. } => Self::Deleted,
             error @ (LogError::UidTaken { .. }
+            | LogError::NameTaken { .. }
+            | LogError::TooLarge { .. }
+            | LogError::Unreachable { .. }
             | LogError::Fenced { .. }
             | LogError::Unconfirmed { .. }
             | LogError::Trimmed { .. }

@@ -1,11 +1,15 @@
 //! Periodic maintenance: reopens a failed store, merges idle indices further, and trims old records.
 
 use std::{
+    future::pending,
     sync::Arc,
     time::{Duration, SystemTime},
 };
 
-use tokio::time::{Instant, MissedTickBehavior, interval};
+use tokio::{
+    sync::watch,
+    time::{Instant, MissedTickBehavior, interval},
+};
 use tracing::{error, info, warn};
 
 use super::{Hosted, IndexState, Registry, RegistryError, replay};
@@ -20,6 +24,16 @@ const MAX_RETRY_WAIT: Duration = Duration::from_secs(15);
 /// The time between two trims of old records.
 const TRIM_INTERVAL: Duration = Duration::from_secs(60);
 
+/// Waits for a change that another server makes to the catalogue.
+async fn changed(catalogue: &mut Option<watch::Receiver<()>>) {
+    if let Some(changes) = catalogue
+        && changes.changed().await.is_ok()
+    {
+        return;
+    }
+    pending().await
+}
+
 impl Registry {
     /// Maintains the registry forever. Calls `recovered` each time a failed log becomes writable again.
     pub async fn maintain(self: Arc<Self>, recovered: impl Fn()) {
@@ -28,8 +42,19 @@ impl Registry {
         let (mut wait, mut next_try, mut trimmed_at) =
             (MAINTENANCE_INTERVAL, Instant::now(), Instant::now());
         let mut last_error = None;
+        let mut catalogue = self.host.log.catalogue.changes();
         loop {
-            let now = ticks.tick().await;
+            let now = tokio::select! {
+                now = ticks.tick() => now,
+                () = changed(&mut catalogue) => {
+                    let registry = Arc::clone(&self);
+                    let refreshed = tokio::task::spawn_blocking(move || registry.refresh()).await;
+                    if let Ok(Err(error)) = refreshed {
+                        warn!(%error, "cannot adopt the changes of the catalogue");
+                    }
+                    continue;
+                }
+            };
             if self.failure().is_some() && now >= next_try {
                 let registry = Arc::clone(&self);
                 let outcome = tokio::task::spawn_blocking(move || registry.recover()).await;
@@ -91,6 +116,41 @@ impl Registry {
             }
             return Err(why.into());
         }
+        let indexes = self.adopt(|before, entry| self.state_after_reopen(before, entry))?;
+        // A damaged store is open for reading only.
+        if let Some(why) = self.failure() {
+            return Err(why);
+        }
+        info!(indexes, "the log is writable again");
+        Ok(())
+    }
+
+    /// Serves the indices that other servers have created, and closes those that they have deleted. Blocks.
+    fn refresh(&self) -> Result<(), RegistryError> {
+        let _change = self.change_lock.lock();
+        self.adopt_changes()
+    }
+
+    /// Like [`Registry::refresh`], for a caller that holds the lock.
+    pub(super) fn adopt_changes(&self) -> Result<(), RegistryError> {
+        let adopted = self.adopt(|before, entry| match before {
+            Some(state) if state.uid() == entry.uid => state.clone(),
+            other => {
+                if let Some(IndexState::Hosted(hosted)) = other {
+                    hosted.close(RegistryError::Deleted);
+                }
+                replay::replay_or_damaged(&self.host, entry)
+            }
+        });
+        adopted.map(drop)
+    }
+
+    /// Makes the served indices those of the catalogue, each in the state that `state_of` gives it by its state before.
+    /// Returns their number.
+    fn adopt(
+        &self,
+        state_of: impl Fn(Option<&IndexState>, &Entry) -> IndexState,
+    ) -> Result<usize, RegistryError> {
         let entries = self.host.log.catalogue.indexes()?;
         let states = self.indexes.read().clone();
         for (name, state) in &states {
@@ -103,16 +163,11 @@ impl Registry {
             }
         }
         for entry in &entries {
-            let state = self.state_after_reopen(states.get(&entry.name), entry);
+            let state = state_of(states.get(&entry.name), entry);
             self.change(|indexes| indexes.insert(entry.name.clone(), state));
         }
         self.add_lost();
-        // A damaged store is open for reading only.
-        if let Some(why) = self.failure() {
-            return Err(why);
-        }
-        info!(indexes = entries.len(), "the log is writable again");
-        Ok(())
+        Ok(entries.len())
     }
 
     /// Marks every index as damaged, as a restart would: the log is unreadable.

@@ -117,6 +117,13 @@ enum IndexState {
 }
 
 impl IndexState {
+    fn uid(&self) -> Uid {
+        match self {
+            IndexState::Hosted(hosted) => hosted.uid(),
+            IndexState::Damaged(uid, _) => *uid,
+        }
+    }
+
     fn hosted(&self) -> Result<&Arc<Hosted>, RegistryError> {
         match self {
             IndexState::Hosted(hosted) => Ok(hosted),
@@ -303,15 +310,8 @@ impl Registry {
         limits: &[IndexLimit],
     ) -> Result<(Arc<Hosted>, bool), RegistryError> {
         let _change = self.change_lock.lock();
-        match self.get(name) {
-            Ok(hosted) if *hosted.space() == space => return Ok((hosted, false)),
-            Ok(hosted) => {
-                return Err(RegistryError::Exists {
-                    space: hosted.space().clone(),
-                });
-            }
-            Err(RegistryError::Deleted) => {}
-            Err(damaged) => return Err(damaged),
+        if let Some(hosted) = self.find(name, &space)? {
+            return Ok((hosted, false));
         }
         for limit in limits {
             limit.check(self.indexes.read().keys())?;
@@ -322,7 +322,15 @@ impl Registry {
             name: name.into(),
             space,
         };
-        self.host.log.catalogue.create(entry.clone())?;
+        match self.host.log.catalogue.create(entry.clone()) {
+            Err(LogError::NameTaken { .. }) => {
+                self.adopt_changes()?;
+                let found = self.find(name, &entry.space)?;
+                // Another server may have deleted it again.
+                return found.map(|it| (it, false)).ok_or(RegistryError::Deleted);
+            }
+            created => created?,
+        }
         let forest = self.host.options.forest(&entry.space);
         let view = self.host.log.points.view(entry.uid)?;
         let sizes = PayloadSizes::new(self.host.options.counts_payloads);
@@ -333,15 +341,24 @@ impl Registry {
         Ok((hosted, true))
     }
 
+    /// The index of this name, if there is one; [`RegistryError::Exists`] if it has another space.
+    fn find(&self, name: &str, space: &Space) -> Result<Option<Arc<Hosted>>, RegistryError> {
+        match self.get(name) {
+            Ok(hosted) if hosted.space() == space => Ok(Some(hosted)),
+            Ok(hosted) => Err(RegistryError::Exists {
+                space: hosted.space().clone(),
+            }),
+            Err(RegistryError::Deleted) => Ok(None),
+            Err(damaged) => Err(damaged),
+        }
+    }
+
     /// Deletes the index of this name if it has `uid`, or if `uid` is None. Readers keep the snapshots they hold. Calls
     /// that wait for the index, and later writes, get [`RegistryError::Deleted`]. Blocks on the log.
     pub fn delete(&self, name: &str, uid: Option<&str>) -> Result<Uid, RegistryError> {
         let _change = self.change_lock.lock();
         let state = self.indexes.read().get(name).cloned();
-        let found = match state.as_ref().ok_or(RegistryError::Deleted)? {
-            IndexState::Hosted(hosted) => hosted.uid(),
-            IndexState::Damaged(uid, _) => *uid,
-        };
+        let found = state.as_ref().ok_or(RegistryError::Deleted)?.uid();
         if uid.is_some_and(|uid| uid != found.to_string()) {
             return Err(RegistryError::OtherUid { found });
         }

@@ -35,6 +35,9 @@ impl Registry {
         limits: Vec<IndexLimit>,
         origin: Origin,
     ) -> Result<Restore, RegistryError> {
+        if self.host.log.journal.is_shared() {
+            return Err(RegistryError::SharedJournal);
+        }
         self.room_for(name, &limits)?;
         self.host.watermarks.admit(0)?;
         let entry = Entry {

@@ -67,7 +67,8 @@ impl Error {
             Error::UidMismatch { .. }
             | Error::RevisionConflict { .. }
             | Error::ScanEnded { .. }
-            | Error::SessionRefused { .. } => Code::FailedPrecondition,
+            | Error::SessionRefused { .. }
+            | Error::SharedJournal { .. } => Code::FailedPrecondition,
             Error::LimitExceeded { .. }
             | Error::Full { .. }
             | Error::QuotaExceeded { .. }
@@ -130,6 +131,7 @@ impl Error {
             },
             Error::DeadlineExceeded { .. } => "DEADLINE_EXCEEDED",
             Error::OperationMismatch { .. } => "OPERATION_MISMATCH",
+            Error::SharedJournal { .. } => "SHARED_JOURNAL",
             Error::StorageFailed { .. } => "STORAGE_FAILED",
             Error::DataLoss { .. } => "DATA_LOSS",
             Error::Internal { .. } => "INTERNAL",

@@ -287,6 +287,12 @@ pub enum Error {
         /// The operation id.
         operation_id: String,
     },
+    /// Servers that share a journal cannot do this.
+    #[error("{what}")]
+    SharedJournal {
+        /// The reason and the remedy.
+        what: String,
+    },
     /// The store cannot be written, or is reopening.
     #[error("{what}")]
     StorageFailed {

@@ -20,6 +20,7 @@ pub(super) fn registry_error(index: &str, error: RegistryError) -> Error {
             needed,
             full,
         },
+        RegistryError::SharedJournal => Error::SharedJournal { what },
         RegistryError::Exists { .. }
         | RegistryError::Taken
         | RegistryError::OtherUid { .. }
@@ -63,9 +64,17 @@ fn storage_error(what: String, error: LogError) -> Error {
         | LogError::DamagedStore { .. }
         | LogError::Shut { .. }
         | LogError::Unconfirmed { .. }
+        | LogError::Unreachable { .. }
         | LogError::Closed => Error::StorageFailed { what },
-        LogError::UnknownIndex { .. } | LogError::UidTaken { .. } | LogError::Fenced { .. } => {
-            Error::Internal { what }
-        }
+        LogError::TooLarge { bytes, most } => Error::LimitExceeded {
+            limit: "max_payload of NATS",
+            value: most as u64,
+            requested: bytes as u64,
+            advice: "send the rows in several calls, or raise max_payload in the configuration of NATS",
+        },
+        LogError::UnknownIndex { .. }
+        | LogError::UidTaken { .. }
+        | LogError::NameTaken { .. }
+        | LogError::Fenced { .. } => Error::Internal { what },
     }
 }

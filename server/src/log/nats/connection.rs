@@ -1,0 +1,175 @@
+//! The connection to NATS: the streams, and the places of messages in them.
+
+use std::time::Duration;
+
+use async_nats::{
+    ConnectOptions,
+    jetstream::{
+        self, Context, ErrorCode,
+        context::ContextBuilder,
+        message::StreamMessage,
+        stream::{Config, DiscardPolicy, LastRawMessageErrorKind, Stream},
+    },
+};
+
+use super::{NatsError, NatsOptions, message::Position};
+use crate::log::{LogError, Uid};
+
+/// The number of streams that the indices share. Each has a leader of its own, so the work is spread over the servers
+/// of NATS; an index stays in the stream that its uid chooses.
+const STREAMS: usize = 4;
+
+/// A request to NATS without an answer for this long counts as lost.
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(3);
+
+/// The longest wait before the next attempt to connect.
+const MAX_RECONNECT_DELAY: Duration = Duration::from_millis(500);
+
+/// See the module.
+pub(super) struct Connection {
+    pub(super) context: Context,
+    name: String,
+    pub(super) replicas: usize,
+    streams: Vec<Stream>,
+    /// The greatest payload of a message.
+    pub(super) max_payload: usize,
+}
+
+impl Connection {
+    /// Connects, and creates what is missing.
+    pub(super) async fn open(options: &NatsOptions) -> Result<Self, NatsError> {
+        let mut connecting = ConnectOptions::new()
+            .name("wayfold")
+            .reconnect_delay_callback(|attempts| {
+                let delay = Duration::from_millis(20) * attempts.min(100) as u32;
+                delay.min(MAX_RECONNECT_DELAY)
+            });
+        if let Some(file) = &options.credentials {
+            let unreadable = |source| NatsError::Credentials {
+                file: file.display().to_string(),
+                source,
+            };
+            let text = std::fs::read_to_string(file).map_err(unreadable)?;
+            connecting = connecting.credentials(&text).map_err(unreadable)?;
+        }
+        if let Some(ca) = &options.ca {
+            connecting = connecting
+                .add_root_certificates(ca.clone())
+                .require_tls(true);
+        }
+        let servers: Vec<_> = options.servers.split(',').map(str::trim).collect();
+        let client = connecting.connect(servers).await;
+        let client = client.map_err(|error| NatsError::Unreachable {
+            servers: options.servers.clone(),
+            what: error.to_string(),
+        })?;
+        // A message carries headers too; they count against the limit of NATS.
+        let max_payload = client.server_info().max_payload.saturating_sub(1024);
+        let context = ContextBuilder::new()
+            .timeout(REQUEST_TIMEOUT)
+            .ack_timeout(REQUEST_TIMEOUT)
+            .build(client);
+        let mut connection = Self {
+            context,
+            name: options.name.clone(),
+            replicas: options.replicas,
+            streams: Vec::new(),
+            max_payload,
+        };
+        for number in 0..STREAMS {
+            let stream = connection.stream_config(number);
+            let name = stream.name.clone();
+            let stream = connection.context.get_or_create_stream(stream).await;
+            connection
+                .streams
+                .push(stream.map_err(|error| NatsError::Refused {
+                    what: format!("stream {name}"),
+                    why: error.to_string(),
+                })?);
+        }
+        Ok(connection)
+    }
+
+    fn stream_config(&self, number: usize) -> Config {
+        Config {
+            name: format!("{}-log-{number}", self.name),
+            subjects: vec![format!("{}.log.{number}.*", self.name)],
+            num_replicas: self.replicas,
+            discard: DiscardPolicy::New,
+            allow_atomic_publish: true,
+            description: Some("the records of Wayfold's indices".into()),
+            ..Config::default()
+        }
+    }
+
+    /// The name of the bucket of the catalogue.
+    pub(super) fn catalogue_name(&self) -> String {
+        format!("{}-catalogue", self.name)
+    }
+
+    fn stream_number(uid: Uid) -> usize {
+        usize::from(uid.as_bytes()[0]) % STREAMS
+    }
+
+    /// The stream of an index.
+    pub(super) fn stream(&self, uid: Uid) -> &Stream {
+        &self.streams[Self::stream_number(uid)]
+    }
+
+    /// The subject of an index.
+    pub(super) fn subject(&self, uid: Uid) -> String {
+        format!("{}.log.{}.{uid}", self.name, Self::stream_number(uid))
+    }
+
+    /// The newest message of an index, of the stream's leader; [`Position::START`] if there is none.
+    pub(super) async fn last(&self, uid: Uid) -> Result<Position, LogError> {
+        let last = self
+            .stream(uid)
+            .get_last_raw_message_by_subject(&self.subject(uid))
+            .await;
+        match last {
+            Ok(message) => Position::of(uid, &message),
+            Err(error) if error.kind() == LastRawMessageErrorKind::NoMessageFound => {
+                Ok(Position::START)
+            }
+            Err(error) => Err(unreachable(error)),
+        }
+    }
+
+    /// The first message of an index from `sequence` on, if there is one.
+    pub(super) async fn next(
+        &self,
+        uid: Uid,
+        sequence: u64,
+    ) -> Result<Option<(Position, StreamMessage)>, LogError> {
+        let next = self
+            .stream(uid)
+            .get_first_raw_message_by_subject(self.subject(uid), sequence)
+            .await;
+        match next {
+            Ok(message) => Ok(Some((Position::of(uid, &message)?, message))),
+            Err(error) if error.kind() == LastRawMessageErrorKind::NoMessageFound => Ok(None),
+            Err(error) => Err(unreachable(error)),
+        }
+    }
+
+    /// Forgets the messages of an index.
+    pub(super) async fn purge(&self, uid: Uid) -> Result<(), LogError> {
+        let purged = self.stream(uid).purge().filter(self.subject(uid)).await;
+        purged.map(drop).map_err(unreachable)
+    }
+}
+
+/// The error of a request that NATS has not answered.
+pub(super) fn unreachable(error: impl std::error::Error) -> LogError {
+    LogError::Unreachable {
+        what: error.to_string(),
+    }
+}
+
+/// The code of an error of JetStream.
+pub(super) fn code(error: &dyn std::error::Error) -> Option<ErrorCode> {
+    let source = error.source()?;
+    let error = source.downcast_ref::<jetstream::Error>()?;
+    Some(error.error_code())
+}

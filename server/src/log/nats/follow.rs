@@ -1,0 +1,165 @@
+//! The records of an index in the order of its stream, from a revision on.
+
+use std::sync::Arc;
+
+use async_nats::jetstream::consumer::{DeliverPolicy, pull};
+use futures_util::{StreamExt, stream};
+use tokio::time::sleep;
+use tracing::debug;
+
+use super::{
+    RETRY_INTERVAL,
+    connection::{Connection, unreachable},
+    message,
+};
+use crate::log::{LogError, Record, RecordStream, Uid};
+
+/// A pull of this length notices a lost server of NATS after about as long.
+const PULL_TIME: std::time::Duration = std::time::Duration::from_secs(2);
+
+/// A follower's place, and its subscription while it has one.
+struct Follower {
+    connection: Arc<Connection>,
+    uid: Uid,
+    /// The newest revision that was returned.
+    after: u64,
+    messages: Option<pull::Ordered>,
+}
+
+/// The records after the revision `after`. It waits for new ones, and while NATS cannot be reached.
+pub(super) fn follow(connection: Arc<Connection>, uid: Uid, after: u64) -> RecordStream {
+    let follower = Follower {
+        connection,
+        uid,
+        after,
+        messages: None,
+    };
+    let batches = stream::unfold(Some(follower), |follower| async move {
+        let mut follower = follower?;
+        loop {
+            match follower.next().await {
+                Ok(records) if records.is_empty() => {}
+                Ok(records) => return Some((Ok(records), Some(follower))),
+                Err(LogError::Unreachable { what }) => {
+                    debug!(uid = %follower.uid, what, "cannot read the stream in NATS");
+                    follower.messages = None;
+                    sleep(RETRY_INTERVAL).await;
+                }
+                Err(error) => return Some((Err(error), None)),
+            }
+        }
+    });
+    batches.boxed()
+}
+
+impl Follower {
+    /// The next records; none if a message brought only known ones.
+    async fn next(&mut self) -> Result<Vec<Arc<Record>>, LogError> {
+        let messages = match &mut self.messages {
+            Some(messages) => messages,
+            None => {
+                let subscribed = subscribe(&self.connection, self.uid, self.after).await?;
+                self.messages.insert(subscribed)
+            }
+        };
+        let message = match messages.next().await {
+            Some(Ok(message)) => message,
+            Some(Err(error)) => return Err(unreachable(error)),
+            None => {
+                return Err(LogError::Unreachable {
+                    what: "the subscription has ended".into(),
+                });
+            }
+        };
+        let mut records = message::unpack(self.uid, self.after + 1, &message.payload)?;
+        records.retain(|record| record.revision() > self.after);
+        if let Some(last) = records.last() {
+            self.after = last.revision();
+        }
+        Ok(records)
+    }
+}
+
+/// Subscribes to the messages of an index from the record after the revision `after` on.
+async fn subscribe(
+    connection: &Connection,
+    uid: Uid,
+    after: u64,
+) -> Result<pull::Ordered, LogError> {
+    let sequence = place_after(connection, uid, after).await?;
+    let config = pull::OrderedConfig {
+        filter_subject: connection.subject(uid),
+        deliver_policy: DeliverPolicy::ByStartSequence {
+            start_sequence: sequence,
+        },
+        max_expires: PULL_TIME,
+        ..Default::default()
+    };
+    let consumer = connection.stream(uid).create_consumer(config).await;
+    let messages = consumer.map_err(unreachable)?.messages().await;
+    messages.map_err(unreachable)
+}
+
+/// See [`Journal::read`](crate::log::Journal::read).
+pub(super) async fn read(
+    connection: &Connection,
+    uid: Uid,
+    after: Option<u64>,
+    max_bytes: usize,
+) -> Result<Vec<Arc<Record>>, LogError> {
+    let after = after.unwrap_or(0);
+    let mut sequence = place_after(connection, uid, after).await?;
+    let (mut records, mut bytes) = (Vec::new(), 0);
+    while let Some((position, message)) = connection.next(uid, sequence).await? {
+        sequence = position.sequence + 1;
+        for record in message::unpack(uid, position.first, &message.payload)? {
+            if record.revision() <= after {
+                continue;
+            }
+            bytes += record.effects().bytes();
+            if bytes > max_bytes && !records.is_empty() {
+                return Ok(records);
+            }
+            records.push(record);
+        }
+    }
+    Ok(records)
+}
+
+/// A sequence number from which on an index's first message is the one with the record after the revision `after`.
+async fn place_after(connection: &Connection, uid: Uid, after: u64) -> Result<u64, LogError> {
+    let last = connection.last(uid).await?;
+    if last.last.revision < after {
+        return Err(LogError::Damaged {
+            uid,
+            revision: after,
+            what: "its stream in NATS ends before it, and this server has applied it",
+        });
+    }
+    if last.last.revision == after {
+        return Ok(last.sequence + 1);
+    }
+    let Some((first, _)) = connection.next(uid, 1).await? else {
+        return Ok(1);
+    };
+    if first.first > after + 1 {
+        return Err(LogError::Trimmed {
+            uid,
+            after,
+            oldest: first.first - 1,
+        });
+    }
+    // The message from `low` on ends at or before `after`, the one from `high` on ends behind it.
+    let (mut low, mut high) = (first.sequence, last.sequence);
+    if first.last.revision > after {
+        return Ok(low);
+    }
+    while high - low > 1 {
+        let middle = low + (high - low) / 2;
+        match connection.next(uid, middle).await? {
+            Some((found, _)) if found.last.revision <= after => low = found.sequence.min(high - 1),
+            _ => high = middle,
+        }
+    }
+    Ok(high)
+}

@@ -1,0 +1,156 @@
+//! The log of several servers: its journal is in the streams of NATS JetStream, its catalogue is a bucket of NATS, and
+//! each server has a point store of its own.
+//!
+//! An index is a subject of a stream. A message holds consecutive records, and is published with the sequence number of
+//! the message before it on the subject: NATS takes it only if that is the newest. So of two servers that submit after
+//! the same revision one wins, whatever each of them believes. No server trims what it publishes yet: the streams keep
+//! every record of an index until the index is deleted.
+//!
+//! Nothing that comes from a stream is trusted: a record is decoded only if it matches its checksum, and the apply loop
+//! checks that it follows the record before it.
+
+mod catalogue;
+mod connection;
+mod follow;
+mod message;
+mod publisher;
+
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
+
+use futures_util::FutureExt;
+use parking_lot::Mutex;
+use thiserror::Error;
+use tokio::{runtime::Handle, sync::oneshot};
+
+use self::{
+    catalogue::NatsCatalogue,
+    connection::Connection,
+    publisher::{Publisher, Submission},
+};
+use super::{
+    Catalogue, Journal, Log, LogError, PointStore, Receipt, Record, RecordStream, Retention, Uid,
+    Window,
+};
+
+/// The time between two attempts of a follower to read a stream.
+const RETRY_INTERVAL: Duration = Duration::from_millis(200);
+
+/// The servers of NATS, and what Wayfold keeps there.
+#[derive(Clone, Debug)]
+pub struct NatsOptions {
+    /// The URLs of the servers, separated by commas.
+    pub servers: String,
+    /// The prefix of the streams and the bucket.
+    pub name: String,
+    /// The number of NATS servers that store each record.
+    pub replicas: usize,
+    /// The file of the credentials, if NATS asks for them.
+    pub credentials: Option<std::path::PathBuf>,
+    /// The file of the authorities of NATS's certificates, if its servers have TLS.
+    pub ca: Option<std::path::PathBuf>,
+}
+
+/// The error of a start with a journal in NATS.
+#[derive(Debug, Error)]
+pub enum NatsError {
+    /// The credentials cannot be read.
+    #[error("cannot read the credentials for NATS, {file} (cluster.credentials): {source}")]
+    Credentials {
+        /// The file.
+        file: String,
+        /// The problem.
+        source: std::io::Error,
+    },
+    /// No server of NATS answers.
+    #[error(
+        "cannot reach NATS at {servers} (cluster.nats): {what}; start it with JetStream (nats-server --jetstream)"
+    )]
+    Unreachable {
+        /// The URLs.
+        servers: String,
+        /// The problem.
+        what: String,
+    },
+    /// NATS has no stream or bucket for the records.
+    #[error(
+        "NATS cannot keep the {what}: {why}; it needs version 2.12 or newer, JetStream, and as many servers as \
+         cluster.replicas says"
+    )]
+    Refused {
+        /// The stream or bucket.
+        what: String,
+        /// NATS's answer.
+        why: String,
+    },
+}
+
+/// Connects to NATS, and makes a log of its streams and of the point store and the local catalogue of `local`. Needs a
+/// runtime, and blocks.
+pub fn connect<Store: PointStore + Catalogue + 'static>(
+    options: &NatsOptions,
+    local: Arc<Store>,
+) -> Result<Log, NatsError> {
+    let runtime = Handle::current();
+    let connection = Arc::new(runtime.block_on(Connection::open(options))?);
+    let catalogue = NatsCatalogue::open(Arc::clone(&connection), runtime.clone(), local.clone());
+    Ok(Log {
+        catalogue: Arc::new(runtime.block_on(catalogue)?),
+        journal: Arc::new(NatsJournal {
+            connection,
+            runtime,
+            publishers: Mutex::default(),
+        }),
+        points: local,
+    })
+}
+
+/// The journal in NATS.
+struct NatsJournal {
+    connection: Arc<Connection>,
+    runtime: Handle,
+    publishers: Mutex<BTreeMap<Uid, Publisher>>,
+}
+
+impl Journal for NatsJournal {
+    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+        let (answer, outcome) = oneshot::channel();
+        let mut submission = Submission::new(record, answer, self.connection.max_payload)?;
+        let mut publishers = self.publishers.lock();
+        let start = || Publisher::start(uid, Arc::clone(&self.connection), &self.runtime);
+        while let Err(back) = publishers.entry(uid).or_insert_with(start).send(submission) {
+            submission = back;
+            publishers.retain(|_, publisher| !publisher.is_closed());
+        }
+        drop(publishers);
+        let outcome = outcome.map(|outcome| outcome.unwrap_or(Err(LogError::Closed)));
+        Ok(Receipt::Awaited(outcome.boxed()))
+    }
+
+    fn follow(&self, uid: Uid, after: u64) -> RecordStream {
+        follow::follow(Arc::clone(&self.connection), uid, after)
+    }
+
+    fn read(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        max_bytes: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
+        let read = follow::read(&self.connection, uid, after, max_bytes);
+        self.runtime.block_on(read)
+    }
+
+    /// Keeps everything: the servers do not know yet what all of them have applied.
+    fn trim(&self, _: Uid, _: &Retention) -> Result<(), LogError> {
+        Ok(())
+    }
+
+    /// Nothing is counted: each server keeps the window of its point store.
+    fn window(&self, _: Uid) -> Result<Window, LogError> {
+        Ok(Window::default())
+    }
+
+    fn is_shared(&self) -> bool {
+        true
+    }
+}

@@ -1,0 +1,246 @@
+//! The publisher of an index: it publishes the submitted records in their order, one message at a time. Records that
+//! arrive while one is under way leave together in the next.
+
+use std::{sync::Arc, time::Duration};
+
+use async_nats::jetstream::{ErrorCode, context::PublishErrorKind, message::PublishMessage};
+use tokio::{
+    runtime::Handle,
+    sync::{mpsc, oneshot},
+    time::timeout,
+};
+use tokio_util::task::AbortOnDropHandle;
+use tracing::debug;
+
+use super::{
+    connection::{self, Connection},
+    message::{self, Position},
+};
+use crate::log::{LogError, Record, Uid};
+
+/// The number of times that a message is sent again because NATS was about to store another one of its subject.
+const MAX_REPEATS: usize = 100;
+
+/// A publisher without a record for this long ends: a server may have thousands of indices.
+const IDLE_TIME: Duration = Duration::from_secs(60);
+
+type Answer = oneshot::Sender<Result<(), LogError>>;
+
+/// A submitted record in its stored form.
+pub(super) struct Submission {
+    record: Arc<Record>,
+    stored: Vec<u8>,
+    answer: Answer,
+}
+
+/// The handle of a publisher. It ends when this is dropped, and after [`IDLE_TIME`] without a record.
+pub(super) struct Publisher {
+    submissions: mpsc::UnboundedSender<Submission>,
+    _task: AbortOnDropHandle<()>,
+}
+
+impl Submission {
+    /// An error means that the record cannot be published.
+    pub(super) fn new(
+        record: Arc<Record>,
+        answer: Answer,
+        max_payload: usize,
+    ) -> Result<Self, LogError> {
+        let stored = record.encode();
+        let bytes = message::packed_bytes(stored.len());
+        if bytes > max_payload {
+            return Err(LogError::TooLarge {
+                bytes,
+                most: max_payload,
+            });
+        }
+        Ok(Self {
+            record,
+            stored,
+            answer,
+        })
+    }
+}
+
+impl Publisher {
+    pub(super) fn start(uid: Uid, connection: Arc<Connection>, runtime: &Handle) -> Self {
+        let (submissions, waiting) = mpsc::unbounded_channel();
+        let task = Task {
+            uid,
+            connection,
+            newest: None,
+        };
+        Self {
+            submissions,
+            _task: AbortOnDropHandle::new(runtime.spawn(task.run(waiting))),
+        }
+    }
+
+    /// True if it has ended.
+    pub(super) fn is_closed(&self) -> bool {
+        self.submissions.is_closed()
+    }
+
+    /// Queues a record, or returns it if the publisher has ended.
+    pub(super) fn send(&self, submission: Submission) -> Result<(), Submission> {
+        self.submissions.send(submission).map_err(|back| back.0)
+    }
+}
+
+struct Task {
+    uid: Uid,
+    connection: Arc<Connection>,
+    /// The newest message of the index, if it is known. Another server may have published since.
+    newest: Option<Position>,
+}
+
+impl Task {
+    async fn run(mut self, mut waiting: mpsc::UnboundedReceiver<Submission>) {
+        let mut left_over = None;
+        loop {
+            let first = match left_over.take() {
+                Some(first) => first,
+                None => match timeout(IDLE_TIME, waiting.recv()).await {
+                    Ok(Some(first)) => first,
+                    Ok(None) => return,
+                    // What was queued meanwhile still comes.
+                    Err(_) => {
+                        waiting.close();
+                        continue;
+                    }
+                },
+            };
+            let mut bytes = message::packed_bytes(first.stored.len());
+            let mut batch = vec![first];
+            while let Ok(next) = waiting.try_recv() {
+                bytes += message::packed_bytes(next.stored.len());
+                let follows = batch
+                    .last()
+                    .is_some_and(|last| next.record.follows(last.record.tip()));
+                if bytes > self.connection.max_payload || !follows {
+                    left_over = Some(next);
+                    break;
+                }
+                batch.push(next);
+            }
+            let outcome = self.publish(&batch).await;
+            for submission in batch {
+                let outcome = outcome.as_ref().copied().map_err(|why| match why {
+                    Refusal::Fenced { head } => LogError::Fenced {
+                        uid: self.uid,
+                        expected: submission.record.revision() - 1,
+                        head: *head,
+                    },
+                    Refusal::Unconfirmed { what } => LogError::Unconfirmed {
+                        uid: self.uid,
+                        revision: submission.record.revision(),
+                        what: what.clone(),
+                    },
+                });
+                // The apply loop may have ended.
+                let _ = submission.answer.send(outcome);
+            }
+        }
+    }
+
+    /// Publishes consecutive records as one message.
+    async fn publish(&mut self, batch: &[Submission]) -> Result<(), Refusal> {
+        let (Some(first), Some(last)) = (batch.first(), batch.last()) else {
+            return Ok(());
+        };
+        let (first, last) = (&*first.record, &*last.record);
+        let mut payload = Vec::new();
+        for submission in batch {
+            message::pack(&mut payload, &submission.stored);
+        }
+        let payload = bytes::Bytes::from(payload);
+        let expected = self.place_before(first).await?;
+        for _ in 0..MAX_REPEATS {
+            let message = PublishMessage::build()
+                .payload(payload.clone())
+                .headers(message::headers(first, last))
+                .expected_last_subject_sequence(expected.sequence);
+            let subject = self.connection.subject(self.uid);
+            let sent = self.connection.context.send_publish(subject, message).await;
+            let acknowledged = match sent {
+                Ok(acknowledgement) => acknowledgement.await,
+                Err(error) => Err(error),
+            };
+            let error = match acknowledged {
+                Ok(acknowledgement) => {
+                    self.newest = Some(Position {
+                        sequence: acknowledgement.sequence,
+                        first: first.revision(),
+                        last: last.tip(),
+                    });
+                    return Ok(());
+                }
+                Err(error) => error,
+            };
+            self.newest = None;
+            match error.kind() {
+                // The newest message may be this one, if an earlier acknowledgement was lost.
+                PublishErrorKind::WrongLastSequence => {
+                    let newest = self.read_newest().await?;
+                    return match newest.last == last.tip() {
+                        true => Ok(()),
+                        false => Err(Refusal::Fenced {
+                            head: newest.last.revision,
+                        }),
+                    };
+                }
+                // NATS says so of a right number too while it stores another message.
+                PublishErrorKind::Other
+                    if connection::code(&error)
+                        == Some(ErrorCode::STREAM_WRONG_LAST_SEQUENCE_CONSTANT) =>
+                {
+                    tokio::task::yield_now().await;
+                }
+                _ => {
+                    debug!(uid = %self.uid, %error, "no acknowledgement from NATS");
+                    return Err(Refusal::Unconfirmed {
+                        what: error.to_string(),
+                    });
+                }
+            }
+        }
+        Err(Refusal::Unconfirmed {
+            what: format!("NATS refused it {MAX_REPEATS} times as too early"),
+        })
+    }
+
+    /// The message that `record` follows.
+    async fn place_before(&mut self, record: &Record) -> Result<Position, Refusal> {
+        if let Some(newest) = self.newest
+            && record.follows(newest.last)
+        {
+            return Ok(newest);
+        }
+        let newest = self.read_newest().await?;
+        match record.follows(newest.last) {
+            true => Ok(newest),
+            false => Err(Refusal::Fenced {
+                head: newest.last.revision,
+            }),
+        }
+    }
+
+    async fn read_newest(&mut self) -> Result<Position, Refusal> {
+        self.newest = None;
+        let newest = self.connection.last(self.uid).await;
+        let newest = newest.map_err(|error| Refusal::Unconfirmed {
+            what: error.to_string(),
+        })?;
+        self.newest = Some(newest);
+        Ok(newest)
+    }
+}
+
+/// The end of a message that was not acknowledged.
+#[derive(Clone)]
+enum Refusal {
+    /// Another record has the place of its first, or it does not follow the newest, which is `head`.
+    Fenced { head: u64 },
+    /// It may be in the stream or not.
+    Unconfirmed { what: String },
+}
