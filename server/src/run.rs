@@ -189,6 +189,7 @@ pub(crate) async fn serve(
     );
     let live = async {
         let registry = Arc::new(opening.await?);
+        registry.catch_up().await;
         service.set_registry(Arc::clone(&registry));
         service.set_ready();
         // If the store cannot be opened, every call fails with the cause.

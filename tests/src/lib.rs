@@ -9,6 +9,7 @@ pub mod figures;
 pub mod ledger;
 pub mod measuring;
 mod model;
+pub mod nats;
 mod process;
 mod refusal;
 mod states;

@@ -39,6 +39,11 @@ impl Model {
         self.revision
     }
 
+    /// Takes the revisions up to this one for records without effect: servers that share a journal write such records.
+    pub fn skip_to(&mut self, revision: u64) {
+        self.revision = self.revision.max(revision);
+    }
+
     /// Checks an answer, and applies the call if it is a mutation.
     ///
     /// # Panics

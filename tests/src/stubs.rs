@@ -22,16 +22,23 @@ impl Stubs {
     /// # Panics
     /// If nothing listens there.
     pub async fn connect(uri: &str) -> Self {
-        let channel = Channel::from_shared(uri.to_owned())
-            .expect("a URI")
-            .tcp_nodelay(true)
-            .connect()
-            .await
-            .expect("a server");
-        Self {
+        Self::try_connect(uri).await.expect("a server")
+    }
+
+    /// Connects if something listens there.
+    ///
+    /// # Errors
+    /// The error of the connection.
+    ///
+    /// # Panics
+    /// If it is not a URI.
+    pub async fn try_connect(uri: &str) -> Result<Self, tonic::transport::Error> {
+        let endpoint = Channel::from_shared(uri.to_owned()).expect("a URI");
+        let channel = endpoint.tcp_nodelay(true).connect().await?;
+        Ok(Self {
             indexes: IndexServiceClient::new(channel.clone()),
             points: PointServiceClient::new(channel),
-        }
+        })
     }
 
     /// Creates an index of the space in text form.

@@ -144,6 +144,9 @@ pub trait Journal: Send + Sync {
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError>;
 
+    /// The newest revision that the journal has, durable or not. Blocks.
+    fn newest(&self, uid: Uid) -> Result<u64, LogError>;
+
     /// Forgets the oldest records and operations that need not be kept, but never the newest of each. A journal with a
     /// point store of its own still sends its follower the records that this store has not applied.
     fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError>;

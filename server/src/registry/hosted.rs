@@ -264,9 +264,11 @@ impl Hosted {
 
     /// Waits until all records that the journal has now are published: a server that shares its journal may lag behind.
     pub async fn catch_up(self: &Arc<Self>) -> Result<(), RegistryError> {
-        let records = self.read(self.published().revision, usize::MAX).await?;
-        let last = records.last().map_or(0, |last| last.revision());
-        self.reached(last).await.map(drop)
+        let hosted = Arc::clone(self);
+        let newest = move || hosted.host.log.journal.newest(hosted.uid);
+        let newest = tokio::task::spawn_blocking(newest).await;
+        let newest = newest.map_err(|_| RegistryError::Stopped)??;
+        self.reached(newest).await.map(drop)
     }
 
     /// The records after `revision` up to the newest of `writer`, this index's writer; None if some are not cached.

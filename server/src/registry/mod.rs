@@ -35,9 +35,10 @@ use std::{
     time::Duration,
 };
 
+use futures_util::{StreamExt, stream};
 use parking_lot::{Mutex, RwLock};
 use tokio::sync::{Semaphore, watch};
-use tracing::info;
+use tracing::{info, warn};
 use wayfold_index::{Forest, ForestOptions, Space};
 
 use crate::{
@@ -159,6 +160,9 @@ struct Host {
     labels: Mutex<BTreeSet<Arc<str>>>,
 }
 
+/// The number of indices that catch up with a journal at a time.
+const CATCHING_UP: usize = 64;
+
 /// The most names of indices in metrics: each is a series of its own for ever.
 const MAX_LABELS: usize = 100;
 
@@ -232,6 +236,23 @@ impl Registry {
         self.add_lost();
         info!(indexes = entries.len(), "replayed the log");
         Ok(())
+    }
+
+    /// Waits until every index has the records that a journal elsewhere has now. An index that cannot be followed does
+    /// not delay the others. Without such a journal it does nothing.
+    pub async fn catch_up(&self) {
+        if !self.host.log.journal.is_shared() {
+            return;
+        }
+        let hosted = self.hosted();
+        let catching_up = hosted.iter().map(|hosted| async move {
+            if let Err(error) = hosted.catch_up().await {
+                warn!(index = hosted.name(), %error, "cannot catch up with the journal");
+            }
+        });
+        let catching_up = stream::iter(catching_up).buffer_unordered(CATCHING_UP);
+        catching_up.collect::<()>().await;
+        info!(indexes = hosted.len(), "caught up with the journal");
     }
 
     /// A receiver of every change from now on: an index is created, deleted, restored, damaged or recovered.

@@ -133,6 +133,10 @@ impl Journal for RemoteLog {
         self.connection.read(uid, after, max_bytes)
     }
 
+    fn newest(&self, uid: Uid) -> Result<u64, LogError> {
+        Ok(self.stream.newest(uid).revision)
+    }
+
     /// Only what is applied here may be forgotten.
     fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
         let applied = self.local.view(uid)?.revision();

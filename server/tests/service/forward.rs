@@ -39,6 +39,10 @@ macro_rules! forward_journal {
             self.$field.trim(uid, retention)
         }
 
+        fn newest(&self, uid: Uid) -> Result<u64, LogError> {
+            self.$field.newest(uid)
+        }
+
         fn window(&self, uid: Uid) -> Result<wayfold_server::log::Window, LogError> {
             self.$field.window(uid)
         }

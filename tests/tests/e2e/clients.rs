@@ -21,11 +21,10 @@ use wayfold_tests::{
 use builder::Builder;
 use reader::{Reader, ReaderAnswer};
 pub(crate) use tally::Tally;
-pub(crate) use writer::Load;
-use writer::Writer;
+pub(crate) use writer::{Load, Writer};
 
 /// The space of the index that the writers and readers share, `arm`.
-const SPACE: &str = "R3*SO3:0.15";
+pub(crate) const SPACE: &str = "R3*SO3:0.15";
 /// Its coordinates.
 const COORDINATES: usize = 7;
 const READERS: u64 = 2;

@@ -235,6 +235,10 @@ impl Journal for FjallLog {
         engine.index(uid)?.read(&engine.store, after, max_bytes)
     }
 
+    fn newest(&self, uid: Uid) -> Result<u64, LogError> {
+        Ok(self.view(uid)?.revision())
+    }
+
     fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
         self.engine()?.index(uid)?.trim(retention)
     }

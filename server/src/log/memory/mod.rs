@@ -67,6 +67,10 @@ impl Journal for MemoryLog {
         self.store(uid)?.read(after, max_bytes)
     }
 
+    fn newest(&self, uid: Uid) -> Result<u64, LogError> {
+        Ok(self.view(uid)?.revision())
+    }
+
     fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
         self.store(uid)?.trim(retention);
         Ok(())

@@ -20,7 +20,7 @@ use tracing::{debug, warn};
 
 use super::{
     NatsError, RETRY_INTERVAL,
-    connection::{Connection, unreachable},
+    connection::{Connection, patiently, unreachable},
 };
 use crate::log::{Catalogue, Entry, LogError, Lost, Uid};
 
@@ -56,27 +56,22 @@ impl NatsCatalogue {
         runtime: Handle,
         local: Arc<dyn Catalogue>,
     ) -> Result<Self, NatsError> {
-        let name = connection.catalogue_name();
-        let refused = |why: String| NatsError::Refused {
-            what: format!("bucket {name}"),
-            why,
-        };
         let config = kv::Config {
-            bucket: name.clone(),
+            bucket: connection.catalogue_name(),
             description: "the indices of Wayfold".into(),
             history: 1,
             num_replicas: connection.replicas,
             ..kv::Config::default()
         };
-        let bucket = match connection.context.get_key_value(&name).await {
-            Ok(bucket) => bucket,
-            Err(_) => {
-                let created = connection.context.create_key_value(config).await;
-                created.map_err(|error| refused(error.to_string()))?
+        let what = format!("bucket {}", config.bucket);
+        let create = || async {
+            match connection.context.get_key_value(&config.bucket).await {
+                Ok(bucket) => Ok(bucket),
+                Err(_) => connection.context.create_key_value(config.clone()).await,
             }
         };
-        let known = read_all(&bucket).await;
-        let known = known.map_err(|error| refused(error.to_string()))?;
+        let bucket = patiently(&what, create).await?;
+        let known = patiently(&what, || read_all(&bucket)).await?;
         let known = Arc::new(watch::Sender::new(known));
         let changed = watch::Sender::new(());
         let watching = follow(bucket.clone(), Arc::clone(&known), changed.clone());
@@ -237,14 +232,15 @@ fn note(known: &watch::Sender<Known>, named: Named, revision: u64) -> bool {
 }
 
 /// The present content of a bucket.
-async fn read_all(bucket: &kv::Store) -> Result<Known, async_nats::Error> {
+async fn read_all(bucket: &kv::Store) -> Result<Known, LogError> {
     let mut known = Known::new();
-    if bucket.status().await?.values() == 0 {
+    if bucket.status().await.map_err(unreachable)?.values() == 0 {
         return Ok(known);
     }
-    let mut entries = bucket.watch_all_from_revision(1).await?;
+    let entries = bucket.watch_all_from_revision(1).await;
+    let mut entries = entries.map_err(unreachable)?;
     while let Some(entry) = entries.next().await {
-        let entry = entry?;
+        let entry = entry.map_err(unreachable)?;
         if let Some(named) = read(&entry.value) {
             known.insert(named.name.clone(), (named, entry.revision));
         }

@@ -11,6 +11,8 @@ use async_nats::{
         stream::{Config, DiscardPolicy, LastRawMessageErrorKind, Stream},
     },
 };
+use tokio::time::{Instant, sleep};
+use tracing::warn;
 
 use super::{NatsError, NatsOptions, message::Position};
 use crate::log::{LogError, Uid};
@@ -21,6 +23,10 @@ const STREAMS: usize = 4;
 
 /// A request to NATS without an answer for this long counts as lost.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(3);
+
+/// The time in which NATS must give what a starting server asks for, and the time between two requests.
+const START_TIME: Duration = Duration::from_secs(20);
+const START_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The longest wait before the next attempt to connect.
 const MAX_RECONNECT_DELAY: Duration = Duration::from_millis(500);
@@ -78,14 +84,10 @@ impl Connection {
         };
         for number in 0..STREAMS {
             let stream = connection.stream_config(number);
-            let name = stream.name.clone();
-            let stream = connection.context.get_or_create_stream(stream).await;
-            connection
-                .streams
-                .push(stream.map_err(|error| NatsError::Refused {
-                    what: format!("stream {name}"),
-                    why: error.to_string(),
-                })?);
+            let what = format!("stream {}", stream.name);
+            let create = || connection.context.get_or_create_stream(stream.clone());
+            let stream = patiently(&what, create).await?;
+            connection.streams.push(stream);
         }
         Ok(connection)
     }
@@ -157,6 +159,27 @@ impl Connection {
     pub(super) async fn purge(&self, uid: Uid) -> Result<(), LogError> {
         let purged = self.stream(uid).purge().filter(self.subject(uid)).await;
         purged.map(drop).map_err(unreachable)
+    }
+}
+
+/// Asks NATS for a stream or a bucket for up to [`START_TIME`]: servers of NATS that have just started elect a leader first.
+pub(super) async fn patiently<T, E: std::error::Error, Asked: Future<Output = Result<T, E>>>(
+    what: &str,
+    ask: impl Fn() -> Asked,
+) -> Result<T, NatsError> {
+    let until = Instant::now() + START_TIME;
+    loop {
+        match ask().await {
+            Ok(given) => return Ok(given),
+            Err(error) if Instant::now() >= until => {
+                return Err(NatsError::Refused {
+                    what: what.to_owned(),
+                    why: error.to_string(),
+                });
+            }
+            Err(error) => warn!(what, %error, "NATS does not give it yet; trying again"),
+        }
+        sleep(START_INTERVAL).await;
     }
 }
 

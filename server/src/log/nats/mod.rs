@@ -140,6 +140,11 @@ impl Journal for NatsJournal {
         self.runtime.block_on(read)
     }
 
+    fn newest(&self, uid: Uid) -> Result<u64, LogError> {
+        let last = self.runtime.block_on(self.connection.last(uid))?;
+        Ok(last.last.revision)
+    }
+
     /// Keeps everything: the servers do not know yet what all of them have applied.
     fn trim(&self, _: Uid, _: &Retention) -> Result<(), LogError> {
         Ok(())

@@ -121,6 +121,10 @@ impl log::Journal for FaultLog {
         batches.boxed()
     }
 
+    fn newest(&self, uid: Uid) -> Result<u64, LogError> {
+        Ok(self.view(uid)?.revision())
+    }
+
     fn read(
         &self,
         uid: Uid,

@@ -284,6 +284,11 @@ impl Journal for Remote {
         Ok(records)
     }
 
+    fn newest(&self, uid: Uid) -> Result<u64, LogError> {
+        self.come_back();
+        Ok(self.stream.newest(uid).revision)
+    }
+
     /// No server trims the records of the others.
     fn trim(&self, _uid: Uid, _retention: &Retention) -> Result<(), LogError> {
         Ok(())

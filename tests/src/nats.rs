@@ -1,0 +1,110 @@
+//! Servers of NATS under test, on ports of their own of the loopback interface.
+
+use std::{
+    env, fs,
+    net::TcpListener,
+    path::{Path, PathBuf},
+};
+
+use crate::{Process, Signal};
+
+/// The environment variable with the path of the program `nats-server`.
+pub const PROGRAM: &str = "NATS_SERVER";
+
+/// A cluster of NATS with JetStream, whose servers sync each record.
+pub struct Nats {
+    directory: PathBuf,
+    nodes: Vec<Option<Process>>,
+    ports: Vec<u16>,
+}
+
+impl Nats {
+    /// Starts this many servers, which keep their files in a directory.
+    ///
+    /// # Panics
+    /// If they do not come up.
+    pub fn start(directory: &Path, count: usize) -> Self {
+        let free = free_ports(2 * count);
+        let (ports, routes) = free.split_at(count);
+        let all: Vec<_> = routes
+            .iter()
+            .map(|port| format!("nats://127.0.0.1:{port}"))
+            .collect();
+        for (node, (port, route)) in ports.iter().zip(routes).enumerate() {
+            let store = directory.join(format!("nats-{node}"));
+            let cluster = match count {
+                1 => String::new(),
+                _ => format!(
+                    "cluster {{ name: test, listen: \"127.0.0.1:{route}\", routes: [{}] }}",
+                    all.join(", ")
+                ),
+            };
+            let text = format!(
+                "server_name: node-{node}\nlisten: \"127.0.0.1:{port}\"\n\
+                 jetstream {{ store_dir: {store:?}, sync_interval: always }}\n{cluster}\n"
+            );
+            fs::write(config(directory, node), text).expect("a writable directory");
+        }
+        let mut nats = Self {
+            directory: directory.to_owned(),
+            nodes: (0..count).map(|_| None).collect(),
+            ports: ports.to_vec(),
+        };
+        for node in 0..count {
+            nats.launch(node);
+        }
+        for node in nats.nodes.iter_mut().flatten() {
+            node.log_until("Server is ready");
+        }
+        nats
+    }
+
+    /// Their URLs.
+    pub fn urls(&self) -> String {
+        let urls = self
+            .ports
+            .iter()
+            .map(|port| format!("nats://127.0.0.1:{port}"));
+        urls.collect::<Vec<_>>().join(",")
+    }
+
+    /// Kills a server.
+    ///
+    /// # Panics
+    /// If it does not run.
+    pub fn kill(&mut self, node: usize) {
+        let killed = self.nodes[node].take().expect("a server that runs");
+        killed.stop(Signal::Kill);
+    }
+
+    /// Starts a server that was killed.
+    ///
+    /// # Panics
+    /// If it does not come up.
+    pub fn restart(&mut self, node: usize) {
+        self.launch(node);
+        let started = self.nodes[node].as_mut().expect("a server that runs");
+        started.log_until("Server is ready");
+    }
+
+    fn launch(&mut self, node: usize) {
+        let program = env::var(PROGRAM).expect("NATS_SERVER, the path of the program nats-server");
+        let config = config(&self.directory, node);
+        let config = config.to_str().expect("a path in UTF-8");
+        self.nodes[node] = Some(Process::start(program, &["--config", config]));
+    }
+}
+
+fn config(directory: &Path, node: usize) -> PathBuf {
+    directory.join(format!("nats-{node}.conf"))
+}
+
+/// Ports that were free a moment ago: NATS has to know the ports of the others before it starts.
+fn free_ports(count: usize) -> Vec<u16> {
+    let listeners = (0..count).map(|_| TcpListener::bind("127.0.0.1:0").expect("a free port"));
+    let listeners: Vec<_> = listeners.collect();
+    let addresses = listeners
+        .iter()
+        .map(|it| it.local_addr().expect("an address"));
+    addresses.map(|address| address.port()).collect()
+}
