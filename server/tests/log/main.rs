@@ -73,7 +73,9 @@ fn synced(log: &(impl Engine + ?Sized), uid: Uid, revision: u64) -> Result<u64, 
 
 /// Blocks this thread until the stream has the next records.
 fn next(records: &mut RecordStream) -> Result<Vec<Arc<Record>>, LogError> {
-    let runtime = tokio::runtime::Builder::new_current_thread().build();
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build();
     runtime.unwrap().block_on(records.next()).unwrap()
 }
 

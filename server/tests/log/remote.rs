@@ -18,8 +18,8 @@ use std::{
 use parking_lot::Mutex;
 use tokio::runtime::{Builder, Runtime};
 use wayfold_server::log::{
-    Catalogue, Entry, Journal, LogError, MemoryLog, Operation, Origin, PointStore, Receipt, Record,
-    RecordStream, Restoring, Retention, Tip, Uid, View, Window,
+    Catalogue, Entry, Journal, LogError, MemoryLog, NatsOptions, Operation, Origin, PointStore,
+    Receipt, Record, RecordStream, Restoring, Retention, Tip, Uid, View, Window, connect_nats,
 };
 
 use crate::next;
@@ -28,11 +28,33 @@ use stream::{Remote, Stream};
 /// The maximum number of times that a record is sent.
 const MAX_SENDS: usize = 1000;
 
+/// The other machine.
+enum Machine {
+    /// A part of the test.
+    Stream(Arc<Stream>),
+    /// NATS, and the name of the streams there.
+    Nats(NatsOptions),
+}
+
+impl Machine {
+    /// A connection to it.
+    fn connect(&self, runtime: &Runtime) -> Arc<dyn Journal> {
+        let _entered = runtime.enter();
+        match self {
+            Machine::Stream(stream) => Remote::connect(stream),
+            Machine::Nats(options) => {
+                let log = connect_nats(options, Arc::new(MemoryLog::new()));
+                log.unwrap().journal
+            }
+        }
+    }
+}
+
 /// See the module.
 pub(crate) struct RemoteLog {
     runtime: Runtime,
-    stream: Arc<Stream>,
-    connection: Arc<Remote>,
+    machine: Machine,
+    connection: Arc<dyn Journal>,
     local: MemoryLog,
     /// Held while records are applied, so that each caller applies the next ones.
     applying: Mutex<()>,
@@ -41,17 +63,30 @@ pub(crate) struct RemoteLog {
 impl RemoteLog {
     /// A log whose journal loses messages with this chance.
     pub(crate) fn new(seed: u64, loses: f64) -> Self {
-        let runtime = Builder::new_multi_thread().worker_threads(1).build();
+        Self::over(Machine::Stream(Stream::new(seed, loses)))
+    }
+
+    /// A log whose journal is in the streams of this name, in the NATS of the environment variable `NATS_URL`.
+    pub(crate) fn in_nats(name: String) -> Self {
+        Self::over(Machine::Nats(NatsOptions {
+            servers: std::env::var("NATS_URL").unwrap(),
+            name,
+            replicas: 1,
+            credentials: None,
+            ca: None,
+        }))
+    }
+
+    fn over(machine: Machine) -> Self {
+        let runtime = Builder::new_multi_thread()
+            .worker_threads(1)
+            .enable_all()
+            .build();
         let runtime = runtime.unwrap();
-        let stream = Stream::new(seed, loses);
-        let connection = {
-            let _entered = runtime.enter();
-            Remote::connect(&stream)
-        };
         Self {
+            connection: machine.connect(&runtime),
             runtime,
-            stream,
-            connection,
+            machine,
             local: MemoryLog::new(),
             applying: Mutex::new(()),
         }
@@ -59,15 +94,20 @@ impl RemoteLog {
 
     /// Replaces the connection by a new one.
     pub(crate) fn reconnect(&mut self) {
-        let _entered = self.runtime.enter();
-        self.connection = Remote::connect(&self.stream);
+        self.connection = self.machine.connect(&self.runtime);
+    }
+
+    /// True if the journal has this record.
+    fn has(&self, uid: Uid, record: &Record) -> bool {
+        let found = self.connection.read(uid, Some(record.revision() - 1), 1);
+        found.is_ok_and(|found| found.first().is_some_and(|it| **it == *record))
     }
 
     /// Applies all records that the journal has.
     fn catch_up(&self, uid: Uid) -> Result<(), LogError> {
         let _applying = self.applying.lock();
         let mut revision = PointStore::view(&self.local, uid)?.revision();
-        let newest = self.stream.newest(uid).revision;
+        let newest = self.connection.newest(uid)?;
         let mut records = self.connection.follow(uid, revision);
         while revision < newest {
             let batch = next(&mut records)?;
@@ -106,8 +146,7 @@ impl Journal for RemoteLog {
             };
             let outcome = self.runtime.block_on(outcome);
             // Whatever the answer was, the journal has the record once it sends it.
-            let has_it = |found: &Arc<Record>| found.digest() == record.digest();
-            if outcome.is_ok() || self.stream.records(uid).iter().any(has_it) {
+            if outcome.is_ok() || self.has(uid, &record) {
                 return Ok(Receipt::Accepted);
             }
             if let Err(why) = outcome
@@ -134,18 +173,20 @@ impl Journal for RemoteLog {
     }
 
     fn newest(&self, uid: Uid) -> Result<u64, LogError> {
-        Ok(self.stream.newest(uid).revision)
+        self.connection.newest(uid)
     }
 
     /// Only what is applied here may be forgotten.
     fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
         let applied = self.local.view(uid)?.revision();
-        self.stream.trim(uid, retention, applied);
+        if let Machine::Stream(stream) = &self.machine {
+            stream.trim(uid, retention, applied);
+        }
         self.local.trim_applied(uid, retention)
     }
 
     fn window(&self, uid: Uid) -> Result<Window, LogError> {
-        let held = self.stream.after(uid, None)?;
+        let held = self.connection.read(uid, None, usize::MAX)?;
         let bytes = held.iter().map(|record| record.effects().bytes() as u64);
         Ok(Window {
             records: held.len() as u64,
@@ -177,7 +218,9 @@ impl PointStore for RemoteLog {
             revision: origin.revision,
             digest: origin.digest,
         };
-        self.stream.origins.lock().insert(entry.uid, tip);
+        if let Machine::Stream(stream) = &self.machine {
+            stream.origins.lock().insert(entry.uid, tip);
+        }
         self.local.restore(entry, origin)
     }
 }

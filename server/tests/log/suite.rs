@@ -385,3 +385,14 @@ proptest! {
         check_log(TestLog::remote(seed), steps);
     }
 }
+
+proptest! {
+    #![proptest_config(cases(12))]
+    #[ignore = "needs NATS"]
+    #[test]
+    fn the_log_in_nats_is_the_sum_of_its_records(steps in prop::collection::vec(step(), 1..40)) {
+        // Its journal keeps all records, and no copy of an index begins in it.
+        let possible = |step: &Step| !matches!(step, Step::Trim { .. } | Step::Copy { .. });
+        check_log(TestLog::in_nats(), steps.into_iter().filter(possible).collect());
+    }
+}

@@ -1,6 +1,6 @@
 //! The stores under test.
 
-use wayfold_server::log::{Durability, FjallLog, MemoryLog};
+use wayfold_server::log::{Durability, FjallLog, MemoryLog, Uid};
 
 use crate::{Engine, copied::copied, fault::FaultLog, remote::RemoteLog};
 
@@ -39,6 +39,14 @@ impl TestLog {
     /// A log whose journal is on another machine and loses every fifth message.
     pub(crate) fn remote(seed: u64) -> Self {
         Self::Remote(Box::new(RemoteLog::new(seed, 0.2)))
+    }
+
+    /// A log whose journal is in NATS, in streams of a name of its own.
+    pub(crate) fn in_nats() -> Self {
+        Self::Remote(Box::new(RemoteLog::in_nats(format!(
+            "log-{}",
+            Uid::unique()
+        ))))
     }
 
     pub(crate) fn of_every_kind() -> [Self; 4] {
