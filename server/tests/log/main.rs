@@ -15,6 +15,7 @@ mod following;
 mod idle_view;
 mod lost;
 mod model;
+mod nats;
 mod pin;
 mod rebuilt;
 mod remote;

@@ -18,11 +18,11 @@ use std::{
 use parking_lot::Mutex;
 use tokio::runtime::{Builder, Runtime};
 use wayfold_server::log::{
-    Catalogue, Entry, Journal, LogError, MemoryLog, NatsOptions, Operation, Origin, PointStore,
-    Receipt, Record, RecordStream, Restoring, Retention, Tip, Uid, View, Window, connect_nats,
+    Catalogue, Entry, Journal, LogError, MemoryLog, Operation, Origin, PointStore, Receipt, Record,
+    RecordStream, Restoring, Retention, Tip, Uid, View, Window, connect_nats,
 };
 
-use crate::next;
+use crate::{nats::NatsServer, next};
 use stream::{Remote, Stream};
 
 /// The maximum number of times that a record is sent.
@@ -32,8 +32,8 @@ const MAX_SENDS: usize = 1000;
 enum Machine {
     /// A part of the test.
     Stream(Arc<Stream>),
-    /// NATS, and the name of the streams there.
-    Nats(NatsOptions),
+    /// A server of NATS.
+    Nats(NatsServer),
 }
 
 impl Machine {
@@ -42,8 +42,8 @@ impl Machine {
         let _entered = runtime.enter();
         match self {
             Machine::Stream(stream) => Remote::connect(stream),
-            Machine::Nats(options) => {
-                let log = connect_nats(options, Arc::new(MemoryLog::new()));
+            Machine::Nats(server) => {
+                let log = connect_nats(&server.options(), Arc::new(MemoryLog::new()));
                 log.unwrap().journal
             }
         }
@@ -66,15 +66,9 @@ impl RemoteLog {
         Self::over(Machine::Stream(Stream::new(seed, loses)))
     }
 
-    /// A log whose journal is in the streams of this name, in the NATS of the environment variable `NATS_URL`.
-    pub(crate) fn in_nats(name: String) -> Self {
-        Self::over(Machine::Nats(NatsOptions {
-            servers: std::env::var("NATS_URL").unwrap(),
-            name,
-            replicas: 1,
-            credentials: None,
-            ca: None,
-        }))
+    /// A log whose journal is in a server of NATS of its own.
+    pub(crate) fn in_nats() -> Self {
+        Self::over(Machine::Nats(NatsServer::start()))
     }
 
     fn over(machine: Machine) -> Self {

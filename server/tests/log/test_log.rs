@@ -1,6 +1,6 @@
 //! The stores under test.
 
-use wayfold_server::log::{Durability, FjallLog, MemoryLog, Uid};
+use wayfold_server::log::{Durability, FjallLog, MemoryLog};
 
 use crate::{Engine, copied::copied, fault::FaultLog, remote::RemoteLog};
 
@@ -41,12 +41,9 @@ impl TestLog {
         Self::Remote(Box::new(RemoteLog::new(seed, 0.2)))
     }
 
-    /// A log whose journal is in NATS, in streams of a name of its own.
+    /// A log whose journal is in NATS.
     pub(crate) fn in_nats() -> Self {
-        Self::Remote(Box::new(RemoteLog::in_nats(format!(
-            "log-{}",
-            Uid::unique()
-        ))))
+        Self::Remote(Box::new(RemoteLog::in_nats()))
     }
 
     pub(crate) fn of_every_kind() -> [Self; 4] {

@@ -201,7 +201,7 @@ impl Clients {
         let over = watch::Sender::new(false);
         for writer in self.writers.drain(..) {
             let stubs = Stubs::connect(server.uri()).await;
-            writing.spawn(writer.write(stubs, acknowledged.clone()));
+            writing.spawn(writer.write(stubs, acknowledged.clone(), usize::MAX));
         }
         for reader in self.readers.drain(..) {
             let stubs = Stubs::connect(server.uri()).await;

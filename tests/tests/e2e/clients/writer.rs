@@ -209,13 +209,15 @@ impl Writer {
         [text.as_bytes(), noise].concat().into()
     }
 
-    /// Writes until a refusal or the end of the server, beginning with the mutation with the unknown outcome.
+    /// Makes up to `most` calls, and fewer if one is refused or the server ends, beginning with the mutation with the
+    /// unknown outcome.
     pub(crate) async fn write(
         mut self,
         mut stubs: Stubs,
         acknowledged: watch::Sender<u64>,
+        most: usize,
     ) -> Self {
-        loop {
+        for _ in 0..most {
             let request = match self.unknown.take() {
                 Some(request) => request,
                 None => self.next(),
@@ -225,6 +227,7 @@ impl Writer {
             }
             acknowledged.send_modify(|count| *count += 1);
         }
+        self
     }
 
     /// Resolves the unknown mutation by retries; it takes effect once.

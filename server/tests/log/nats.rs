@@ -1,0 +1,74 @@
+//! A server of NATS under test.
+
+use std::{
+    env,
+    io::{BufRead, BufReader},
+    process::{Child, Command, Stdio},
+};
+
+use tempfile::TempDir;
+use wayfold_server::log::NatsOptions;
+
+/// A server of NATS with JetStream, on a port of its own of the loopback interface. It is killed when it is dropped.
+pub(crate) struct NatsServer {
+    child: Child,
+    url: String,
+    _files: TempDir,
+}
+
+impl NatsServer {
+    /// Starts the program that the environment variable `NATS_SERVER` names.
+    pub(crate) fn start() -> Self {
+        let program = env::var_os("NATS_SERVER").expect("NATS_SERVER, the path of nats-server");
+        let files = tempfile::tempdir().unwrap();
+        let mut child = Command::new(program)
+            .args([
+                "--addr",
+                "127.0.0.1",
+                "--port",
+                "-1",
+                "--jetstream",
+                "--store_dir",
+            ])
+            .arg(files.path())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut url = None;
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+        for line in lines.by_ref().map_while(Result::ok) {
+            if let Some((_, address)) = line.split_once("Listening for client connections on ") {
+                url = Some(format!("nats://{address}"));
+            }
+            if line.contains("Server is ready") {
+                break;
+            }
+        }
+        // The pipe is read until the server ends, so that the server never blocks on it.
+        std::thread::spawn(move || lines.count());
+        Self {
+            child,
+            url: url.expect("a server that listens"),
+            _files: files,
+        }
+    }
+
+    /// The options of a log in this server.
+    pub(crate) fn options(&self) -> NatsOptions {
+        NatsOptions {
+            servers: self.url.clone(),
+            name: "wayfold".into(),
+            replicas: 1,
+            credentials: None,
+            ca: None,
+        }
+    }
+}
+
+impl Drop for NatsServer {
+    fn drop(&mut self) {
+        // Both fail only if it has ended.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
