@@ -16,7 +16,7 @@ use tokio::{
     task::yield_now,
     time::{Instant, interval, timeout_at},
 };
-use tracing::{debug, warn};
+use tracing::{debug, error, warn};
 use wayfold_index::Forest;
 
 use super::{
@@ -44,6 +44,8 @@ pub(super) struct Applied {
 pub(super) struct Awaited {
     /// The submitted record.
     pub(super) record: Arc<Record>,
+    /// The revision that was published when it was submitted: the journal had it.
+    pub(super) base: u64,
     pub(super) outcome: BoxFuture<'static, Result<(), LogError>>,
 }
 
@@ -75,10 +77,11 @@ pub(super) async fn run(
                 }
             }
             Some(receipt) = receipts.recv() => {
-                awaited.push_back(async move { (receipt.record, receipt.outcome.await) });
+                let Awaited { record, base, outcome } = receipt;
+                awaited.push_back(async move { (record, base, outcome.await) });
                 Ok(())
             }
-            Some((record, outcome)) = awaited.next() => {
+            Some((record, base, outcome)) = awaited.next() => {
                 let Some(hosted) = hosted.upgrade() else {
                     return;
                 };
@@ -90,14 +93,22 @@ pub(super) async fn run(
                     }
                     Err(error) => Err(error.into()),
                 };
-                head.map(|head| arrivals.push(hosted.superseded(&record, head)))
+                head.and_then(|head| match head < base {
+                    true => Err(hosted.journal_lost(head)),
+                    false => Ok(arrivals.push(hosted.superseded(&record, head))),
+                })
             }
             Some(arrived) = arrivals.next() => arrived,
         };
         if let Err(error) = outcome {
             if let Some(hosted) = hosted.upgrade() {
-                // The log reports its failure once, so an index logs it at debug level only.
-                debug!(index = hosted.name(), %error, "cannot follow the log");
+                match &error {
+                    RegistryError::Log(LogError::Damaged { .. }) => {
+                        error!(index = hosted.name(), %error, "no further record is applied");
+                    }
+                    // The log reports its failure once, so an index logs it at debug level only.
+                    _ => debug!(index = hosted.name(), %error, "cannot follow the log"),
+                }
                 hosted.end_loop(number, error);
             }
             return;
@@ -192,6 +203,15 @@ impl Hosted {
         }
         self.recent.lock().push(Arc::clone(record));
         Ok(())
+    }
+
+    /// The error of a journal that ends at the revision `head`, before one that this server has applied.
+    fn journal_lost(&self, head: u64) -> RegistryError {
+        RegistryError::Log(LogError::Damaged {
+            uid: self.uid(),
+            revision: head + 1,
+            what: "the journal has lost it after this server had applied it",
+        })
     }
 
     /// Waits for what the journal has instead of a record that it does not have, at least up to the revision `head`.

@@ -130,7 +130,11 @@ impl Hosted {
             .submit(self.uid(), Arc::clone(&record))
         {
             Ok(Receipt::Accepted) => {}
-            Ok(Receipt::Awaited(outcome)) => self.await_receipt(Awaited { record, outcome }),
+            Ok(Receipt::Awaited(outcome)) => self.await_receipt(Awaited {
+                record,
+                base: writer.base().revision,
+                outcome,
+            }),
             Err(error) => {
                 self.in_flight.lock().take_back(record.tip());
                 writer.take_back();

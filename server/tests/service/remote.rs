@@ -277,3 +277,22 @@ async fn an_unsettled_mutation_makes_the_index_unavailable_until_the_journal_ans
     assert_eq!(found.states.unwrap().coordinates, [1.0, 3.0]);
     maintaining.abort();
 }
+
+/// The server stops writing and serves what it has applied.
+#[tokio::test]
+async fn a_journal_that_has_lost_applied_records_is_noticed() {
+    let (stream, entry) = (Stream::new(10, 0.0), named_arm());
+    let (service, ..) = server(&stream, &entry);
+    for state in [1.0, 2.0, 3.0] {
+        let inserted = service.insert(&CALL, insertion(&[[state]], &[])).await;
+        inserted.unwrap();
+    }
+    stream.lose_after(entry.uid, 2);
+    for _ in 0..2 {
+        let error = service.insert(&CALL, insertion(&[[4.0]], &[])).await;
+        let error = error.unwrap_err();
+        assert_eq!(error.code(), Code::DataLoss, "{error}");
+        assert!(error.to_string().contains("revision 3"), "{error}");
+    }
+    assert_eq!(everything(&service).await.point_count, 3);
+}

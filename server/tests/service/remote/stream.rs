@@ -83,6 +83,12 @@ impl Stream {
         records.map(|(_, record)| Arc::clone(record)).collect()
     }
 
+    /// Loses the newest records of an index.
+    pub(super) fn lose_after(&self, uid: Uid, revision: u64) {
+        let mut messages = self.messages.lock();
+        messages.retain(|(of, record)| *of != uid || record.revision() <= revision);
+    }
+
     fn is_lost(&self) -> bool {
         self.is_cut.load(Relaxed) || self.random.lock().random_bool(self.loses)
     }
