@@ -27,6 +27,8 @@ use crate::{
 pub struct IndexHandle {
     shared: Arc<Shared>,
     timeout: Duration,
+    /// True if reads see what any server has acknowledged.
+    latest: bool,
 }
 
 #[derive(Debug)]
@@ -62,6 +64,7 @@ impl IndexHandle {
         IndexHandle {
             shared: Arc::new(shared),
             timeout,
+            latest: false,
         }
     }
 
@@ -70,8 +73,8 @@ impl IndexHandle {
     /// A request that is divided among several calls has the timeout for each.
     pub fn with_timeout(&self, timeout: Duration) -> IndexHandle {
         IndexHandle {
-            shared: Arc::clone(&self.shared),
             timeout: timeout.min(LONGEST_WAIT),
+            ..self.clone()
         }
     }
 
@@ -189,6 +192,21 @@ impl IndexHandle {
 
     fn collect<S: State>(&self, states: impl IntoIterator<Item = S>) -> Result<States, Error> {
         States::collect(self.space(), states)
+    }
+
+    /// A handle whose reads see every mutation that was acknowledged before they begin, whichever server of a cluster
+    /// acknowledged it. Each costs a record in the journal, which all that wait share. Reads of a server with a journal
+    /// of its own always see them.
+    #[must_use]
+    pub fn latest(&self) -> IndexHandle {
+        IndexHandle {
+            latest: true,
+            ..self.clone()
+        }
+    }
+
+    pub(crate) fn reads_latest(&self) -> bool {
+        self.latest
     }
 
     pub(crate) fn client(&self) -> &Client {

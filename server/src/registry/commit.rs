@@ -1,6 +1,9 @@
 //! The commit of a mutation: it is submitted to the journal, and acknowledged once the apply loop has published it.
 
-use std::sync::Arc;
+use std::sync::{
+    Arc,
+    atomic::{AtomicU64, Ordering::SeqCst},
+};
 
 use tokio::sync::oneshot;
 
@@ -15,6 +18,15 @@ pub(super) const MAX_INLINE_BYTES: usize = 128 * 1024;
 /// The number of times that memory and disk have the bytes of a mutation: as a record, as points in the store, and in
 /// the forest or in the files that the store writes again.
 const STORED_COPIES: u64 = 3;
+
+/// The empty records that calls of [`Hosted::latest`] wait for, counted from 1.
+#[derive(Default)]
+pub(super) struct Fences {
+    /// The number of the last that has begun.
+    begun: AtomicU64,
+    /// The number of the last that is published. Its holder submits the next one.
+    done: tokio::sync::Mutex<u64>,
+}
 
 /// The outcome of a commit.
 #[must_use]
@@ -85,6 +97,25 @@ impl Hosted {
         };
         drop(writer);
         decided(fate).await
+    }
+
+    /// Waits until every mutation that any server acknowledged before the call is published here. Servers that share a
+    /// journal may lag behind it, and NATS may be asked at a server that lags itself: only an accepted record shows that
+    /// none is missing. All calls that wait share the next one.
+    pub async fn latest(self: &Arc<Self>) -> Result<(), RegistryError> {
+        if !self.host.log.journal.is_shared() {
+            return Ok(());
+        }
+        let Fences { begun, done } = &self.fences;
+        let next = begun.load(SeqCst) + 1;
+        let mut done = done.lock().await;
+        if *done >= next {
+            return Ok(());
+        }
+        let number = begun.fetch_add(1, SeqCst) + 1;
+        while self.settled(self.write().await?).await? == Committed::Refused {}
+        *done = number;
+        Ok(())
     }
 
     /// The operation with this id that took effect or is pending; None if it had no effect or is forgotten.

@@ -18,6 +18,7 @@ use wayfold_index::{Forest, Snapshot, Space};
 use super::{
     Host, RegistryError, WriteGuard, Writer,
     apply::{self, Applied, Awaited, SETTLE_TIME},
+    commit::Fences,
     followers::{Follower, Followers},
     in_flight::{InFlight, notify},
     merging::FinishedMerge,
@@ -64,6 +65,7 @@ pub struct Hosted {
     /// The records that subscribers read from the log because no publication brought them.
     missed: AtomicU64,
     apply_loop: parking_lot::Mutex<ApplyLoop>,
+    pub(super) fences: Fences,
 }
 
 /// The task that applies the records of the log, and the channel of the receipts it waits for.
@@ -116,6 +118,7 @@ impl Hosted {
             recent: parking_lot::Mutex::new(RecentRecords::new(host.options.window_bytes)),
             followers: Followers::default(),
             missed: AtomicU64::new(0),
+            fences: Fences::default(),
             apply_loop: parking_lot::Mutex::new(ApplyLoop::start(
                 0,
                 hosted.clone(),
@@ -263,7 +266,7 @@ impl Hosted {
     }
 
     /// Waits until all records that the journal has now are published: a server that shares its journal may lag behind.
-    pub async fn catch_up(self: &Arc<Self>) -> Result<(), RegistryError> {
+    pub(super) async fn catch_up(self: &Arc<Self>) -> Result<(), RegistryError> {
         let hosted = Arc::clone(self);
         let newest = move || hosted.host.log.journal.newest(hosted.uid);
         let newest = tokio::task::spawn_blocking(newest).await;

@@ -29,7 +29,7 @@ impl Service {
         let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
         violations.finish()?;
 
-        let published = self.published(call, &hosted, min).await?;
+        let published = self.published(call, &hosted, min, request.latest).await?;
         let mut absent = Vec::new();
         for &id in &request.ids {
             if published.snapshot.get(id).is_none() {

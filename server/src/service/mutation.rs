@@ -134,12 +134,7 @@ impl Service {
             let recalled = match recalled(hosted, &writer, claim) {
                 // The records that this server lacks, or those that the journal has not accepted, may make it right.
                 Err(Error::SessionRefused { .. }) if !is_caught_up => {
-                    is_caught_up = true;
-                    if settled(call, hosted, writer).await? == Committed::Done {
-                        let caught_up = hosted.catch_up();
-                        let caught_up = call.bound("while reading the journal", caught_up).await?;
-                        caught_up.map_err(|error| registry_error(hosted.name(), error))?;
-                    }
+                    is_caught_up = settled(call, hosted, writer).await? == Committed::Done;
                     continue;
                 }
                 recalled => recalled?,

@@ -23,6 +23,7 @@ struct NeighborRequest {
     spec: v1::NeighborSpec,
     epsilon: f64,
     min_revision: Option<v1::Revision>,
+    latest: bool,
     /// A required field that is not set, and how to set it.
     missing: Option<(&'static str, &'static str)>,
 }
@@ -47,6 +48,7 @@ impl Service {
             },
             epsilon: request.epsilon,
             min_revision: request.min_revision,
+            latest: request.latest,
         };
         let (neighbors, revision) = self.neighbors(call, request).await?;
         Ok(v1::KnnResponse {
@@ -96,6 +98,7 @@ impl Service {
             },
             epsilon: request.epsilon,
             min_revision: request.min_revision,
+            latest: request.latest,
         };
         let (neighbors, revision) = self.neighbors(call, request).await?;
         Ok(v1::QueryResponse {
@@ -128,7 +131,8 @@ impl Service {
         violations.finish()?;
 
         let min = min.max(spec.fixed.filter.since_revision);
-        let published = self.published(call, &hosted, min).await?;
+        let published = self.published(call, &hosted, min, request.latest);
+        let published = published.await?;
         let mut completed = spec.among(published.snapshot.len())?;
         completed.until = call.deadline;
         let view = ReadView {

@@ -39,13 +39,20 @@ impl Service {
     }
 
     /// Waits until the newest revision is at least `revision`, and returns it for a read. `revision` is the greater of
-    /// `min_revision` and `since_revision`: a server that lacks these cannot list later points.
+    /// `min_revision` and `since_revision`: a server that lacks these cannot list later points. A `latest` read sees
+    /// every mutation that any server has acknowledged.
     pub(super) async fn published(
         &self,
         call: &Call,
-        hosted: &Hosted,
+        hosted: &Arc<Hosted>,
         revision: u64,
+        latest: bool,
     ) -> Result<Arc<Published>, Error> {
+        if latest {
+            let caught_up = call.bound("while waiting for the latest revision", hosted.latest());
+            let caught_up = caught_up.await?;
+            caught_up.map_err(|error| registry_error(hosted.name(), error))?;
+        }
         let published = hosted.published();
         if published.revision >= revision {
             return Ok(published);

@@ -52,7 +52,7 @@ impl Service {
         let limits = self.limits();
         let min = min.max(filter.since_revision);
         let pin = if request.held_scan.is_empty() {
-            let published = self.published(call, &hosted, min).await?;
+            let published = self.published(call, &hosted, min, request.latest).await?;
             Arc::new(RevisionPin::new(published, limits.max_scan_seconds))
         } else {
             self.inner.held_scans.get(&request.held_scan, &hosted)?

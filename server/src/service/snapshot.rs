@@ -59,7 +59,7 @@ impl Service {
         violations.finish()?;
 
         let limits = self.limits();
-        let published = self.published(call, &hosted, min).await?;
+        let published = self.published(call, &hosted, min, false).await?;
         Ok(Snapshot {
             call: call.clone(),
             hosted,

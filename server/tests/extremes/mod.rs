@@ -148,6 +148,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
                 ids: vec![1],
                 include,
                 min_revision: revision.clone(),
+                latest: false,
             },
         ),
         dynamic(
@@ -158,6 +159,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
                 include,
                 after_id: Some(0),
                 min_revision: revision.clone(),
+                latest: false,
                 page_size: 1,
                 held_scan: String::new(),
             },

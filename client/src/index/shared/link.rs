@@ -219,6 +219,7 @@ impl Link {
             ids: ids.to_vec(),
             include: include.to_message(),
             min_revision: Some(index.revision_at(at).to_message()),
+            latest: false,
         };
         let answer = self.call(&request).await?;
         let (call, width) = (v1::GetRequest::NAME, index.coordinates());

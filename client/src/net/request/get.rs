@@ -52,6 +52,7 @@ impl Get {
                 ids: this.ids[part.clone()].to_vec(),
                 include: this.include.to_message(),
                 min_revision: this.index.min_revision(),
+                latest: this.index.reads_latest(),
             };
             let answer = this
                 .index

@@ -107,6 +107,7 @@ impl Knn {
             filter: self.options.filter.to_message(),
             include: self.options.include.to_message(),
             min_revision: self.index.min_revision(),
+            latest: self.index.reads_latest(),
         }
     }
 }

@@ -100,6 +100,7 @@ impl ScanRequest {
             include: self.include.to_message(),
             after_id: self.after_id,
             min_revision: self.index.min_revision(),
+            latest: self.index.reads_latest(),
             ..Default::default()
         }
     }

@@ -78,7 +78,7 @@ impl Service {
         let k = within("k", request.k, 10, 1, 100);
         violations.finish()?;
 
-        let published = self.published(call, &hosted, min).await?;
+        let published = self.published(call, &hosted, min, false).await?;
         let comparison = Comparison::new(hosted.space(), queries.div_ceil(2), request.seed);
         Ok(Verification {
             call: call.clone(),

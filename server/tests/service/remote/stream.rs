@@ -295,6 +295,10 @@ impl Journal for Remote {
         Ok(self.stream.newest(uid).revision)
     }
 
+    fn is_shared(&self) -> bool {
+        true
+    }
+
     /// No server trims the records of the others.
     fn trim(&self, _uid: Uid, _retention: &Retention) -> Result<(), LogError> {
         Ok(())

@@ -132,6 +132,7 @@ pub(crate) fn getting(ids: &[u64]) -> v1::GetRequest {
         ids: ids.into(),
         include: ALL,
         min_revision: None,
+        latest: false,
     }
 }
 

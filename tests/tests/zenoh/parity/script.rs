@@ -72,6 +72,7 @@ impl Script {
                 ids: self.ids(2),
                 include: self.include(),
                 min_revision: self.min_revision(),
+                latest: false,
                 index_name: self.index(),
             }),
             // The request keeps the search exact: an inexact one depends on how the trees were merged.
@@ -83,6 +84,7 @@ impl Script {
                 filter: self.filter(),
                 include: self.include(),
                 min_revision: self.min_revision(),
+                latest: false,
                 index_name: self.index(),
             }),
             80..90 => Op::Query(v1::QueryRequest {
@@ -92,6 +94,7 @@ impl Script {
                 filter: self.filter(),
                 include: self.include(),
                 min_revision: self.min_revision(),
+                latest: false,
                 index_name: self.index(),
             }),
             90..95 => Op::Log(v1::WatchRequest {
