@@ -347,7 +347,7 @@ void refusals(const std::string &uri) {
     is_valid(*planner.prm);
 
     // The index takes no more writes: growing ends with its error, and so does each further call.
-    CHECK(index.close(10000) == 0);
+    CHECK(index.close(10000).empty());
     refuses<wayfold::Error>("closed", [&] { planner.prm->growRoadmap(30.0); });
     refuses<wayfold::Error>("closed", [&] { planner.prm->refresh(); });
     planner.prm->clear();
