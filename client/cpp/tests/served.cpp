@@ -1,6 +1,7 @@
-// The shared and the remote form, against a server, and against one with TLS, whose certificates and keys are in a folder:
-// served URI HTTPS_URI FOLDER.
+// The shared and the remote form, against a server, which is stopped for a while, and against one with TLS, whose
+// certificates and keys are in a folder: served URI PROCESS HTTPS_URI FOLDER.
 #include "check.hpp"
+#include "process.hpp"
 
 #include <algorithm>
 #include <fstream>
@@ -47,8 +48,9 @@ void guarded(const std::string &uri, const std::string &folder) {
 } // namespace
 
 int main(int count, char **arguments) {
-    CHECK(count == 4);
+    CHECK(count == 5);
     const std::string uri = arguments[1];
+    const pid_t server = std::stoi(arguments[2]);
     std::mt19937 random(2);
     std::uniform_real_distribution<double> uniform(-3, 3);
     const auto state = [&] { return std::vector<double>{uniform(random), uniform(random), uniform(random)}; };
@@ -111,9 +113,11 @@ int main(int count, char **arguments) {
     CHECK(!memory.status() && !remote.status() && shared.status()->name == WAYFOLD_STATUS_FOLLOWING);
     const auto other_session = wayfold::Index::shared(uri, "cell");
     const std::size_t before = other_session.size();
+    stop(server);
     CHECK(other_session.insert({3, 2, 1}, 4, "refused", own + 1000) == own + 1000);
     CHECK(other_session.set_tag(own, 8) && other_session.replace(own, {1, 1, 1}) && other_session.set_payload(own, "later"));
     CHECK(other_session.remove(own));
+    go_on(server);
     CHECK(!message_of<wayfold::Error>([&] { other_session.flush_within(60000); }).empty());
     const auto refused = other_session.status();
     CHECK(refused->name == WAYFOLD_STATUS_REFUSED && refused->why.find(std::to_string(own + 1000)) != std::string::npos);
@@ -144,6 +148,6 @@ int main(int count, char **arguments) {
     remote.remove_all();
     CHECK(remote.empty());
     CHECK(shared.close(10000).empty());
-    guarded(arguments[2], arguments[3]);
+    guarded(arguments[3], arguments[4]);
     std::cout << "served: ok\n";
 }

@@ -396,11 +396,11 @@ void refusals(const std::string &uri) {
 // The server stops answering: a flush ends at its own time, and not after the hour of the index.
 void flush_in_time(const std::string &uri, pid_t server) {
     Planner planner(wayfold::Index::shared(uri, "stopped", space, {}, 3600 * 1000));
-    CHECK(kill(server, SIGSTOP) == 0);
+    stop(server);
     planner.grow(50);
     refuses<wayfold::Error>("flush", [&] { planner.prm->flush(std::chrono::milliseconds(200)); });
     CHECK(planner.prm->index().pending() > 0);
-    CHECK(kill(server, SIGCONT) == 0);
+    go_on(server);
     planner.prm->flush();
     CHECK(wayfold::Index::remote(uri, "stopped").size() == 50);
 }
