@@ -107,7 +107,8 @@ pub(crate) fn call(body: impl FnOnce() -> Result<(), Failure>) -> Code {
 
 fn keep(failure: Failure) -> Code {
     let code = failure.code;
-    LAST.with(|last| *last.borrow_mut() = Some(failure));
+    // At the end of a thread its last error is gone: calls of destructors still return their codes.
+    let _ = LAST.try_with(|last| *last.borrow_mut() = Some(failure));
     code
 }
 
@@ -126,9 +127,9 @@ pub(crate) enum Part {
     Reason,
 }
 
-/// A part of the error of this thread's last failed call: "" if none has failed.
+/// A part of the error of this thread's last failed call: "" if none has failed, and at the end of the thread.
 pub(crate) fn last(part: Part) -> *const c_char {
-    LAST.with(|last| {
+    let text = LAST.try_with(|last| {
         let last = last.borrow();
         let text = last.as_ref().map(|failure| match part {
             Part::Message => &failure.message,
@@ -136,7 +137,8 @@ pub(crate) fn last(part: Part) -> *const c_char {
             Part::Reason => &failure.reason,
         });
         text.map_or(c"".as_ptr(), |text| text.as_ptr())
-    })
+    });
+    text.unwrap_or(c"".as_ptr())
 }
 
 fn c_string(text: &str) -> CString {

@@ -13,7 +13,16 @@
         }                                                                                                              \
     } while (0)
 
+// The variables of the thread are destroyed before this function runs, the library's last error among them.
+static void at_exit(void) {
+    size_t size = 0;
+    if (wayfold_index_size(NULL, &size) != WAYFOLD_CODE_INVALID_ARGUMENT || strcmp(wayfold_error_message(), "") != 0) {
+        _Exit(1);
+    }
+}
+
 int main(void) {
+    CHECK(atexit(at_exit) == 0);
     CHECK(strlen(wayfold_version()) >= 5);
     wayfold_index *index = NULL;
     CHECK(wayfold_index_in_memory("R2*SO2", true, &index) == WAYFOLD_CODE_OK);
@@ -36,15 +45,20 @@ int main(void) {
     uint64_t near[100 * 4];
     double distances[100 * 4];
     size_t found[100];
-    CHECK(wayfold_index_search(index, states, 100, 3, &search, 4, near, distances, found) == WAYFOLD_CODE_OK);
+    CHECK(wayfold_index_search(index, states, 100, 3, &search, 4, near, distances, found, NULL) == WAYFOLD_CODE_OK);
     for (int row = 0; row < 100; row++) {
         CHECK(found[row] == 4 && near[row * 4] == ids[row] && distances[row * 4] == 0);
     }
     // A row without room gets the nearest.
     search.k = 0;
     search.radius = 10;
-    CHECK(wayfold_index_search(index, states, 1, 3, &search, 2, near, distances, found) == WAYFOLD_CODE_OK);
+    uint64_t mark = 0, later = 0;
+    CHECK(wayfold_index_search(index, states, 1, 3, &search, 2, near, distances, found, &mark) == WAYFOLD_CODE_OK);
     CHECK(found[0] == 10 && near[1] == ids[1]);
+    // Only the search of one state has a mark.
+    CHECK(wayfold_index_search(index, states, 2, 3, &search, 2, near, distances, found, &mark) ==
+          WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(strcmp(wayfold_error_field(), "seen") == 0);
     double between = 0;
     CHECK(wayfold_index_distance(index, states, states + 3, 3, &between) == WAYFOLD_CODE_OK);
     CHECK(between == distances[1]);
@@ -65,9 +79,18 @@ int main(void) {
     uint64_t id = 0;
     search = wayfold_search_default();
     search.k = 1;
-    CHECK(wayfold_index_insert_with(index, states, 3, &point, &id, &search, 4, near, distances, found) == 0);
-    CHECK(id == 1000 && found[0] == 1 && near[0] == ids[1]);
-    CHECK(wayfold_index_insert_with(index, states, 3, &point, &id, NULL, 0, NULL, NULL, NULL) ==
+    CHECK(wayfold_index_insert_with(index, states, 3, &point, &id, &search, 4, near, distances, found, &later) ==
+          WAYFOLD_CODE_OK);
+    CHECK(id == 1000 && found[0] == 1 && near[0] == ids[1] && later > mark);
+    // What the first search could not see: the moved point and the new one.
+    search.k = 0;
+    search.since = mark;
+    CHECK(wayfold_index_search(index, states, 1, 3, &search, 4, near, NULL, found, NULL) == WAYFOLD_CODE_OK);
+    CHECK(found[0] == 2 && near[0] == ids[1] && near[1] == 1000);
+    search.since = later;
+    CHECK(wayfold_index_search(index, states, 1, 3, &search, 4, near, NULL, found, NULL) == WAYFOLD_CODE_OK);
+    CHECK(found[0] == 0);
+    CHECK(wayfold_index_insert_with(index, states, 3, &point, &id, NULL, 0, NULL, NULL, NULL, NULL) ==
           WAYFOLD_CODE_ALREADY_EXISTS);
     CHECK(strcmp(wayfold_error_reason(), "ID_TAKEN") == 0 && strcmp(wayfold_error_field(), "id") == 0);
     uint8_t payload[8];
@@ -110,6 +133,22 @@ int main(void) {
     CHECK(wayfold_answers_count(answers) == 0 && wayfold_answers_open(answers) == 0);
     CHECK(!wayfold_answers_have_dropped(answers) && !wayfold_answers_get(answers, 0, &answer));
     wayfold_answers_free(answers);
+    // Nor has it a connection, or writes that a server has not taken.
+    wayfold_status status = WAYFOLD_STATUS_FOLLOWING;
+    CHECK(wayfold_index_status(index, &status, NULL, NULL, 0, &bytes) == WAYFOLD_CODE_OK);
+    CHECK(status == WAYFOLD_STATUS_NOT_SHARED && bytes == 0);
+    wayfold_unsent *unsent = NULL;
+    wayfold_unsent_write write;
+    CHECK(wayfold_index_take_unsent(index, &unsent) == WAYFOLD_CODE_OK && unsent != NULL);
+    CHECK(wayfold_unsent_count(unsent) == 0 && !wayfold_unsent_get(unsent, 0, &write));
+    wayfold_unsent_free(unsent);
+    CHECK(wayfold_index_close(index, 0, NULL) == WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(wayfold_index_flush(index) == WAYFOLD_CODE_OK && wayfold_index_flush_within(index, 0) == WAYFOLD_CODE_OK);
+    // A certificate without its key.
+    wayfold_server server = {.uri = "https://127.0.0.1:1", .name = "cell", .client_certificate = "PEM"};
+    wayfold_index *opened = NULL;
+    CHECK(wayfold_index_shared(&server, &opened) == WAYFOLD_CODE_INVALID_ARGUMENT && opened == NULL);
+    CHECK(strcmp(wayfold_error_field(), "client_key") == 0);
 
     // Errors name the field and the reason.
     states[3 * 5 + 1] = NAN;
@@ -127,6 +166,10 @@ int main(void) {
     CHECK(wayfold_index_in_memory("R3*", true, &none) == WAYFOLD_CODE_INVALID_ARGUMENT && none == NULL);
     CHECK(strcmp(wayfold_error_reason(), "INVALID_SPACE") == 0);
 
+    size = 0;
+    CHECK(wayfold_index_size(index, &size) == WAYFOLD_CODE_OK && size == 100);
+    CHECK(wayfold_index_remove_all(index) == WAYFOLD_CODE_OK);
+    CHECK(wayfold_index_size(index, &size) == WAYFOLD_CODE_OK && size == 0);
     CHECK(wayfold_index_clear(index) == WAYFOLD_CODE_OK);
     CHECK(wayfold_index_nearest(index, states, 3, &nearest, &between, &is_there) == WAYFOLD_CODE_OK && !is_there);
     wayfold_index_free(index);

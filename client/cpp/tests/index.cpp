@@ -58,6 +58,19 @@ int main() {
     CHECK(index.remove(id) && !index.remove(id) && index.changes(changes->seen)->removed.size() == 1);
     CHECK(index.scan().size() == 2000);
 
+    // What a search or an insert has not seen, a later search finds alone.
+    std::uint64_t seen = 0, later = 0;
+    CHECK(index.search(pose(), wayfold::Search::k(1), &seen).size() == 1);
+    std::vector<std::uint64_t> near;
+    const auto row = pose();
+    const auto fresh = index.insert(row.data(), 0, "", wayfold::Search::k(1), 1, near, &later);
+    const auto since = index.search(row, wayfold::Search::within(100).since(seen));
+    CHECK(since.size() == 1 && since[0].id == fresh && near.size() == 1 && near[0] != fresh);
+    CHECK(index.search(row, wayfold::Search::within(100).since(later)).empty() && index.remove(fresh));
+    CHECK(index.search(row, wayfold::Search::k(2).timeout(60000)) == index.nearest_k(row, 2));
+    CHECK(wayfold::Search::k(2).timeout(7).raw().timeout_ms == 7);
+    CHECK(message_of<wayfold::Error>([] { wayfold::Search::k(1).timeout(0); }).find("timeout") == 0);
+
     // Searches beside inserts, merges on their own thread.
     std::thread inserts([&] {
         for (int round = 0; round < 5; round++) {
@@ -71,5 +84,7 @@ int main() {
     }
     inserts.join();
     CHECK(index.size() == 12000);
+    index.remove_all();
+    CHECK(index.empty() && index.insert(rows[0]) >= 12000);
     std::cout << "index: ok\n";
 }

@@ -1,15 +1,30 @@
-// This program again, as another process, with a line to it and one from it.
+// Other processes.
 #pragma once
 
 #include "check.hpp"
 
 #include <csignal>
 #include <cstdio>
+#include <filesystem>
+#include <fstream>
 #include <string>
 #include <sys/wait.h>
 #include <unistd.h>
 #include <vector>
 
+// Stops a process for a while, and returns once none of its threads runs.
+inline void stop(pid_t process) {
+    CHECK(kill(process, SIGSTOP) == 0);
+    for (const auto &thread : std::filesystem::directory_iterator("/proc/" + std::to_string(process) + "/task")) {
+        for (std::string stat; stat.find(") T ") == std::string::npos;) {
+            std::getline(std::ifstream(thread.path() / "stat"), stat);
+        }
+    }
+}
+
+inline void go_on(pid_t process) { CHECK(kill(process, SIGCONT) == 0); }
+
+// This program again, as another process, with a line to it and one from it.
 class Process {
 public:
     explicit Process(std::vector<std::string> arguments) {

@@ -170,7 +170,7 @@ void replay(const std::string &file, const std::string &form, const Make &make) 
         }
         if (line.rfind("space ", 0) == 0) {
             if (index) {
-                CHECK(index->close(MAX_WAIT_MS) == 0);
+                CHECK(index->close(MAX_WAIT_MS).empty());
             }
             index = make(line.substr(6), "script-" + form + "-" + std::to_string(++indices));
             continue;
@@ -192,7 +192,7 @@ void replay(const std::string &file, const std::string &form, const Make &make) 
         }
         answers++;
     }
-    CHECK(index && answers > 0 && index->close(MAX_WAIT_MS) == 0);
+    CHECK(index && answers > 0 && index->close(MAX_WAIT_MS).empty());
     std::cout << "script: " << form << ": " << answers << " answers\n";
 }
 

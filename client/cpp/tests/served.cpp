@@ -1,16 +1,56 @@
-// The shared and the remote form, against a server: served URI.
+// The shared and the remote form, against a server, which is stopped for a while, and against one with TLS, whose
+// certificates and keys are in a folder: served URI PROCESS HTTPS_URI FOLDER.
 #include "check.hpp"
+#include "process.hpp"
 
 #include <algorithm>
+#include <fstream>
+#include <iterator>
 #include <optional>
 #include <random>
 #include <string>
 #include <vector>
 #include <wayfold/wayfold.hpp>
 
+namespace {
+
+// A token, or a certificate of the client, and the certificate of the server's authority.
+void guarded(const std::string &uri, const std::string &folder) {
+    const auto file = [&](const std::string &name) {
+        std::ifstream opened(folder + "/" + name);
+        CHECK(opened.good());
+        return std::string(std::istreambuf_iterator<char>(opened), {});
+    };
+    const std::string ca = file("ca.pem");
+    const auto by_token = wayfold::Credentials().ca_certificate(ca).token("a-token-that-may-write");
+    const auto by_certificate =
+        wayfold::Credentials().ca_certificate(ca).client_certificate(file("planner.pem"), file("planner.key"));
+    for (const auto &credentials : {by_token, by_certificate}) {
+        const auto shared = wayfold::Index::shared(uri, "guarded", "R2", credentials);
+        const auto id = shared.insert({1, 2});
+        shared.flush();
+        CHECK(wayfold::Index::remote(uri, "guarded", "", credentials).nearest({1, 2})->distance == 0 && shared.remove(id));
+        CHECK(shared.close(60000).empty());
+    }
+    const auto code_of = [&](const wayfold::Credentials &credentials) {
+        try {
+            wayfold::Index::remote(uri, "guarded", "", credentials);
+        } catch (const wayfold::Error &error) {
+            return error.code();
+        }
+        return WAYFOLD_CODE_OK;
+    };
+    CHECK(code_of(wayfold::Credentials().ca_certificate(ca)) == WAYFOLD_CODE_UNAUTHENTICATED);
+    CHECK(code_of(wayfold::Credentials().ca_certificate(ca).token("of-nobody")) == WAYFOLD_CODE_UNAUTHENTICATED);
+    CHECK(code_of(wayfold::Credentials().token("a-token-that-may-write")) == WAYFOLD_CODE_INVALID_ARGUMENT);
+}
+
+} // namespace
+
 int main(int count, char **arguments) {
-    CHECK(count == 2);
+    CHECK(count == 5);
     const std::string uri = arguments[1];
+    const pid_t server = std::stoi(arguments[2]);
     std::mt19937 random(2);
     std::uniform_real_distribution<double> uniform(-3, 3);
     const auto state = [&] { return std::vector<double>{uniform(random), uniform(random), uniform(random)}; };
@@ -68,6 +108,46 @@ int main(int count, char **arguments) {
     const auto other = message_of<wayfold::Error>([&] { wayfold::Index::shared(uri, "cell", "R3"); });
     CHECK(other.find("cell") != std::string::npos);
     CHECK(!message_of<wayfold::Error>([&] { remote.clear(); }).empty());
-    CHECK(shared.close(10000) == 0);
+
+    // The server refuses an id that it has reserved for another session: the writes from there on come back.
+    CHECK(!memory.status() && !remote.status() && shared.status()->name == WAYFOLD_STATUS_FOLLOWING);
+    const auto other_session = wayfold::Index::shared(uri, "cell");
+    const std::size_t before = other_session.size();
+    stop(server);
+    CHECK(other_session.insert({3, 2, 1}, 4, "refused", own + 1000) == own + 1000);
+    CHECK(other_session.set_tag(own, 8) && other_session.replace(own, {1, 1, 1}) && other_session.set_payload(own, "later"));
+    CHECK(other_session.remove(own));
+    go_on(server);
+    CHECK(!message_of<wayfold::Error>([&] { other_session.flush_within(60000); }).empty());
+    const auto refused = other_session.status();
+    CHECK(refused->name == WAYFOLD_STATUS_REFUSED && refused->why.find(std::to_string(own + 1000)) != std::string::npos);
+    CHECK(!message_of<wayfold::Error>([&] { other_session.insert({0, 0, 0}); }).empty());
+    const auto unsent = other_session.take_unsent();
+    CHECK(unsent.size() == 5 && other_session.take_unsent().empty() && other_session.size() == before);
+    CHECK(unsent[0].kind == WAYFOLD_UNSENT_KIND_PUT && unsent[0].id == own + 1000 && unsent[0].tag == 4);
+    CHECK(unsent[0].state == std::vector<double>({3, 2, 1}) && unsent[0].payload == "refused");
+    CHECK(unsent[1].kind == WAYFOLD_UNSENT_KIND_SET_TAG && unsent[1].id == own && unsent[1].tag == 8);
+    CHECK(unsent[2].kind == WAYFOLD_UNSENT_KIND_REPLACE && unsent[2].state == std::vector<double>({1, 1, 1}));
+    CHECK(unsent[3].kind == WAYFOLD_UNSENT_KIND_SET_PAYLOAD && unsent[3].payload == "later");
+    CHECK(unsent[4].kind == WAYFOLD_UNSENT_KIND_REMOVE && unsent[4].state.empty());
+    // It takes writes again, and `close` gives back what it could not send.
+    CHECK(other_session.set_tag(own, 8));
+    other_session.flush();
+    CHECK(remote.get(own)->tag == 8);
+    other_session.insert({3, 2, 1}, 4, "refused", own + 1000);
+    const auto rest = other_session.close(60000);
+    CHECK(rest.size() == 1 && rest[0].id == own + 1000);
+    CHECK(other_session.status()->name == WAYFOLD_STATUS_CLOSED && remote.remove(id));
+
+    // A remote answer has a mark too.
+    std::uint64_t seen = 0;
+    CHECK(!remote.search({0, 0, 0}, wayfold::Search::k(1), &seen).empty());
+    const auto fresh = remote.insert({0, 0, 0});
+    const auto since = remote.search({0, 0, 0}, wayfold::Search::within(100).since(seen).timeout(60000));
+    CHECK(since.size() == 1 && since[0].id == fresh);
+    remote.remove_all();
+    CHECK(remote.empty());
+    CHECK(shared.close(10000).empty());
+    guarded(arguments[3], arguments[4]);
     std::cout << "served: ok\n";
 }

@@ -1,4 +1,5 @@
-// wayfold/shared_prm.hpp, against a server: shared_prm URI. The processes that grow a roadmap are this program again.
+// wayfold/shared_prm.hpp, against a server, which is stopped for a while: shared_prm URI PROCESS. The processes that grow a
+// roadmap are this program again.
 #include "check.hpp"
 #include "discs.hpp"
 #include "process.hpp"
@@ -346,8 +347,31 @@ void refusals(const std::string &uri) {
     CHECK(planner.prm->milestoneCount() == 99);
     is_valid(*planner.prm);
 
+    // Another program moves a vertex that the planner has loaded, or one that it has stored.
+    for (const bool is_own : {false, true}) {
+        planner.grow(is_own ? 1 : 0);
+        const std::size_t vertices = planner.prm->milestoneCount();
+        const std::uint64_t moved = *planner.prm->id(is_own ? vertices - 1 : 0);
+        index.flush();
+        std::vector<double> place = index.get(moved)->state;
+        place[0] += 0.01;
+        CHECK(remote.replace(moved, place));
+        while (index.get(moved)->state[0] != place[0]) {
+            CHECK(std::chrono::steady_clock::now() < end);
+        }
+        refuses<ompl::Exception>("was moved in the index", [&] { planner.prm->refresh(); });
+        CHECK(remote.remove(moved));
+        while (index.get(moved)) {
+            CHECK(std::chrono::steady_clock::now() < end);
+        }
+        planner.prm->clear();
+        planner.prm->refresh();
+        CHECK(planner.prm->milestoneCount() == vertices - 1);
+        is_valid(*planner.prm);
+    }
+
     // The index takes no more writes: growing ends with its error, and so does each further call.
-    CHECK(index.close(10000) == 0);
+    CHECK(index.close(10000).empty());
     refuses<wayfold::Error>("closed", [&] { planner.prm->growRoadmap(30.0); });
     refuses<wayfold::Error>("closed", [&] { planner.prm->refresh(); });
     planner.prm->clear();
@@ -367,6 +391,18 @@ void refusals(const std::string &uri) {
     wayfold::SharedPRM stretched(si, wayfold::Index::in_memory(space), rows, states);
     stretched.setProblemDefinition(discs::problem(si));
     refuses<ompl::Exception>("distance of two states", [&] { stretched.growRoadmap(30.0); });
+}
+
+// The server stops answering: a flush ends at its own time, and not after the hour of the index.
+void flush_in_time(const std::string &uri, pid_t server) {
+    Planner planner(wayfold::Index::shared(uri, "stopped", space, {}, 3600 * 1000));
+    stop(server);
+    planner.grow(50);
+    refuses<wayfold::Error>("flush", [&] { planner.prm->flush(std::chrono::milliseconds(200)); });
+    CHECK(planner.prm->index().pending() > 0);
+    go_on(server);
+    planner.prm->flush();
+    CHECK(wayfold::Index::remote(uri, "stopped").size() == 50);
 }
 
 // In SimpleSetup, with functions that write and read the rows.
@@ -412,7 +448,7 @@ int main(int count, char **arguments) {
     } else if (role == "on") {
         grow_on(words[0], words.at(2));
     } else {
-        CHECK(words.size() == 1);
+        CHECK(words.size() == 2);
         alone();
         two_processes(words[0], false);
         two_processes(words[0], true);
@@ -420,6 +456,7 @@ int main(int count, char **arguments) {
         killed(words[0]);
         queries_and_strategies(words[0]);
         refusals(words[0]);
+        flush_in_time(words[0], std::stoi(words[1]));
         simple_setup(words[0]);
         std::cout << "shared_prm: ok\n";
     }

@@ -1,16 +1,22 @@
-// What several threads may do at once, for the thread sanitizer: threads URI. It sees the C++ code, not the library.
+// What several threads may do at once, for the thread sanitizer, which sees the C++ code and not the libraries:
+//
+//     threads URI     an index, and SharedPRM
+//     threads prrt    pRRT; the sanitizer must see the lock that OMPL's library takes for it (client/cpp/check)
 #include "check.hpp"
 #include "discs.hpp"
 
 #include <atomic>
+#include <ompl/geometric/planners/rrt/pRRT.h>
 #include <ompl/util/Console.h>
 #include <random>
 #include <string>
 #include <thread>
 #include <vector>
+#include <wayfold/ompl.hpp>
 #include <wayfold/shared_prm.hpp>
 
 namespace ob = ompl::base;
+namespace og = ompl::geometric;
 
 namespace {
 
@@ -64,11 +70,27 @@ void two_planners(const std::string &uri) {
     }
 }
 
+// pRRT's threads take turns at the neighbours, and share what the adapter holds.
+void prrt() {
+    const auto si = discs::information();
+    og::pRRT planner(si);
+    wayfold::use(planner);
+    planner.setThreadCount(4);
+    planner.setRange(0.3);
+    planner.setProblemDefinition(discs::problem(si));
+    CHECK(planner.solve(ob::timedPlannerTerminationCondition(60)) == ob::PlannerStatus::EXACT_SOLUTION);
+}
+
 } // namespace
 
 int main(int count, char **arguments) {
     CHECK(count == 2);
     ompl::msg::setLogLevel(ompl::msg::LOG_NONE);
+    if (arguments[1] == std::string("prrt")) {
+        prrt();
+        std::cout << "threads: pRRT ok\n";
+        return 0;
+    }
     one_index(wayfold::Index::in_memory(space));
     one_index(wayfold::Index::shared(arguments[1], "threads", space));
     two_planners(arguments[1]);

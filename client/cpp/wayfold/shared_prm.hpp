@@ -70,16 +70,21 @@ public:
     // Waits until the server has every vertex and edge of this process, also the edges to vertices that others stored
     // meanwhile, which it checks. Without it, a process that ends may lose its last ones.
     void flush(std::chrono::milliseconds timeout = std::chrono::seconds(30)) {
-        const auto end = std::chrono::steady_clock::now() + timeout;
+        using std::chrono::milliseconds;
+        const auto end = Clock::now() + timeout;
+        const auto left = [&] {
+            return std::max(std::chrono::duration_cast<milliseconds>(end - Clock::now()), milliseconds(0));
+        };
         for (bool is_done = false; !is_done;) {
-            run([&] {
-                index_.flush();
+            const auto action = [&] {
+                index_.flush_within(static_cast<std::uint64_t>(left().count()));
                 const std::lock_guard<std::mutex> lock(graphMutex_);
-                take_answers(std::chrono::milliseconds(100));
-                synchronize(true);
+                take_answers(std::min(left(), milliseconds(100)));
+                synchronize(end);
                 is_done = unanswered_ == 0 && late_.empty() && index_.pending() == 0;
-            });
-            if (!is_done && std::chrono::steady_clock::now() > end) {
+            };
+            run(action, end);
+            if (!is_done && Clock::now() > end) {
                 throw Error(WAYFOLD_CODE_DEADLINE_EXCEEDED, "flush: the roadmap is not stored in time", "timeout", "");
             }
         }
@@ -128,8 +133,8 @@ private:
         nn_->setDistanceFunction([this](const Vertex &a, const Vertex &b) { return distanceFunction(a, b); });
     }
 
-    // Runs an action between two exchanges with the index.
-    template <class Action> void run(Action action) {
+    // Runs an action between two exchanges with the index, the first of which waits until then at most.
+    template <class Action> void run(Action action, Clock::time_point until = for_ever) {
         if (!isSetup()) {
             setup();
         }
@@ -145,15 +150,15 @@ private:
                                                                       si_->allocStateSampler(), grower_);
         }
         grower_ = std::thread::id();
-        exchange(true);
+        exchange(until);
         action();
         grower_ = std::thread::id();
-        exchange(false);
+        exchange(at_once);
     }
 
-    void exchange(bool waits) {
+    void exchange(Clock::time_point until) {
         const std::lock_guard<std::mutex> lock(graphMutex_);
-        guarded([&] { synchronize(waits); });
+        guarded([&] { synchronize(until); });
         if (failure_ != nullptr) {
             std::rethrow_exception(failure_);
         }
@@ -182,7 +187,7 @@ private:
             check_distances(vertex);
             if (grower_.load() == std::this_thread::get_id()) {
                 store(vertex);
-                synchronize(false);
+                synchronize(at_once);
             } else {
                 add_query(vertex);
             }

@@ -21,7 +21,11 @@ namespace wayfold::detail {
 // All functions run with the lock of PRM's graph.
 class SharedRoadmap : public ompl::geometric::PRM {
 protected:
+    using Clock = std::chrono::steady_clock;
+
     static constexpr std::uint64_t no_id = ~std::uint64_t{0};
+    // The ends of waits.
+    static constexpr Clock::time_point at_once{}, for_ever = Clock::time_point::max();
 
     SharedRoadmap(const ompl::base::SpaceInformationPtr &si, const Index &index, RowsOfStates rows, bool star)
         : PRM(si, star), index_(index), rows_(std::move(rows)), queries_(Index::in_memory(rows_.text())) {}
@@ -90,13 +94,14 @@ protected:
         search_.reset();
     }
 
-    void synchronize(bool waits) {
+    // Waits until then for the payloads of others.
+    void synchronize(Clock::time_point until) {
         take_edges(boost::graph_traits<Graph>::null_vertex());
         take_answers(std::chrono::milliseconds(0));
-        take_read(waits);
+        take_read(until);
         start_reading();
-        if (waits) {
-            take_read(true);
+        if (until != at_once) {
+            take_read(until);
         }
         try_late_motions();
         for (const std::uint64_t id : changed_) {
@@ -202,8 +207,12 @@ private:
     }
 
     // Takes over the payloads that have been read. During an outage they are asked for again later.
-    void take_read(bool waits) {
-        if (!reading_.valid() || (!waits && reading_.wait_for(std::chrono::seconds(0)) != std::future_status::ready)) {
+    void take_read(Clock::time_point until) {
+        if (!reading_.valid()) {
+            return;
+        }
+        const Clock::duration left = std::max(until - Clock::now(), Clock::duration::zero());
+        if (until != for_ever && reading_.wait_for(left) != std::future_status::ready) {
             return;
         }
         try {
@@ -249,11 +258,25 @@ private:
                         late_.end());
         }
         for (StoredPoint &point : changes.stored) {
+            check_place(point);
             if (own_edges_.count(point.id) == 0) {
                 arriving_.push_back(std::move(point));
             }
         }
         seen_ = changes.seen;
+    }
+
+    // Refuses a vertex that another program has moved: its edges were checked where it was. Functions of the caller that
+    // write and read states may round.
+    void check_place(const StoredPoint &point) const {
+        constexpr double max_rounding = 1e-4;
+        const auto known = vertices_.find(point.id);
+        if (known != vertices_.end() &&
+            index_.distance(row_of(known->second).data(), point.state.data()) > max_rounding) {
+            throw ompl::Exception(getName(), "vertex " + std::to_string(point.id) +
+                                                 " was moved in the index, where nobody has checked its edges; remove it "
+                                                 "there, and clear the planner to load the rest");
+        }
     }
 
     // Adds vertices and edges of others, which they have checked.

@@ -79,6 +79,58 @@ struct MeanwhileAnswers {
     bool has_dropped{false};
 };
 
+#ifndef WAYFOLD_NO_NET
+// By what a client knows its server, and a server its client.
+class Credentials {
+public:
+    // The certificates of the authorities that certify the server, in PEM. An address with https needs them.
+    Credentials &ca_certificate(std::string pem) {
+        ca_certificate_ = std::move(pem);
+        return *this;
+    }
+    // The certificate of this client, and those between it and its authority, with its private key, both in PEM.
+    Credentials &client_certificate(std::string certificate, std::string key) {
+        client_certificate_ = std::move(certificate);
+        client_key_ = std::move(key);
+        return *this;
+    }
+    // The token of an identity of the server. Without TLS everyone on the way can read it.
+    Credentials &token(std::string token) {
+        token_ = std::move(token);
+        return *this;
+    }
+    void set(wayfold_server &server) const {
+        const auto optional = [](const std::string &text) { return text.empty() ? nullptr : text.c_str(); };
+        server.token = optional(token_);
+        server.ca_certificate = optional(ca_certificate_);
+        server.client_certificate = optional(client_certificate_);
+        server.client_key = optional(client_key_);
+    }
+
+private:
+    std::string ca_certificate_, client_certificate_, client_key_, token_;
+};
+
+// The state of a shared index's connection.
+struct Status {
+    wayfold_status name;
+    // The number of revisions by which the server was ahead; of WAYFOLD_STATUS_FOLLOWING.
+    std::uint64_t behind;
+    // The error of WAYFOLD_STATUS_DISCONNECTED, WAYFOLD_STATUS_REFUSED and WAYFOLD_STATUS_ENDED.
+    std::string why;
+};
+
+// A write that was not sent, or that the server refused.
+struct UnsentWrite {
+    wayfold_unsent_kind kind;
+    std::uint64_t id;
+    std::uint64_t tag;
+    // Empty unless a point was stored or moved.
+    std::vector<double> state;
+    std::string payload;
+};
+#endif
+
 // The thread that merges the trees of an index in memory: one of the process, or the one whose insert makes it due.
 enum class Merging { background, in_line };
 
@@ -122,6 +174,15 @@ public:
     }
     Search &epsilon(double epsilon) {
         raw_.epsilon = epsilon;
+        return *this;
+    }
+    // A search that takes longer fails with the reason SEARCH_TIMEOUT.
+    Search &timeout(std::uint64_t timeout_ms) {
+        if (timeout_ms == 0) {
+            // In wayfold.h, 0 is without a limit.
+            throw Error(WAYFOLD_CODE_INVALID_ARGUMENT, "timeout: 0 ms; it is at least 1", "timeout", "INVALID_ARGUMENT");
+        }
+        raw_.timeout_ms = timeout_ms;
         return *this;
     }
     const wayfold_search &raw() const { return raw_; }

@@ -23,19 +23,31 @@ public:
     }
 
 #ifndef WAYFOLD_NO_NET
-    // A copy of the server's index in this process. An empty `space`: the index must exist.
+    // A copy of the server's index in this process. An empty `space`: the index must exist. `timeout_ms` is the longest
+    // time of a call; 0 for the client's own, 30 s.
     static Index shared(const std::string &uri, const std::string &name, const std::string &space = {},
-                        const std::string &token = {}) {
-        return open(wayfold_index_shared, uri, name, space, token);
+                        const Credentials &credentials = {}, std::uint64_t timeout_ms = 0) {
+        return open(wayfold_index_shared, uri, name, space, credentials, timeout_ms);
     }
     // Each call is one of the server's.
     static Index remote(const std::string &uri, const std::string &name, const std::string &space = {},
-                        const std::string &token = {}) {
-        return open(wayfold_index_remote, uri, name, space, token);
+                        const Credentials &credentials = {}, std::uint64_t timeout_ms = 0) {
+        return open(wayfold_index_remote, uri, name, space, credentials, timeout_ms);
     }
 
-    // Waits until the server has acknowledged every write before this call.
+    // Waits until the server has acknowledged every write before this call, at most for the index's timeout.
     void flush() const { detail::check(wayfold_index_flush(raw())); }
+    // The same, at most for this long.
+    void flush_within(std::uint64_t timeout_ms) const { detail::check(wayfold_index_flush_within(raw(), timeout_ms)); }
+    // The state of a shared index's connection; nothing for the other forms.
+    std::optional<Status> status() const {
+        Status status{WAYFOLD_STATUS_NOT_SHARED, 0, {}};
+        std::string why(256, '\0');
+        status.why = read_text(why, [this, &status](char *room, std::size_t capacity, std::size_t *bytes) {
+            return wayfold_index_status(raw(), &status.name, &status.behind, room, capacity, bytes);
+        });
+        return status.name == WAYFOLD_STATUS_NOT_SHARED ? std::nullopt : std::optional<Status>(std::move(status));
+    }
     std::uint64_t pending() const {
         std::uint64_t pending = 0;
         detail::check(wayfold_index_pending(raw(), &pending));
@@ -58,11 +70,19 @@ public:
         }
         return all;
     }
-    // Takes no more writes, and returns the number of those that the server has not acknowledged in time.
-    std::size_t close(std::uint64_t timeout_ms) const {
-        std::size_t unsent = 0;
+    // Every write from the first one on that the server refused for good, in order; the copy shows them no more. The
+    // index takes writes again then.
+    std::vector<UnsentWrite> take_unsent() const {
+        wayfold_unsent *unsent = nullptr;
+        detail::check(wayfold_index_take_unsent(raw(), &unsent));
+        return read(unsent);
+    }
+    // Takes no more writes, waits for the pending ones, and returns those that the server has not acknowledged in time: it
+    // may have taken the first of them.
+    std::vector<UnsentWrite> close(std::uint64_t timeout_ms) const {
+        wayfold_unsent *unsent = nullptr;
         detail::check(wayfold_index_close(raw(), timeout_ms, &unsent));
-        return unsent;
+        return read(unsent);
     }
 #endif
 
@@ -108,13 +128,15 @@ public:
         point.payload_bytes = payload.size();
         std::uint64_t id = 0;
         detail::check(wayfold_index_insert_with(raw(), state.data(), state.size(), &point, &id, nullptr, 0, nullptr,
-                                                nullptr, nullptr));
+                                                nullptr, nullptr, nullptr));
         return id;
     }
-    // Writes the neighbours that the state had at its insertion, nearest first, at most `capacity`; returns the id. What
-    // others stored before the state, and the copy of a shared index did not have yet, `meanwhile` tells later.
+    // Writes the neighbours that the state had at its insertion, nearest first, at most `capacity`, and the mark of the
+    // insertion for `Search::since`, unless `seen` is null; returns the id. What others stored before the state, and the
+    // copy of a shared index did not have yet, `meanwhile` tells later.
     std::uint64_t insert(const double *state, std::uint64_t tag, const std::string &payload, const Search &search,
-                         std::size_t capacity, std::vector<std::uint64_t> &neighbors) const {
+                         std::size_t capacity, std::vector<std::uint64_t> &neighbors,
+                         std::uint64_t *seen = nullptr) const {
         wayfold_point point = wayfold_point_default();
         point.tag = tag;
         point.payload = reinterpret_cast<const std::uint8_t *>(payload.data());
@@ -123,7 +145,7 @@ public:
         std::size_t found = 0;
         neighbors.resize(capacity);
         detail::check(wayfold_index_insert_with(raw(), state, width_, &point, &id, &search.raw(), capacity,
-                                                neighbors.data(), nullptr, &found));
+                                                neighbors.data(), nullptr, &found, seen));
         neighbors.resize(std::min(found, capacity));
         return id;
     }
@@ -179,6 +201,8 @@ public:
     }
     // For an index in memory only.
     void clear() const { detail::check(wayfold_index_clear(raw())); }
+    // Removes all points that the index has now, one by one, for everybody.
+    void remove_all() const { detail::check(wayfold_index_remove_all(raw())); }
 
     std::optional<Neighbor> nearest(const double *state) const {
         Neighbor nearest{};
@@ -196,11 +220,13 @@ public:
     std::vector<Neighbor> nearest_r(const std::vector<double> &state, double radius) const {
         return search(state, Search::within(radius));
     }
-    std::vector<Neighbor> search(const std::vector<double> &state, const Search &search) const {
+    // Writes the mark of the answer, for `Search::since`, unless `seen` is null.
+    std::vector<Neighbor> search(const std::vector<double> &state, const Search &search,
+                                 std::uint64_t *seen = nullptr) const {
         check_width(state);
         std::vector<std::uint64_t> ids;
         std::vector<double> distances;
-        const std::size_t found = search_into(state.data(), search, ids, &distances);
+        const std::size_t found = search_into(state.data(), search, ids, &distances, seen);
         std::vector<Neighbor> neighbors(found);
         for (std::size_t at = 0; at < found; at++) {
             neighbors[at] = {ids[at], distances[at]};
@@ -208,9 +234,9 @@ public:
         return neighbors;
     }
     // Writes the neighbours into the caller's buffers, which grow and never shrink, and returns their number.
-    // `distances` may be null.
+    // `distances` and `seen` may be null.
     std::size_t search_into(const double *state, const Search &search, std::vector<std::uint64_t> &ids,
-                            std::vector<double> *distances = nullptr) const {
+                            std::vector<double> *distances = nullptr, std::uint64_t *seen = nullptr) const {
         std::size_t capacity = std::max<std::size_t>({ids.size(), 16});
         if (search.raw().k > capacity) {
             capacity = std::min<std::size_t>(search.raw().k, std::max<std::size_t>(size(), 16));
@@ -222,7 +248,7 @@ public:
             }
             std::size_t found = 0;
             detail::check(wayfold_index_search(raw(), state, 1, width_, &search.raw(), ids.size(), ids.data(),
-                                               distances == nullptr ? nullptr : distances->data(), &found));
+                                               distances == nullptr ? nullptr : distances->data(), &found, seen));
             if (found <= ids.size()) {
                 return found;
             }
@@ -234,7 +260,7 @@ public:
                    std::size_t *found) const {
         const Search search = Search::k(k);
         detail::check(
-            wayfold_index_search(raw(), states, count, width_, &search.raw(), k, ids, distances, found));
+            wayfold_index_search(raw(), states, count, width_, &search.raw(), k, ids, distances, found, nullptr));
     }
     double distance(const double *a, const double *b) const {
         double distance = 0;
@@ -299,12 +325,31 @@ private:
     }
 
 #ifndef WAYFOLD_NO_NET
+    std::vector<UnsentWrite> read(wayfold_unsent *raw_unsent) const {
+        const std::unique_ptr<wayfold_unsent, void (*)(wayfold_unsent *)> unsent(raw_unsent, wayfold_unsent_free);
+        std::vector<UnsentWrite> writes;
+        wayfold_unsent_write one{};
+        for (std::size_t at = 0; wayfold_unsent_get(raw_unsent, at, &one); at++) {
+            UnsentWrite write{one.kind, one.id, one.tag, {}, {}};
+            if (one.state != nullptr) {
+                write.state.assign(one.state, one.state + width_);
+            }
+            write.payload.assign(reinterpret_cast<const char *>(one.payload), one.payload_bytes);
+            writes.push_back(std::move(write));
+        }
+        return writes;
+    }
+
     using Open = wayfold_code (*)(const wayfold_server *, wayfold_index **);
 
     static Index open(Open open, const std::string &uri, const std::string &name, const std::string &space,
-                      const std::string &token) {
-        const auto optional = [](const std::string &text) { return text.empty() ? nullptr : text.c_str(); };
-        const wayfold_server server{uri.c_str(), name.c_str(), optional(space), optional(token), 0};
+                      const Credentials &credentials, std::uint64_t timeout_ms) {
+        wayfold_server server{};
+        server.uri = uri.c_str();
+        server.name = name.c_str();
+        server.space = space.empty() ? nullptr : space.c_str();
+        server.timeout_ms = timeout_ms;
+        credentials.set(server);
         wayfold_index *made = nullptr;
         detail::check(open(&server, &made));
         return Index(made);

@@ -11,7 +11,7 @@ use pyo3::{
     sync::PyOnceLock,
     types::{PyBytes, PyTuple, PyType},
 };
-use wayfold::InsertOptions;
+use wayfold::{Error, InsertOptions};
 
 use crate::{
     content::Content,
@@ -86,9 +86,19 @@ impl Index {
     pub(crate) fn call<T: Send>(
         &self,
         py: Python<'_>,
-        call: impl FnOnce(&wayfold::Index) -> Result<T, wayfold::Error> + Send,
+        call: impl FnOnce(&wayfold::Index) -> Result<T, Error> + Send,
     ) -> PyResult<T> {
         py.detach(|| call(&self.index)).or_raise(py)
+    }
+
+    /// Raises in a process that was forked from the one that opened a shared index.
+    fn check_process(&self, py: Python<'_>) -> PyResult<()> {
+        self.call(py, |index| match index.status() {
+            Some(wayfold::Status::Ended { why }) if matches!(*why, Error::Forked) => {
+                Err(Error::Forked)
+            }
+            _ => Ok(()),
+        })
     }
 
     fn found(&self, state: &Bound<'_, PyAny>, search: &wayfold::Search) -> PyResult<Found> {
@@ -342,31 +352,35 @@ impl Index {
     }
 
     /// The number of writes that the server has not acknowledged; 0 for the other forms.
-    fn pending(&self, py: Python<'_>) -> u64 {
-        py.detach(|| self.index.pending())
+    fn pending(&self, py: Python<'_>) -> PyResult<u64> {
+        self.check_process(py)?;
+        Ok(py.detach(|| self.index.pending()))
     }
 
     /// The state of a shared index's connection; None for the other forms.
-    fn status(&self, py: Python<'_>) -> Option<Status> {
-        py.detach(|| self.index.status()).map(Status::from)
+    fn status(&self, py: Python<'_>) -> PyResult<Option<Status>> {
+        self.check_process(py)?;
+        Ok(py.detach(|| self.index.status()).map(Status::from))
     }
 
     /// The answers about own points that were inserted with a question.
     fn meanwhile(&self, py: Python<'_>) -> PyResult<MeanwhileAnswers> {
+        self.check_process(py)?;
         MeanwhileAnswers::of(py, py.detach(|| self.index.meanwhile()))
     }
 
     /// Acts like `meanwhile`, but waits for an answer, at most `timeout` seconds, if there is none and one is to come.
     fn wait_meanwhile(&self, py: Python<'_>, timeout: f64) -> PyResult<MeanwhileAnswers> {
         let timeout = seconds(py, "timeout", timeout)?;
+        self.check_process(py)?;
         MeanwhileAnswers::of(py, py.detach(|| self.index.wait_meanwhile(timeout)))
     }
 
     /// Every write from the first one on that the server refused for good, in order.
-    fn take_unsent(&self, py: Python<'_>) -> Vec<UnsentWrite> {
-        let unsent = py.detach(|| self.index.take_unsent());
-        let unsent = unsent.into_iter();
-        unsent.map(|write| UnsentWrite::of(py, write)).collect()
+    fn take_unsent(&self, py: Python<'_>) -> PyResult<Vec<UnsentWrite>> {
+        self.check_process(py)?;
+        let unsent = py.detach(|| self.index.take_unsent()).into_iter();
+        Ok(unsent.map(|write| UnsentWrite::of(py, write)).collect())
     }
 
     /// Takes no more writes, waits for the pending ones, and returns those that the server has not acknowledged within
@@ -374,6 +388,7 @@ impl Index {
     #[pyo3(signature = (timeout=30.0))]
     fn close(&self, py: Python<'_>, timeout: f64) -> PyResult<Vec<UnsentWrite>> {
         let timeout = seconds(py, "timeout", timeout)?;
+        self.check_process(py)?;
         let unsent = py.detach(|| self.index.close(timeout)).into_iter();
         Ok(unsent.map(|write| UnsentWrite::of(py, write)).collect())
     }

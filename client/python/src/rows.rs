@@ -1,6 +1,9 @@
 //! States as rows of numbers, from arrays and everything that the package makes arrays of.
 
-use numpy::{PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
+use numpy::{
+    PyArray, PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods,
+    ndarray::Dimension,
+};
 use pyo3::{prelude::*, sync::PyOnceLock, types::PyTuple};
 use wayfold::{Error, Space};
 
@@ -24,6 +27,7 @@ pub(crate) fn rows(
     // The common case is checked first: one state costs little more than its search.
     if let Ok(array) = states.cast::<PyArray1<f64>>()
         && array.len() == width
+        && is_aligned(array)
     {
         // A noted borrow would cost more than the copy, during which no other thread of Python has its turn.
         let numbers = array.to_vec();
@@ -37,8 +41,8 @@ pub(crate) fn rows(
         });
     }
     let array = match states.cast::<PyArrayDyn<f64>>() {
-        Ok(array) => array.clone(),
-        Err(_) => {
+        Ok(array) if is_aligned(array) => array.clone(),
+        _ => {
             static TO_ARRAY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
             let to_array = TO_ARRAY.import(py, "wayfold._states", "to_array")?;
             to_array
@@ -61,6 +65,12 @@ pub(crate) fn rows(
         shape: shape.to_vec(),
         numbers: copy(&array.readonly())?,
     })
+}
+
+/// False for numbers that Rust cannot read where they lie, as in a field of a packed structure.
+fn is_aligned<D: Dimension>(array: &Bound<'_, PyArray<f64, D>>) -> bool {
+    let numbers_apart = |stride: &isize| stride % (size_of::<f64>() as isize) == 0;
+    array.data().is_aligned() && array.strides().iter().all(numbers_apart)
 }
 
 /// Copies one state.

@@ -52,6 +52,9 @@ def test_an_index_of_a_server_is_not_used_after_a_fork(server: Server) -> None:
     for index in (shared, remote):
         assert in_fork(lambda: index.insert([0.0, 0.0])).startswith("Forked: ")
     assert in_fork(lambda: wayfold.remote(server.url, "forked")).startswith("Forked: ")
+    methods = (shared.pending, shared.status, shared.flush, shared.take_unsent, shared.close, shared.meanwhile)
+    for method in (*methods, lambda: shared.wait_meanwhile(0.0), lambda: shared.__exit__(None, None, None)):
+        assert in_fork(method).startswith("Forked: "), method
     shared.insert([1.0, 1.0])
     assert shared.close() == []
 

@@ -52,6 +52,25 @@ def test_a_rotation_in_the_wrong_place_is_refused() -> None:
         index.query([[0, 0, 0], [1]])
 
 
+@pytest.mark.parametrize("dtype", ["<f8", ">f8", "<f4", ">i4"])
+@pytest.mark.parametrize("packed", [True, False])
+def test_numbers_are_read_wherever_they_lie(dtype: str, packed: bool) -> None:
+    # One byte before the numbers: a row of the packed structure is no multiple of the size of a number.
+    table = np.zeros(50, np.dtype([("flag", "i1"), ("state", dtype, (3,))], align=not packed))
+    table["state"] = np.arange(150).reshape(50, 3)
+    plain = np.arange(150.0).reshape(50, 3)
+    index = wayfold.Index("R3")
+    assert index.insert_many(table["state"]).shape == (50,)
+    np.testing.assert_array_equal(index.scan().columns()[2], plain)
+    for row in (0, 1, 49):
+        assert index.query(table["state"][row]) == (0.0, row)
+        assert index.query(table["state"][row, ::-1]) == index.query(plain[row, ::-1])
+    np.testing.assert_array_equal(index.query(table["state"][::-2])[1], np.arange(49, -1, -2))
+    column = wayfold.Index("R1")
+    assert column.insert_many(table["state"][:, 1:2]).tolist() == list(range(50))
+    assert column.query(table["state"][7, 1:2]) == (0.0, 7)
+
+
 def test_spaces_have_names() -> None:
     assert str(spaces.SE3(weight=0.15)) == "R3*SO3:0.15" == spaces.SE3().text
     assert spaces.SE2() == wayfold.Space("R2*SO2")

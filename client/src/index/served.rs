@@ -55,6 +55,16 @@ impl Index {
         self.shared.as_ref().map_or(Ok(()), |shared| shared.flush())
     }
 
+    /// Acts like [`Index::flush`], but waits at most for `timeout` instead of the index's own.
+    ///
+    /// # Errors
+    /// Those of [`Index::flush`].
+    pub fn flush_within(&self, timeout: Duration) -> Result<(), Error> {
+        self.shared
+            .as_ref()
+            .map_or(Ok(()), |shared| shared.flush_within(timeout))
+    }
+
     /// The number of writes that the server has not acknowledged; 0 for the other forms.
     pub fn pending(&self) -> u64 {
         self.shared.as_ref().map_or(0, |shared| shared.pending())

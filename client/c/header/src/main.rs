@@ -41,25 +41,26 @@ fn main() -> ExitCode {
         ("WayfoldSearch", "wayfold_search"),
         ("WayfoldPoint", "wayfold_point"),
         ("WayfoldServer", "wayfold_server"),
+        ("WayfoldStatus", "wayfold_status"),
+        ("WayfoldUnsent", "wayfold_unsent"),
+        ("WayfoldUnsentKind", "wayfold_unsent_kind"),
+        ("WayfoldUnsentWrite", "wayfold_unsent_write"),
     ];
     for (rust, c) in names {
         config.export.rename.insert(rust.to_owned(), c.to_owned());
     }
     let mut builder = Builder::new().with_config(config);
-    const FILES: [&str; 8] = [
+    const NET_FILES: [&str; 3] = ["abi/server.rs", "abi/connection.rs", "abi/meanwhile.rs"];
+    const FILES: [&str; 6] = [
         "code.rs",
         "options.rs",
         "abi/index.rs",
         "abi/write.rs",
         "abi/search.rs",
         "abi/points.rs",
-        "abi/server.rs",
-        "abi/meanwhile.rs",
     ];
-    let files = FILES
-        .iter()
-        .filter(|file| has_net || !matches!(**file, "abi/server.rs" | "abi/meanwhile.rs"));
-    for file in files {
+    let net_files = if has_net { &NET_FILES[..] } else { &[] };
+    for file in FILES.iter().chain(net_files) {
         builder = builder.with_src(source.join(file));
     }
     match builder.generate() {

@@ -2,11 +2,11 @@
 
 use std::cell::Cell;
 
-use client::{Index, Neighbor, Search};
+use client::{Index, Neighbor, Search, Seen};
 
 use super::{
     index::WayfoldIndex,
-    pointers::{check_width, index_of, null, product, put, values},
+    pointers::{check_width, copy, index_of, null, product, put, values},
 };
 use crate::{
     code::Code,
@@ -51,12 +51,14 @@ pub unsafe extern "C" fn wayfold_index_nearest(
 
 /// Answers a search of `count` states. Row i of `ids` and `distances`, of `capacity` numbers, gets the neighbours of
 /// state i, nearest first and at equal distances by id; `found[i]` is their number. If it exceeds `capacity`, the row has
-/// the nearest `capacity` of them. The rest of a row keeps its content. `ids` and `distances` may be null.
+/// the nearest `capacity` of them. The rest of a row keeps its content. `ids` and `distances` may be null. `seen` gets the
+/// mark of the answer, for `since` of a later search; it may be null, and must be unless there is one state.
 ///
 /// Thread-safe.
 ///
 /// # Safety
-/// `states` has `count × width` numbers; `ids` and `distances` have room for `count × capacity`, `found` for `count`.
+/// `states` has `count × width` numbers; `ids` and `distances` have room for `count × capacity`, `found` for `count`;
+/// `seen` can be written or is null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn wayfold_index_search(
     index: *const WayfoldIndex,
@@ -68,6 +70,7 @@ pub unsafe extern "C" fn wayfold_index_search(
     ids: *mut u64,
     distances: *mut f64,
     found: *mut usize,
+    seen: *mut u64,
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise.
@@ -86,13 +89,20 @@ pub unsafe extern "C" fn wayfold_index_search(
             return Err(null("found"));
         }
         if count == 1 {
-            return search_one(index, rows, &search, |neighbors| {
+            return search_one(index, rows, &search, |neighbors, mark| {
                 // SAFETY: the caller's promise.
                 unsafe {
                     write_neighbors(neighbors, capacity, ids, distances);
                     found.write(neighbors.len());
+                    copy(&[mark.0], seen);
                 }
             });
+        }
+        if !seen.is_null() {
+            return Err(Failure::argument(
+                "seen",
+                "only a search of one state has it; pass null",
+            ));
         }
         check_width(index, width)?;
         let answers = index.search_many(rows.chunks_exact(width), &search)?;
@@ -119,12 +129,12 @@ fn search_one(
     index: &Index,
     row: &[f64],
     search: &Search,
-    write: impl FnOnce(&[Neighbor]),
+    write: impl FnOnce(&[Neighbor], Seen),
 ) -> Result<(), Failure> {
     let mut found = FOUND.take();
     let searched = index.search_into(row, search, &mut found);
-    if searched.is_ok() {
-        write(&found);
+    if let Ok(seen) = searched {
+        write(&found, seen);
     }
     FOUND.set(found);
     searched?;

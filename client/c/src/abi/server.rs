@@ -6,7 +6,7 @@ use client::{Credentials, Index};
 
 use super::{
     index::WayfoldIndex,
-    pointers::{give, index_of, null, parse_space, put, text},
+    pointers::{give, index_of, parse_space, put, text},
 };
 use crate::{
     code::Code,
@@ -25,6 +25,12 @@ pub struct WayfoldServer {
     pub space: *const c_char,
     /// The token of the caller, or null.
     pub token: *const c_char,
+    /// The certificates of the authorities that certify the server, in PEM, or null. An address with https needs them.
+    pub ca_certificate: *const c_char,
+    /// The certificate of this client and those between it and its authority, in PEM, or null.
+    pub client_certificate: *const c_char,
+    /// The private key of `client_certificate`, in PEM; null without one.
+    pub client_key: *const c_char,
     /// The longest time of a call in milliseconds; 0 for the client's own, 30 s.
     pub timeout_ms: u64,
 }
@@ -98,6 +104,24 @@ pub unsafe extern "C" fn wayfold_index_flush(index: *const WayfoldIndex) -> Code
     })
 }
 
+/// Acts like `wayfold_index_flush`, but waits at most for `timeout_ms` instead of the index's own timeout.
+///
+/// Thread-safe.
+///
+/// # Safety
+/// `index` is a handle.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_index_flush_within(
+    index: *const WayfoldIndex,
+    timeout_ms: u64,
+) -> Code {
+    call(|| {
+        // SAFETY: the caller's promise.
+        unsafe { index_of(index) }?.flush_within(Duration::from_millis(timeout_ms))?;
+        Ok(())
+    })
+}
+
 /// Writes the number of writes that the server has not acknowledged; 0 for the other forms.
 ///
 /// Thread-safe.
@@ -112,30 +136,6 @@ pub unsafe extern "C" fn wayfold_index_pending(
     call(|| {
         // SAFETY: the caller's promise.
         unsafe { put(index_of(index)?.pending(), pending, "pending") }
-    })
-}
-
-/// Takes no more writes of a shared index and waits for the pending ones, at most for `timeout_ms`. Writes the number of
-/// those that the server has not acknowledged.
-///
-/// Thread-safe.
-///
-/// # Safety
-/// `index` is a handle; `unsent` can be written.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn wayfold_index_close(
-    index: *const WayfoldIndex,
-    timeout_ms: u64,
-    unsent: *mut usize,
-) -> Code {
-    call(|| {
-        if unsent.is_null() {
-            return Err(null("unsent"));
-        }
-        // SAFETY: the caller's promise.
-        let writes = unsafe { index_of(index) }?.close(Duration::from_millis(timeout_ms));
-        // SAFETY: the caller's promise.
-        unsafe { put(writes.len(), unsent, "unsent") }
     })
 }
 
@@ -168,12 +168,34 @@ impl<'a> Settings<'a> {
             // SAFETY: the caller's promise.
             settings.space = Some(parse_space(unsafe { text(server.space, "space") }?)?);
         }
-        if !server.token.is_null() {
-            // SAFETY: the caller's promise.
-            settings.credentials = settings
-                .credentials
-                .token(unsafe { text(server.token, "token") }?);
-        }
+        // SAFETY: the caller's promise.
+        settings.credentials = unsafe { credentials(server) }?;
         Ok(settings)
     }
+}
+
+/// # Safety
+/// The strings of `server` end with 0 or are null.
+unsafe fn credentials(server: &WayfoldServer) -> Result<Credentials, Failure> {
+    let mut credentials = Credentials::new();
+    if !server.token.is_null() {
+        // SAFETY: the caller's promise.
+        credentials = credentials.token(unsafe { text(server.token, "token") }?);
+    }
+    if !server.ca_certificate.is_null() {
+        // SAFETY: the caller's promise.
+        let ca = unsafe { text(server.ca_certificate, "ca_certificate") }?;
+        credentials = credentials.ca_certificate(ca);
+    }
+    if !server.client_certificate.is_null() || !server.client_key.is_null() {
+        // SAFETY: the caller's promise. A certificate without its key is refused, and a key without its certificate.
+        let (certificate, key) = unsafe {
+            (
+                text(server.client_certificate, "client_certificate")?,
+                text(server.client_key, "client_key")?,
+            )
+        };
+        credentials = credentials.client_certificate(certificate, key);
+    }
+    Ok(credentials)
 }

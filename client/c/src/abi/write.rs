@@ -50,13 +50,14 @@ pub unsafe extern "C" fn wayfold_index_insert(
 }
 
 /// Stores a state with a tag, a payload or an id, and writes its id; `id` may be null. `search` may be null; otherwise
-/// the neighbours that the state had at its insertion are written as by `wayfold_index_search`.
+/// the neighbours that the state had at its insertion are written as by `wayfold_index_search`. `seen` gets the mark of
+/// the insertion, for `since` of a later search; it may be null.
 ///
 /// Thread-safe.
 ///
 /// # Safety
 /// `state` has `width` numbers; `ids` and `distances` have room for `capacity` if they are not null; `found` can be
-/// written if `search` is not null.
+/// written if `search` is not null; `seen` can be written or is null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn wayfold_index_insert_with(
     index: *const WayfoldIndex,
@@ -69,6 +70,7 @@ pub unsafe extern "C" fn wayfold_index_insert_with(
     ids: *mut u64,
     distances: *mut f64,
     found: *mut usize,
+    seen: *mut u64,
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise.
@@ -94,6 +96,7 @@ pub unsafe extern "C" fn wayfold_index_insert_with(
         // SAFETY: the caller's promise.
         unsafe {
             copy(&[inserted.id], id);
+            copy(&[inserted.found.seen.0], seen);
             if search.is_some() {
                 let neighbors = &inserted.found.neighbors;
                 write_neighbors(neighbors, capacity, ids, distances);
@@ -253,6 +256,21 @@ pub unsafe extern "C" fn wayfold_index_clear(index: *const WayfoldIndex) -> Code
     call(|| {
         // SAFETY: the caller's promise.
         unsafe { index_of(index) }?.clear()?;
+        Ok(())
+    })
+}
+
+/// Removes all points that the index has now, one by one, for everybody.
+///
+/// Thread-safe.
+///
+/// # Safety
+/// `index` is a handle.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_index_remove_all(index: *const WayfoldIndex) -> Code {
+    call(|| {
+        // SAFETY: the caller's promise.
+        unsafe { index_of(index) }?.remove_all()?;
         Ok(())
     })
 }

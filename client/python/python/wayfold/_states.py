@@ -20,7 +20,8 @@ def to_array(states: Any, names: tuple[str, ...]) -> npt.NDArray[np.float64]:
     if isinstance(states, (list, tuple)) and states and any(_is_composed(state) or _is_rotation(state) for state in states):
         return np.stack([to_array(state, names) for state in states])
     try:
-        return np.asarray(states, dtype=np.float64)
+        # Aligned numbers in the byte order of this machine.
+        return np.require(states, dtype=np.float64, requirements=["C", "A"])
     except (TypeError, ValueError) as error:
         raise InvalidArgument(f"states: {error}", "INVALID_ARGUMENT") from error
 

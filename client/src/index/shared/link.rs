@@ -166,10 +166,8 @@ impl Link {
         at: u64,
         id: u64,
     ) -> Result<Option<Vec<u8>>, Error> {
-        match self.stored_payloads(index, at, &[id]).await {
-            Err(error) if error.code() == Code::NotFound => Ok(None),
-            answer => Ok(answer?.pop()),
-        }
+        let mut payloads = self.some_payloads(index, at, &[id]).await?;
+        Ok(payloads.pop().flatten())
     }
 
     /// The payloads of points at revision `at` or later ones, in the order of the ids; `None` for a point that is not
@@ -193,17 +191,25 @@ impl Link {
         at: u64,
         ids: &[u64],
     ) -> Result<Vec<Option<Vec<u8>>>, Error> {
-        match self.stored_payloads(index, at, ids).await {
-            // One of the points has been removed.
-            Err(error) if error.code() == Code::NotFound => {
-                let mut payloads = Vec::with_capacity(ids.len());
-                for &id in ids {
-                    payloads.push(self.payload(index, at, id).await?);
+        let mut stored = ids.to_vec();
+        let payloads = loop {
+            match self.stored_payloads(index, at, &stored).await {
+                // These points have been removed. The server names some of them.
+                Err(Error::Refused(refusal))
+                    if refusal.reason == "POINTS_NOT_FOUND"
+                        && stored.iter().any(|id| refusal.ids.contains(id)) =>
+                {
+                    stored.retain(|id| !refusal.ids.contains(id));
+                    if stored.is_empty() {
+                        break Vec::new();
+                    }
                 }
-                Ok(payloads)
+                answer => break answer?,
             }
-            answer => Ok(answer?.into_iter().map(Some).collect()),
-        }
+        };
+        let mut found = stored.into_iter().zip(payloads).peekable();
+        let payload = |id: &u64| found.next_if(|(stored, _)| stored == id).map(|it| it.1);
+        Ok(ids.iter().map(payload).collect())
     }
 
     /// The payloads of points that are all stored.

@@ -55,7 +55,11 @@ impl SharedIndex {
     }
 
     pub(super) fn flush(&self) -> Result<(), Error> {
-        self.core.flush(self.core.timeout)
+        self.flush_within(self.core.timeout)
+    }
+
+    pub(super) fn flush_within(&self, timeout: Duration) -> Result<(), Error> {
+        self.core.flush(timeout)
     }
 
     /// The number of writes that the server has not acknowledged.

@@ -55,6 +55,10 @@ struct Inner {
     knn: Vec<v1::KnnRequest>,
     insert: Vec<v1::InsertRequest>,
     remove: Vec<v1::RemoveRequest>,
+    /// The points that `get` finds, whose payloads are their ids as text; without them, it finds none.
+    stored: Option<Vec<u64>>,
+    /// The ids of each `get`.
+    get: Vec<Vec<u64>>,
     timeouts: Vec<Option<String>>,
     /// The number of calls for its limits, which no other count includes.
     described: usize,
@@ -185,6 +189,16 @@ impl Fake {
         self.inner.lock().unwrap().remove.clone()
     }
 
+    /// Finds these points and no others.
+    pub(crate) fn stores(&self, ids: &[u64]) {
+        self.inner.lock().unwrap().stored = Some(ids.to_vec());
+    }
+
+    /// The ids of each call that read points.
+    pub(crate) fn gets(&self) -> Vec<Vec<u64>> {
+        self.inner.lock().unwrap().get.clone()
+    }
+
     /// The `grpc-timeout` of each call.
     pub(crate) fn timeouts(&self) -> Vec<Option<String>> {
         self.inner.lock().unwrap().timeouts.clone()
@@ -233,6 +247,14 @@ pub(crate) fn exceeded(limit: &str, value: u64) -> Status {
     ];
     let details = ErrorDetails::with_error_info("LIMIT_EXCEEDED", "wayfold", metadata);
     Status::with_error_details(tonic::Code::ResourceExhausted, "too large", details)
+}
+
+/// The refusal of a read of points that are not stored. It names two of them.
+fn not_found(ids: &[u64]) -> Status {
+    let named: Vec<String> = ids.iter().take(2).map(u64::to_string).collect();
+    let metadata = [("ids".to_owned(), named.join(","))];
+    let details = ErrorDetails::with_error_info("POINTS_NOT_FOUND", "wayfold", metadata);
+    Status::with_error_details(tonic::Code::NotFound, "no such points", details)
 }
 
 type Answers<A> = Pin<Box<dyn Stream<Item = Result<A, Status>> + Send>>;

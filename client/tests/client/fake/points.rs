@@ -91,8 +91,31 @@ impl PointService for Fake {
         &self,
         request: Request<v1::GetRequest>,
     ) -> Result<Response<v1::GetResponse>, Status> {
-        self.enter(&request, request.get_ref().ids.len()).await?;
-        Err(Status::unimplemented("get"))
+        let number = self.enter(&request, request.get_ref().ids.len()).await?;
+        let request = request.into_inner();
+        let mut inner = self.inner.lock().unwrap();
+        let Some(stored) = inner.stored.clone() else {
+            return Err(Status::unimplemented("get"));
+        };
+        inner.get.push(request.ids.clone());
+        let missing: Vec<u64> = request
+            .ids
+            .iter()
+            .copied()
+            .filter(|id| !stored.contains(id))
+            .collect();
+        if !missing.is_empty() {
+            return Err(super::not_found(&missing));
+        }
+        let payload = |id: &u64| id.to_string().into_bytes().into();
+        Ok(Response::new(v1::GetResponse {
+            points: Some(v1::Points {
+                payloads: request.ids.iter().map(payload).collect(),
+                ids: request.ids,
+                ..Default::default()
+            }),
+            revision: revision(number),
+        }))
     }
 
     async fn knn(

@@ -137,3 +137,23 @@ async fn a_server_that_cannot_be_followed_ends_it() {
     assert!(matches!(error, Error::Ended { .. }), "{error}");
     assert_eq!(error.code(), Code::Unimplemented);
 }
+
+/// The copy has points that the server has lost by now. A refusal names two of them, which are not asked for again.
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn payloads_of_points_that_are_gone_are_not_asked_for_again() {
+    let fake = Fake::start().await;
+    let known = [(1, 0.0), (2, 0.0), (3, 0.0), (4, 0.0), (5, 0.0)];
+    fake.scan_answers(scanned(1, &known), true);
+    let index = open(&fake);
+    fake.stores(&[2, 5]);
+    let payload = |id: u64| Some(id.to_string().into_bytes());
+    let payloads = index.payloads(&[5, 4, 3, 2, 1]).unwrap();
+    assert_eq!(payloads, [payload(5), None, None, payload(2), None]);
+    assert_eq!(
+        fake.gets(),
+        [vec![5, 4, 3, 2, 1], vec![5, 2, 1], vec![5, 2]]
+    );
+    assert_eq!(index.payloads(&[1, 3]).unwrap(), [None, None]);
+    assert_eq!(index.payload(4).unwrap(), None);
+    assert_eq!(fake.gets()[3..], [vec![1, 3], vec![4]]);
+}
