@@ -63,6 +63,8 @@ pub struct Hosted {
     followers: Followers,
     /// The records that subscribers read from the log because no publication brought them.
     missed: AtomicU64,
+    /// Each batch of a writer session holds a reference while it is under way.
+    pub(super) batches: Arc<()>,
     apply_loop: parking_lot::Mutex<ApplyLoop>,
 }
 
@@ -116,6 +118,7 @@ impl Hosted {
             recent: parking_lot::Mutex::new(RecentRecords::new(host.options.window_bytes)),
             followers: Followers::default(),
             missed: AtomicU64::new(0),
+            batches: Arc::default(),
             apply_loop: parking_lot::Mutex::new(ApplyLoop::start(
                 0,
                 hosted.clone(),

@@ -152,7 +152,7 @@ impl Registry {
         }
     }
 
-    fn hosted(&self) -> Vec<Arc<Hosted>> {
+    pub(super) fn hosted(&self) -> Vec<Arc<Hosted>> {
         let states = self.indexes.read();
         let hosted = states.values().filter_map(|state| state.hosted().ok());
         hosted.cloned().collect()
