@@ -34,7 +34,7 @@ use crate::{
     config::GrpcConfig,
     faces::Shared,
     identity::{Caller, Denial, Stranger},
-    observe::{self, CallRecord, Ending, Times},
+    observe::{self, CallRecord, Ending, Peer, Times},
     service::{Call, Error},
     status,
 };
@@ -171,8 +171,8 @@ where
             .caller(token(request.headers()), certificate);
         let verb = ("grpc", verb(rpc));
         let origin = (&caller, traceparent(request.headers()));
-        let mut record =
-            CallRecord::begin(rpc, verb, arrived, &settings.shared.metrics, origin).of_peer(peer);
+        let mut record = CallRecord::begin(rpc, verb, arrived, &settings.shared.metrics, origin)
+            .of_peer(peer.map(Peer::Address));
         let held = Arc::new(flow.hold());
         let is_stream = has_stream_of_answers(rpc) || has_stream_of_requests(rpc);
         // The service checks the caller too; here a stranger is refused before it sends its request.
