@@ -125,6 +125,12 @@ impl Snapshot {
         self.levels.len() + 1
     }
 
+    /// The number of points in trees that wait to be packed by a merge, or are being packed.
+    pub fn unmerged(&self) -> usize {
+        let unbuilt = self.levels.iter().filter(|level| !level.is_built());
+        unbuilt.map(|level| level.rows() - level.dead()).sum()
+    }
+
     /// An estimate of the bytes that the snapshot keeps alive.
     pub fn memory_bytes(&self) -> usize {
         let levels = self.levels.iter().map(|level| level.memory_bytes());

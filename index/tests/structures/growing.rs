@@ -149,9 +149,15 @@ fn grown_trees_are_packed_when_writes_pause() {
     let mut forest = grow(&space, &rows);
     let grown = forest.memory_bytes();
     assert!(forest.begin_merge().is_none());
+    assert_eq!(forest.snapshot().unmerged(), 0);
     forest.pause();
     let merge = forest.begin_merge().unwrap();
+    assert_eq!(forest.snapshot().unmerged(), rows.len());
+    forest.apply(6001, &Points::new(7), &[5]).unwrap();
+    assert_eq!(forest.snapshot().unmerged(), rows.len() - 1);
+    insert(&mut forest, 5, &rows[4]);
     forest.finish_merge(merge.run());
+    assert_eq!(forest.snapshot().unmerged(), 0);
     assert!(forest.begin_merge().is_none());
     let stored = rows.len() * 8 * (forest.space().coordinates() + 3);
     assert!(forest.memory_bytes() < grown);

@@ -8,9 +8,9 @@
 //! - *First come, first served* within a flow. Calls that take longer than [`MAX_AT_ONCE`] wait apart after that time of
 //!   work, and these and the others of the flow take turns: a short call does not wait for all long ones.
 //! - *Measured:* a call that has not begun is refused once it has waited for too long: for the time of a burst, or for
-//!   the target while the queue stands. It stands once it was not empty for the time of a burst, until no call was late
-//!   for that time. What a connection has not read yet waits too. B. Maurer, *Fail at Scale*, ACM Queue 13(8), 2015,
-//!   after CoDel.
+//!   the target while the queue stands. It stands once all calls are late and it gets no [shorter](trend), or once it was
+//!   not empty for the time of a burst; until no call was late for that time. What a connection has not read yet waits
+//!   too. B. Maurer, *Fail at Scale*, ACM Queue 13(8), 2015, after CoDel.
 //!
 //! The target is for long calls only: to refuse a short one costs as much as to answer it.
 //!
@@ -18,6 +18,7 @@
 //! bystander waits for their sum at most.
 
 mod queue;
+mod trend;
 
 use std::{
     sync::Arc,
@@ -29,6 +30,7 @@ use tokio::sync::oneshot;
 
 pub(super) use queue::Stage;
 use queue::{Flow, SHORT_TURNS, State, Waiting};
+use trend::Trend;
 
 /// A call was refused because it waited for its first turn for too long, by the target that it carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -85,6 +87,7 @@ impl Turns {
                 clock_ns: 0,
                 new: 0,
                 was_empty: Instant::now(),
+                trend: Trend::new(Instant::now()),
                 stands_until: Instant::now(),
                 next_flow: 0,
                 refused: 0,
@@ -204,15 +207,21 @@ impl Turns {
     }
 
     /// Charges `flow` for a turn, and hands it on, or keeps it for later if nobody waits.
-    fn hand_on(self: &Arc<Self>, flow: FlowNumber, size: usize, took: Duration) {
-        let now = Instant::now();
+    fn hand_on(self: &Arc<Self>, flow: FlowNumber, size: usize, took: Duration, now: Instant) {
         let mut state = self.state.lock();
         state.charge(flow, took);
         state.free += size;
         while let Some((flow, size, next)) = state.next(now) {
             let wait = now.saturating_duration_since(next.since);
             let limit = match size {
-                SHORT_TURNS => self.limit(&mut state, wait, now).0,
+                SHORT_TURNS => {
+                    let waiting = state.new;
+                    let is_new = next.stage == Stage::New;
+                    if is_new && state.trend.begins(wait > self.target, waiting, now) {
+                        state.stands_until = now + self.burst;
+                    }
+                    self.limit(&mut state, wait, now).0
+                }
                 _ => self.burst,
             };
             let is_late = next.stage == Stage::New && wait > limit;
@@ -248,10 +257,12 @@ impl Turn {
 impl Drop for Turn {
     fn drop(&mut self) {
         if let Some(turns) = self.turns.take() {
-            turns.hand_on(self.flow, self.size, self.took);
+            turns.hand_on(self.flow, self.size, self.took, Instant::now());
         }
     }
 }
 
+#[cfg(test)]
+mod load_tests;
 #[cfg(test)]
 mod tests;

@@ -34,7 +34,7 @@ use crate::{
     config::GrpcConfig,
     faces::Shared,
     identity::{Caller, Denial, Stranger},
-    observe::{self, CallRecord, Ending, Times},
+    observe::{self, CallRecord, Ending, Peer, Times},
     service::{Call, Error},
     status,
 };
@@ -171,8 +171,8 @@ where
             .caller(token(request.headers()), certificate);
         let verb = ("grpc", verb(rpc));
         let origin = (&caller, traceparent(request.headers()));
-        let mut record =
-            CallRecord::begin(rpc, verb, arrived, &settings.shared.metrics, origin).of_peer(peer);
+        let mut record = CallRecord::begin(rpc, verb, arrived, &settings.shared.metrics, origin)
+            .of_peer(peer.map(Peer::Address));
         let held = Arc::new(flow.hold());
         let is_stream = has_stream_of_answers(rpc) || has_stream_of_requests(rpc);
         // The service checks the caller too; here a stranger is refused before it sends its request.
@@ -346,89 +346,4 @@ fn unless_left(status: Status) -> Status {
 }
 
 #[cfg(test)]
-mod tests {
-    use futures_util::stream;
-    use tonic::Code;
-    use tonic_types::StatusExt;
-
-    use super::*;
-    use crate::config::Config;
-
-    /// Answers with the result of a function, or panics as it does.
-    #[derive(Clone)]
-    struct Answering(fn() -> Response<Body>);
-
-    impl Service<Request<Body>> for Answering {
-        type Response = Response<Body>;
-        type Error = Infallible;
-        type Future = ResponseFuture;
-
-        fn poll_ready(&mut self, _: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
-            Poll::Ready(Ok(()))
-        }
-
-        fn call(&mut self, _: Request<Body>) -> ResponseFuture {
-            let answer = self.0;
-            Box::pin(async move { Ok(answer()) })
-        }
-    }
-
-    fn shared() -> Shared {
-        let service = crate::service::Service::starting(Default::default());
-        Shared::new(&Config::default(), service, Default::default())
-    }
-
-    async fn call(
-        shared: &Shared,
-        under_way: &TaskTracker,
-        answer: fn() -> Response<Body>,
-    ) -> Response<Body> {
-        let layer = CallsLayer::new(&Config::default().grpc, shared.clone(), under_way.clone());
-        let request = Request::post("/wayfold.v1.PointService/Scan").body(Body::empty());
-        let answer = layer.layer(Answering(answer)).call(request.unwrap()).await;
-        answer.unwrap()
-    }
-
-    #[tokio::test]
-    async fn a_call_that_panics_is_a_bug_and_frees_its_place_and_turn() {
-        let (shared, under_way) = (shared(), TaskTracker::new());
-        for _ in 0..2 {
-            let answer = call(&shared, &under_way, || panic!("a bug")).await;
-            let status = Status::from_header_map(answer.headers()).unwrap();
-            assert_eq!(status.code(), Code::Internal);
-            assert_eq!(status.get_details_error_info().unwrap().reason, "INTERNAL");
-            assert!(under_way.is_empty());
-        }
-    }
-
-    #[tokio::test]
-    async fn a_stream_that_panics_ends_as_a_bug_and_frees_its_place_and_turn() {
-        let (shared, under_way) = (shared(), TaskTracker::new());
-        for _ in 0..2 {
-            let answer = call(&shared, &under_way, || {
-                let parts = stream::once(async {
-                    tokio::task::yield_now().await;
-                    panic!("a bug")
-                });
-                let encoder = tonic_prost::ProstEncoder::<()>::default();
-                let body = tonic::codec::EncodeBody::new_server(
-                    encoder,
-                    parts,
-                    None,
-                    Default::default(),
-                    None,
-                );
-                Response::new(Body::new(body))
-            })
-            .await;
-            assert_eq!(under_way.len(), 1);
-            let mut body = answer.into_body();
-            let frame =
-                std::future::poll_fn(|context| Pin::new(&mut body).poll_frame(context)).await;
-            let trailers = frame.unwrap().unwrap().into_trailers().unwrap();
-            let status = Status::from_header_map(&trailers).unwrap();
-            assert_eq!(status.code(), Code::Internal);
-            assert!(under_way.is_empty());
-        }
-    }
-}
+mod tests;

@@ -271,8 +271,13 @@ impl AsyncWrite for Connection {
 
 #[cfg(test)]
 mod tests {
-    use futures_util::StreamExt;
-    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use std::pin::pin;
+
+    use futures_util::{StreamExt, poll};
+    use tokio::{
+        io::{AsyncReadExt, AsyncWriteExt},
+        time::advance,
+    };
 
     use super::*;
     use crate::{admission::Admission, config::Config};
@@ -311,5 +316,37 @@ mod tests {
         connection.read_exact(&mut received).await.unwrap();
         let silence = timeout(100 * PREFACE_TIME, connection.read(&mut received));
         assert!(silence.await.is_err());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_client_that_reads_its_answer_slowly_gives_signs_of_life() {
+        const STEP: Duration = Duration::from_secs(1);
+        let (mut connection, mut peer) = connection(&[0; PREFACE_BYTES]).await;
+        connection
+            .read_exact(&mut [0; PREFACE_BYTES])
+            .await
+            .unwrap();
+        let activity = connection.open.activity().clone();
+        // Without an answer, bytes that leave are those of HTTP/2 itself.
+        let opened = activity.silence();
+        advance(STEP).await;
+        connection.write_all(b"ping").await.unwrap();
+        assert_eq!(activity.silence(), opened + STEP);
+        let _answer = activity.send();
+        connection.write_all(b"a part").await.unwrap();
+        assert_eq!(activity.silence(), Duration::ZERO);
+        // The client reads nothing: the rest of the answer waits.
+        let part = vec![0; 1024 * 1024];
+        let mut left = b"ping".len() + b"a part".len();
+        while let Poll::Ready(written) = poll!(pin!(connection.write(&part))) {
+            left += written.unwrap();
+        }
+        advance(STEP).await;
+        assert!(poll!(pin!(connection.write(&part))).is_pending());
+        assert_eq!(activity.silence(), STEP);
+        // It reads again.
+        peer.read_exact(&mut vec![0; left]).await.unwrap();
+        connection.write_all(&part[..1]).await.unwrap();
+        assert_eq!(activity.silence(), Duration::ZERO);
     }
 }

@@ -243,6 +243,12 @@ impl Activity {
         }
     }
 
+    /// The time since the last sign of life.
+    #[cfg(test)]
+    pub(super) fn silence(&self) -> Duration {
+        self.state.silence()
+    }
+
     /// Notes that its client does not read what the server sends, or reads again.
     pub(super) fn set_stalled(&self, is_stalled: bool) {
         self.state.is_stalled.store(is_stalled, SeqCst);

@@ -12,7 +12,7 @@ use prometheus_client::{
 use crate::{
     faces::Shared,
     lifecycle::{Phase, PhaseWatch},
-    registry::Listed,
+    registry::{Listed, Part},
     watermark::Level,
 };
 
@@ -35,16 +35,24 @@ type Index = [(&'static str, Arc<str>); 1];
 type OfIndices = (&'static str, &'static str, Vec<(Index, u64)>);
 
 /// The gauges of an index, in the order of its figures.
-const OF_INDEX: [(&str, &str); 10] = [
+const OF_INDEX: [(&str, &str); 12] = [
     ("index_points", "The points of an index"),
     ("index_revision", "The newest readable revision of an index"),
     ("index_memory_bytes", "About the memory of an index"),
     ("index_levels", "The trees of an index; merges reduce them"),
     (
+        "index_unmerged_points",
+        "The points of trees that wait for a merge, or are being merged",
+    ),
+    (
         "index_records_in_flight",
         "Records that are submitted and not readable yet",
     ),
     ("index_sessions", "The writer sessions of an index"),
+    (
+        "index_batches",
+        "The batches of writer sessions that are under way",
+    ),
     (
         "index_followers",
         "The subscribers of an index: shared indices, watches, and publications over Zenoh",
@@ -132,7 +140,18 @@ impl State {
             }
         }
         let help = "Memory and disk: what is used, the high watermark, and what there is";
-        gauges(encoder, "resource", help, Some(&Unit::Bytes), &figures)
+        gauges(encoder, "resource", help, Some(&Unit::Bytes), &figures)?;
+        let (memory, disk) = self.shared.service.usage();
+        let parts = |parts: Vec<Part>| -> Vec<_> {
+            let labelled = parts
+                .into_iter()
+                .map(|(part, bytes)| ([("part", part)], bytes));
+            labelled.collect()
+        };
+        let help = "About the memory of all indices and of the store, by part";
+        gauges(encoder, "memory", help, Some(&Unit::Bytes), &parts(memory))?;
+        let help = "The disk of the data directory, by part";
+        gauges(encoder, "disk", help, Some(&Unit::Bytes), &parts(disk))
     }
 
     /// The gauges of all indices, and the records that subscribers of each have missed.
@@ -160,8 +179,10 @@ impl State {
                 published.revision,
                 published.snapshot.memory_bytes() as u64,
                 published.snapshot.levels() as u64,
+                published.snapshot.unmerged() as u64,
                 hosted.records_in_flight() as u64,
                 published.view.sessions().len() as u64,
+                hosted.batches_under_way() as u64,
                 followers as u64,
                 lag,
                 window.records,

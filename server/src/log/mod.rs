@@ -204,12 +204,30 @@ pub trait PointStore: Send + Sync {
         None
     }
 
+    /// The memory and the disk of the store. Blocks.
+    fn usage(&self) -> StoreUsage {
+        StoreUsage::default()
+    }
+
     /// Reopens a failed store once its disk can be used. Each index then has its stored state. Records that were not
     /// durable may be missing. Earlier views fail with [`LogError::Closed`]. A damaged store is reopened for reading
     /// only, and [`PointStore::failure`] still returns the damage.
     fn reopen(&self) -> Result<(), LogError> {
         Ok(())
     }
+}
+
+/// The bytes that a store takes; 0 for what it cannot tell.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StoreUsage {
+    /// Its memory: the blocks that it has read, and the points that it has yet to move out of the journal.
+    pub memory: u64,
+    /// The disk of the journal.
+    pub journal: u64,
+    /// The disk of the files into which it moves the journal's content.
+    pub tables: u64,
+    /// The rest of the data directory.
+    pub other: u64,
 }
 
 /// The indices, by name and uid.

@@ -102,7 +102,7 @@ impl<T> Bounded<T> {
     }
 
     /// The items and their bytes, as the window of an index.
-    pub(super) fn window(&self) -> Window {
+    pub(crate) fn window(&self) -> Window {
         Window {
             records: self.items.len() as u64,
             bytes: self.bytes as u64,

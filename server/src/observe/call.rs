@@ -59,6 +59,24 @@ impl fmt::Debug for Ending {
     }
 }
 
+/// The other end of a call.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Peer {
+    /// A client of gRPC.
+    Address(SocketAddr),
+    /// A session of Zenoh, by its id. Only a query that names its source has it.
+    Session(u128),
+}
+
+impl fmt::Display for Peer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Address(address) => address.fmt(f),
+            Self::Session(id) => write!(f, "{id:x}"),
+        }
+    }
+}
+
 /// A call from its arrival to the last byte of its answer. Its end is written when it is dropped: at `debug`, or at
 /// `warn` when the fault is the server's.
 pub(crate) struct CallRecord {
@@ -66,7 +84,7 @@ pub(crate) struct CallRecord {
     started: Instant,
     span: Span,
     ending: Ending,
-    peer: Option<SocketAddr>,
+    peer: Option<Peer>,
     times: Option<(SlowCalls, Times)>,
     metrics: Metrics,
     face: &'static str,
@@ -108,7 +126,7 @@ impl CallRecord {
     }
 
     /// The same call, made by this peer.
-    pub(crate) fn of_peer(mut self, peer: Option<SocketAddr>) -> Self {
+    pub(crate) fn of_peer(mut self, peer: Option<Peer>) -> Self {
         self.peer = peer;
         self
     }

@@ -1,13 +1,14 @@
 //! The line of a slow call, which says where its time went.
 
 use std::{
-    net::SocketAddr,
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use parking_lot::Mutex;
 use tracing::{Span, field, warn};
+
+use super::Peer;
 
 /// The least time between two lines: a server on which all calls are slow writes one for many.
 const INTERVAL: Duration = Duration::from_secs(1);
@@ -50,13 +51,7 @@ impl SlowCalls {
     }
 
     /// Writes a line if a call that took `whole` was slow.
-    pub(super) fn report(
-        &self,
-        span: &Span,
-        peer: Option<SocketAddr>,
-        whole: Duration,
-        times: &Times,
-    ) {
+    pub(super) fn report(&self, span: &Span, peer: Option<Peer>, whole: Duration, times: &Times) {
         if self.threshold.is_none_or(|threshold| whole < threshold) {
             return;
         }

@@ -64,6 +64,8 @@ pub struct Hosted {
     followers: Followers,
     /// The records that subscribers read from the log because no publication brought them.
     missed: AtomicU64,
+    /// Each batch of a writer session holds a reference while it is under way.
+    pub(super) batches: Arc<()>,
     apply_loop: parking_lot::Mutex<ApplyLoop>,
     pub(super) fences: Fences,
 }
@@ -119,6 +121,7 @@ impl Hosted {
             followers: Followers::default(),
             missed: AtomicU64::new(0),
             fences: Fences::default(),
+            batches: Arc::default(),
             apply_loop: parking_lot::Mutex::new(ApplyLoop::start(
                 0,
                 hosted.clone(),

@@ -26,6 +26,7 @@ mod payload_sizes;
 mod recent;
 mod replay;
 mod restore;
+mod usage;
 mod writer;
 
 use std::{
@@ -54,6 +55,8 @@ pub use operations::OperationWindow;
 use operations::Operations;
 use payload_sizes::PayloadSizes;
 pub use restore::Restore;
+pub use usage::BatchUnderWay;
+pub(crate) use usage::Part;
 pub use writer::{WriteGuard, Writer};
 
 /// Options of the registry, for all its indices.

@@ -43,6 +43,11 @@ impl Operations {
         self.window
     }
 
+    /// The bytes of all operations (see [`Operation::bytes`]).
+    pub(super) fn bytes(&self) -> u64 {
+        self.newest.window().bytes
+    }
+
     /// Sets the bounds, for the next operation.
     pub(super) fn set_window(&mut self, window: OperationWindow) {
         self.window = window;

@@ -28,6 +28,13 @@ impl PayloadSizes {
         self.total
     }
 
+    /// About the bytes that the sizes take.
+    pub(super) fn memory_bytes(&self) -> u64 {
+        let entry = size_of::<(u64, u32)>() + 1;
+        let held = self.sizes.as_ref().map_or(0, HashMap::capacity);
+        (held * entry) as u64
+    }
+
     /// Sets the size of the payload of a point; 0 if it has none.
     pub(super) fn set(&mut self, id: u64, bytes: usize) {
         let Some(sizes) = &mut self.sizes else {

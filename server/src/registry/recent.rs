@@ -31,6 +31,11 @@ impl RecentRecords {
         std::iter::from_fn(forget).for_each(drop);
     }
 
+    /// The bytes of the cached records.
+    pub(super) fn bytes(&self) -> u64 {
+        self.records.window().bytes
+    }
+
     /// The records after the revision `after` up to `last`: the first ones that fit into `max_bytes`, but at least one.
     /// None if some of them are not cached.
     pub(super) fn after(

@@ -60,7 +60,7 @@ use tokio_util::sync::CancellationToken;
 use crate::{
     identity::Role,
     log::Durability,
-    registry::{Listed, Registry},
+    registry::{Listed, Part, Registry},
     watermark::Level,
 };
 pub use call::Call;
@@ -159,6 +159,14 @@ impl Service {
     pub(crate) fn merges(&self) -> u64 {
         let registry = self.inner.registry.get();
         registry.map_or(0, |registry| registry.merges())
+    }
+
+    /// The memory and the disk of the server, by part. Blocks.
+    pub(crate) fn usage(&self) -> (Vec<Part>, Vec<Part>) {
+        let registry = self.inner.registry.get();
+        registry
+            .map(|registry| registry.usage())
+            .unwrap_or_default()
     }
 
     /// All indices; none before they are read.

@@ -75,6 +75,7 @@ impl Service {
         mut request: v1::WriteRequest,
     ) -> Result<v1::WriteResponse, Error> {
         let hosted = self.index(call, Role::Write, &request.index_name, &request.uid)?;
+        let _counted = hosted.begin_batch();
         let mut pace = call.pace(DOING);
         let mut claim = Claim::of_batch(&mut request, &mut pace).await?;
         let reserve_count = request.reserve_count;

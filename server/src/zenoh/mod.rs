@@ -139,12 +139,18 @@ impl ZenohFace {
 
     /// Refuses new queries, answers accepted ones, leaves callers a moment to read the answers, and closes the session.
     pub(crate) async fn stop(self) {
+        let session = self.session.clone();
+        self.stop_after(linger(&session)).await;
+    }
+
+    /// The same, with another moment for the callers.
+    async fn stop_after(self, lingered: impl Future<Output = ()>) {
         self.queries.stopping.cancel();
         drop(self.announcing);
         self.queries.under_way.close();
         self.queries.under_way.wait().await;
         // The queryable refuses those who ask meanwhile: without it they would get no reply.
-        linger(&self.session).await;
+        lingered.await;
         if let Err(error) = self.queryable.undeclare().await {
             debug!(%error, "the queryable was gone already");
         }
@@ -179,3 +185,6 @@ fn check_prefix(prefix: &str) -> Result<(), ZenohError> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests;

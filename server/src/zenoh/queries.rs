@@ -33,7 +33,7 @@ use crate::{
     admission::{CALL_BYTES, CallTurns, HeldBytes},
     faces::Shared,
     identity::{Caller, Denial},
-    observe::{CallRecord, Ending, IndexLabel, Times},
+    observe::{CallRecord, Ending, IndexLabel, Peer, Times},
     service::{Error, Unavailability},
     status::{self, Status},
 };
@@ -186,7 +186,8 @@ impl Queries {
             arrived,
             &self.shared.metrics,
             (&caller, attached.get("traceparent")),
-        );
+        )
+        .of_peer(source(&query));
         let of = (arrived, caller, Arc::clone(record.index()));
         let span = record.span().clone();
         let asked = async {
@@ -297,6 +298,14 @@ impl Queries {
             limit,
         )
     }
+}
+
+/// The session that sent the query, if the query names it.
+fn source(query: &Query) -> Option<Peer> {
+    let source = query.source_info()?.source_id();
+    Some(Peer::Session(u128::from_le_bytes(
+        source.zid().to_le_bytes(),
+    )))
 }
 
 /// The attachment of a query, `token=TOKEN;traceparent=…`. What is no such text is empty.

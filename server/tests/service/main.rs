@@ -28,6 +28,7 @@ mod log;
 mod merging;
 mod model;
 mod operations;
+mod quotas;
 mod random;
 mod reads;
 mod refusals;

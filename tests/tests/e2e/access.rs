@@ -1,8 +1,9 @@
 //! A server with TLS and identities: certificates that are renewed under load, and callers with and without rights.
 
+mod authority;
+
 use std::{
     fs,
-    path::{Path, PathBuf},
     process::Command,
     sync::{
         Arc,
@@ -10,101 +11,19 @@ use std::{
     },
 };
 
-use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair};
 use tokio::net::TcpStream;
 use tokio_rustls::{
     TlsConnector,
     rustls::{ClientConfig, RootCertStore, pki_types::CertificateDer},
 };
 use wayfold::{Client, Code, Credentials, Error, Index, RetryPolicy, Space};
-use wayfold_tests::{Process, ProcessOutput, ServerProcess, Signal, measuring};
+use wayfold_tests::{Process, ServerProcess, Signal, measuring};
+
+use authority::{Authority, wayfold};
 
 const CALLERS: u64 = 4;
 /// The calls of one connection of a caller.
 const CALLS: usize = 10;
-
-/// An authority, in a directory with its files.
-struct Authority {
-    issuer: CertifiedIssuer<'static, KeyPair>,
-    directory: PathBuf,
-}
-
-impl Authority {
-    fn new(directory: &Path) -> Self {
-        let mut params = CertificateParams::default();
-        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-        let issuer = CertifiedIssuer::self_signed(params, KeyPair::generate().unwrap()).unwrap();
-        fs::write(directory.join("ca.pem"), issuer.pem()).unwrap();
-        Self {
-            issuer,
-            directory: directory.to_owned(),
-        }
-    }
-
-    /// Certifies a name, for 127.0.0.1 too: writes NAME.pem and NAME.key, each whole or not at all.
-    fn certify(&self, name: &str) -> CertificateDer<'static> {
-        let names = [name.to_owned(), "127.0.0.1".to_owned()];
-        let mut params = CertificateParams::new(names).unwrap();
-        params.distinguished_name.push(DnType::CommonName, name);
-        let key = KeyPair::generate().unwrap();
-        let certificate = params.signed_by(&key, &self.issuer).unwrap();
-        for (end, pem) in [("key", key.serialize_pem()), ("pem", certificate.pem())] {
-            let whole = self.directory.join("whole");
-            fs::write(&whole, pem).unwrap();
-            fs::rename(whole, self.file(name, end)).unwrap();
-        }
-        certificate.der().clone()
-    }
-
-    fn file(&self, name: &str, end: &str) -> PathBuf {
-        self.directory.join(format!("{name}.{end}"))
-    }
-
-    fn read(&self, name: &str, end: &str) -> Vec<u8> {
-        fs::read(self.file(name, end)).unwrap()
-    }
-
-    fn credentials(&self) -> Credentials {
-        Credentials::new().ca_certificate(self.read("ca", "pem"))
-    }
-
-    /// Makes a token with the command line, and returns it; its entry joins the file of identities.
-    fn token(&self, name: &str, role: &str, index: &str) -> String {
-        let token = self.file(name, "token");
-        let arguments = ["token", "create", name, "--role", role, "--index", index];
-        let to = ["--to", token.to_str().unwrap()];
-        let made = wayfold(&[&arguments[..], &to].concat());
-        assert!(made.status.success(), "{}", made.stderr);
-        let before = fs::read_to_string(self.file("identities", "toml")).unwrap_or_default();
-        let entry = made.stdout.join("\n");
-        fs::write(
-            self.file("identities", "toml"),
-            format!("{before}{entry}\n"),
-        )
-        .unwrap();
-        fs::read_to_string(token).unwrap().trim().to_owned()
-    }
-
-    /// The command of a server with the certificate `server` and these identities.
-    fn command(&self) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-        command
-            .args(["--grpc", "127.0.0.1:0", "--data", "memory"])
-            .env("WAYFOLD_TLS__CERTIFICATE", self.file("server", "pem"))
-            .env("WAYFOLD_TLS__KEY", self.file("server", "key"))
-            .env("WAYFOLD_TLS__CLIENT_CA", self.file("ca", "pem"))
-            .env(
-                "WAYFOLD_ACCESS__IDENTITIES",
-                self.file("identities", "toml"),
-            );
-        command
-    }
-}
-
-/// Runs the command line.
-fn wayfold(arguments: &[&str]) -> ProcessOutput {
-    Process::start(env!("CARGO_BIN_EXE_cli-process"), arguments).finish()
-}
 
 /// The certificate that a server presents to a new connection.
 async fn presented(authority: &Authority, server: &ServerProcess) -> CertificateDer<'static> {

@@ -13,6 +13,8 @@ use wayfold_tests::{ServerProcess, Signal, Stubs, measuring, row_states, server}
 
 const KNNS: u64 = 37;
 const INSERTS: u64 = 5;
+/// The inserts, and the record that opens a session.
+const REVISIONS: u64 = INSERTS + 1;
 const MISSING: u64 = 3;
 const QUERIES: u64 = 4;
 const MISSED: u64 = 2;
@@ -69,6 +71,11 @@ async fn the_counts_are_those_of_the_clients() {
         k_form: Some(v1::knn_request::KForm::K(1)),
         ..Default::default()
     };
+    let session = v1::OpenSessionRequest {
+        index_name: "arm".into(),
+        ..Default::default()
+    };
+    stubs.points.open_session(session).await.unwrap();
     for _ in 0..INSERTS {
         let request = v1::InsertRequest {
             index_name: "arm".into(),
@@ -91,7 +98,7 @@ async fn the_counts_are_those_of_the_clients() {
     }
 
     // A subscriber that missed the last mutations, and one that has them all.
-    for after in [INSERTS - MISSED, INSERTS] {
+    for after in [REVISIONS - MISSED, REVISIONS] {
         let log = format!("wayfold/v1/arm/log?from={after};uid={uid}");
         let answers = session.get(log).await.unwrap();
         answers.recv_async().await.unwrap().into_result().unwrap();
@@ -114,14 +121,17 @@ async fn the_counts_are_those_of_the_clients() {
         (calls("zenoh", "info", "arm", "OK"), QUERIES),
         (calls("zenoh", "log", "arm", "OK"), 2),
         ("wayfold_index_points{index=\"arm\"}".into(), 2 * INSERTS),
-        ("wayfold_index_revision{index=\"arm\"}".into(), INSERTS),
+        ("wayfold_index_revision{index=\"arm\"}".into(), REVISIONS),
+        ("wayfold_index_sessions{index=\"arm\"}".into(), 1),
+        ("wayfold_index_batches{index=\"arm\"}".into(), 0),
+        ("wayfold_index_unmerged_points{index=\"arm\"}".into(), 0),
         ("wayfold_merges{state=\"running\"}".into(), 0),
         ("wayfold_zenoh_links".into(), 1),
         ("wayfold_index_followers{index=\"arm\"}".into(), 1),
         ("wayfold_index_follower_lag{index=\"arm\"}".into(), 0),
         (
             "wayfold_index_window_records{index=\"arm\"}".into(),
-            INSERTS,
+            REVISIONS,
         ),
         (
             "wayfold_index_missed_records_total{index=\"arm\"}".into(),
@@ -146,7 +156,7 @@ async fn the_counts_are_those_of_the_clients() {
         .filter(|(name, _)| name.starts_with("wayfold_call_seconds_count"))
         .map(|(_, count)| count)
         .sum();
-    let made = KNNS + INSERTS + MISSING + QUERIES + 3;
+    let made = KNNS + INSERTS + MISSING + QUERIES + 4;
     assert_eq!(all, made as f64, "{figures:#?}");
     let queued = figures["wayfold_queue_seconds_count{face=\"grpc\"}"];
     assert_eq!(queued, (made - QUERIES - 2) as f64);
@@ -154,6 +164,19 @@ async fn the_counts_are_those_of_the_clients() {
     let syncs = figures["wayfold_log_sync_seconds_count"];
     assert!(syncs >= INSERTS as f64, "{syncs}");
     assert!(figures["wayfold_resource_bytes{resource=\"memory\",of=\"used\"}"] > 1e6);
+    for part in ["trees", "recent_records", "store"] {
+        let bytes = figures[&format!("wayfold_memory_bytes{{part=\"{part}\"}}")];
+        assert!(bytes > 0.0, "{part}");
+    }
+    // No operation has an id, and no index has a quota.
+    for part in ["operations", "payload_sizes"] {
+        let bytes = figures[&format!("wayfold_memory_bytes{{part=\"{part}\"}}")];
+        assert_eq!(bytes, 0.0, "{part}");
+    }
+    for part in ["journal", "tables", "other"] {
+        let bytes = figures[&format!("wayfold_disk_bytes{{part=\"{part}\"}}")];
+        assert!(bytes > 0.0, "{part}");
+    }
 }
 
 /// The listener takes 64 connections at a time. Further ones wait for a place, and each gives it up at its end.

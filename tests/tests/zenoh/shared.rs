@@ -47,6 +47,21 @@ fn wait_for_status(index: &Index, is_it: impl Fn(&Status) -> bool) {
     }
 }
 
+/// A query of a shared index names its session to the server's log; a bare query does not.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_lines_of_a_call_name_the_session_that_made_it() {
+    let (mut server, locator) = server_with(&["--log", "wayfold_server=debug"], &[]);
+    let robot = Robot::connect(&locator).await;
+    let _index = shared(&robot, &Space::se2());
+    robot.json("list", json!({})).await.unwrap();
+    let lines = server.log_until("Zenoh/list");
+    let peer = format!("peer={}", robot.session.zid());
+    let created = lines.iter().find(|it| it.contains("Zenoh/create")).unwrap();
+    assert!(created.contains(&peer), "{created}");
+    let last = lines.last().unwrap();
+    assert!(!last.contains("peer="), "{last}");
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn copies_are_read_page_by_page_while_others_write() {
     let (_server, locator) = server();

@@ -7,7 +7,7 @@ use std::{
 
 use tokio::sync::oneshot;
 
-use super::{FlowNumber, Granted};
+use super::{FlowNumber, Granted, trend::Trend};
 
 /// The most short turns at a time for each thread.
 pub(super) const SHORT_TURNS: usize = 128;
@@ -31,6 +31,7 @@ pub(super) struct State {
     pub(super) new: usize,
     /// The last time that there were none.
     pub(super) was_empty: Instant,
+    pub(super) trend: Trend,
     /// The queue stands until then.
     pub(super) stands_until: Instant,
     pub(super) next_flow: FlowNumber,
@@ -116,6 +117,7 @@ impl State {
     pub(super) fn look(&mut self, now: Instant) {
         if self.new == 0 {
             self.was_empty = now;
+            self.trend = Trend::new(now);
         }
     }
 

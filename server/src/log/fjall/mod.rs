@@ -10,7 +10,7 @@
 //! index made from a copy), `session` (the stored writer sessions), `journal`, `syncer` and `sync_marks` (syncing, and
 //! the synced revisions), `failure` (the first failure, which stops all writing), `recovery` (from the files to the
 //! state), `rebuild` (a new store, or one rebuilt from a damaged one), `unclean_marker` (an unclean shutdown without
-//! fsync), `sweeper` (removal of deleted indices).
+//! fsync), `sweeper` (removal of deleted indices), `usage` (the bytes of the files).
 //!
 //! A failed store takes no writes and still serves reads. [`PointStore::reopen`] closes it and opens it as a start
 //! does: there is no other path from the files to the state. A damaged store serves what is readable; only [`repair`]
@@ -37,6 +37,7 @@ mod sweeper;
 mod sync_marks;
 mod syncer;
 mod unclean_marker;
+mod usage;
 mod view;
 
 use std::{io, path::Path, sync::Arc};
@@ -52,7 +53,7 @@ pub(crate) use syncer::SYNCS;
 
 use super::{
     Catalogue, Entry, Journal, LogError, Lost, Operation, Origin, PointStore, PointVisitor,
-    Receipt, Record, RecordStream, Restoring, Retention, Uid, View, Window,
+    Receipt, Record, RecordStream, Restoring, Retention, StoreUsage, Uid, View, Window,
 };
 use directory::Directory;
 use engine::Engine;
@@ -286,6 +287,15 @@ impl PointStore for FjallLog {
         match self.engine() {
             Ok(engine) => engine.failure(),
             Err(error) => Some(error),
+        }
+    }
+
+    fn usage(&self) -> StoreUsage {
+        let engine = self.engine();
+        let memory = engine.and_then(|engine| Ok(engine.store.handles()?.memory()));
+        StoreUsage {
+            memory: memory.unwrap_or(0),
+            ..usage::disk(self.directory.path())
         }
     }
 

@@ -101,6 +101,11 @@ impl Handles {
         self.database.write_buffer_size()
     }
 
+    /// The bytes of its memory: its cache and its memtables.
+    pub(super) fn memory(&self) -> u64 {
+        self.database.cache_size() + self.unmoved()
+    }
+
     /// True if the next batch may have to wait for the store to catch up, or for the disk: fjall syncs the journal
     /// under its lock when it begins to move points out of it.
     pub(super) fn is_busy(&self) -> bool {

@@ -9,6 +9,27 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::remote::{Stream, named_arm, server, settled};
 
+/// An operator sees a batch from its arrival until it is acknowledged, and its retries too.
+#[tokio::test]
+async fn batches_that_wait_for_the_journal_are_under_way() {
+    let (stream, entry) = (Stream::new(3, 0.0), named_arm());
+    let (service, registry, remote) = server(&stream, &entry);
+    let (session, _) = open(&service, &entry.uid.to_string(), 1).await;
+    let hosted = registry.get("arm").unwrap();
+    assert_eq!(hosted.batches_under_way(), 0);
+    let held = remote.hold().await;
+    let put = batch(&session, 1, &[Put(session.first, 0.5)]);
+    let mut twins = [(); 2].map(|()| Box::pin(write(&service, put.clone())));
+    for twin in &mut twins {
+        assert!(futures_util::poll!(twin.as_mut()).is_pending());
+    }
+    assert_eq!(hosted.batches_under_way(), 2);
+    drop(held);
+    let [first, second] = twins;
+    assert_eq!(first.await, second.await);
+    assert_eq!(hosted.batches_under_way(), 0);
+}
+
 /// A batch, and the response that the writer was given.
 type Acknowledged = (v1::WriteRequest, v1::WriteResponse);
 

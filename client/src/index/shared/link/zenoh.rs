@@ -14,6 +14,7 @@ use zenoh::{
     bytes::{Encoding, ZBytes},
     key_expr::KeyExpr,
     query::ConsolidationMode,
+    sample::SourceInfo,
 };
 
 use super::{
@@ -174,6 +175,8 @@ impl ZenohLink {
         let query = query.encoding(Encoding::APPLICATION_PROTOBUF);
         // The first answer counts. Without this it would come after the last one.
         let query = query.consolidation(ConsolidationMode::None);
+        // The server's log names the session by it.
+        let query = query.source_info(SourceInfo::new(self.session.id(), 0));
         let query = query.attachment(self.attachment.as_deref().map(ZBytes::from));
         let replies = query.await.map_err(|error| lost(call, key, error))?;
         let mut failed = None;

@@ -1,0 +1,122 @@
+//! Loads on one thread, in simulated time: bursts are answered whole, and under lasting load no call waits for long.
+
+use super::*;
+
+const MS: Duration = Duration::from_millis(1);
+const TARGET: Duration = Duration::from_millis(100);
+const BURST: Duration = Duration::from_secs(1);
+const FLOWS: u64 = 64;
+
+/// The outcomes of the calls of a load.
+#[derive(Debug, Default)]
+struct Outcomes {
+    /// The waits of the accepted calls, ascending.
+    waits: Vec<Duration>,
+    refused: usize,
+}
+
+/// The outcomes of calls that take `work` each and come at `arrivals` after the begin, over [`FLOWS`] flows in turn.
+fn simulate(work: Duration, mut arrivals: Vec<Duration>) -> Outcomes {
+    arrivals.sort();
+    let turns = Turns::new(1, TARGET, BURST);
+    let flows: Vec<FlowNumber> = (0..FLOWS).map(|_| turns.open()).collect();
+    let began = Instant::now();
+    let mut outcomes = Outcomes::default();
+    let mut coming = arrivals.iter().zip(flows.iter().cycle()).peekable();
+    let mut waiting: Vec<(Duration, oneshot::Receiver<Granted>)> = Vec::new();
+    let mut computing: Option<(Turn, Duration)> = None;
+    loop {
+        let end = computing.as_ref().map(|(_, end)| *end);
+        let next = coming.next_if(|(at, _)| end.is_none_or(|end| **at < end));
+        if let Some((&at, &flow)) = next {
+            match turns.ask(flow, Stage::New, Duration::ZERO, began + at) {
+                Ok(TurnRequest::Granted(turn)) => {
+                    outcomes.waits.push(Duration::ZERO);
+                    computing = Some((turn, at + work));
+                }
+                Ok(TurnRequest::Waits(granted)) => waiting.push((at, granted)),
+                Err(Overloaded(_)) => outcomes.refused += 1,
+            }
+        } else if let Some((mut turn, at)) = computing.take() {
+            let turns = turn.turns.take().unwrap();
+            turns.hand_on(turn.flow, turn.size, work, began + at);
+            waiting.retain_mut(|(since, granted)| match granted.try_recv() {
+                Ok(Ok(turn)) => {
+                    outcomes.waits.push(at - *since);
+                    computing = Some((turn, at + work));
+                    false
+                }
+                Ok(Err(Overloaded(_))) => {
+                    outcomes.refused += 1;
+                    false
+                }
+                Err(_) => true,
+            });
+        } else {
+            break;
+        }
+    }
+    assert!(waiting.is_empty());
+    assert_eq!(outcomes.waits.len() + outcomes.refused, arrivals.len());
+    outcomes.waits.sort();
+    outcomes
+}
+
+/// The arrivals of calls at equal distances for a time.
+fn steady(gap: Duration, time: Duration) -> Vec<Duration> {
+    let calls = (time.as_nanos() / gap.as_nanos()) as u32;
+    (0..calls).map(|n| gap * n).collect()
+}
+
+/// The arrivals of workers that all ask once a second, each second's spread over a time.
+fn bursts(workers: u32, spread: Duration, seconds: u64) -> Vec<Duration> {
+    let seconds = (0..seconds).map(Duration::from_secs);
+    let burst = |at| (0..workers).map(move |n| at + spread * n / workers);
+    seconds.flat_map(burst).collect()
+}
+
+#[test]
+fn workers_that_all_ask_at_once_are_all_answered() {
+    // Together they take 0.6 or 0.9 of a second.
+    for work in [Duration::from_secs_f64(0.6 / 64.0), 14 * MS] {
+        for spread in [0, 20, 100, 200] {
+            let outcomes = simulate(work, bursts(64, spread * MS, 10));
+            assert_eq!(outcomes.refused, 0, "{work:?}, spread over {spread} ms");
+        }
+    }
+    // Others ask meanwhile.
+    let mut arrivals = bursts(64, 5 * MS, 10);
+    arrivals.extend(steady(50 * MS, 10 * BURST));
+    assert_eq!(simulate(9 * MS, arrivals).refused, 0);
+}
+
+/// The first calls wait for longer: until then the load may be a burst.
+#[test]
+fn under_lasting_load_calls_wait_for_about_the_target() {
+    for times in [2, 4, 10] {
+        let work = 10 * MS;
+        let outcomes = simulate(work, steady(work / times, 8 * BURST));
+        let p99 = outcomes.waits[outcomes.waits.len() * 99 / 100];
+        assert!(p99 <= TARGET * 3 / 2, "{times}: {p99:?}");
+        let longest = outcomes.waits[outcomes.waits.len() - 1];
+        assert!(longest <= TARGET * 5 / 2, "{times}: {longest:?}");
+        // The thread was never idle.
+        let accepted = outcomes.waits.len();
+        assert!(accepted as u32 * work >= 8 * BURST, "{times}: {accepted}");
+    }
+}
+
+/// After a pause, a burst is a burst again.
+#[test]
+fn load_that_ends_is_forgotten() {
+    let mut arrivals = steady(5 * MS, BURST);
+    arrivals.extend(
+        bursts(64, Duration::ZERO, 5)
+            .iter()
+            .map(|at| 3 * BURST + *at),
+    );
+    let overload = simulate(9 * MS, steady(5 * MS, BURST));
+    assert!(overload.refused > 0);
+    let both = simulate(9 * MS, arrivals);
+    assert_eq!(both.refused, overload.refused);
+}

@@ -1,0 +1,95 @@
+//! The disk that the parts of a data directory take.
+
+use std::{
+    ffi::OsStr,
+    fs::{self, Metadata},
+    path::Path,
+};
+
+use super::{STORE, journal};
+use crate::log::StoreUsage;
+
+/// The directory of the store's tables.
+const TABLES: &str = "keyspaces";
+
+/// The disk of the files in `directory`. A file that goes meanwhile counts as nothing.
+pub(super) fn disk(directory: &Path) -> StoreUsage {
+    let store = directory.join(STORE);
+    let mut usage = StoreUsage::default();
+    visit(directory, &mut |path, bytes| {
+        let part = if path.starts_with(store.join(TABLES)) {
+            &mut usage.tables
+        } else if path.parent() == Some(&store) && is_journal(path) {
+            &mut usage.journal
+        } else {
+            &mut usage.other
+        };
+        *part += bytes;
+    });
+    usage
+}
+
+/// True for a path with the name of a journal file.
+fn is_journal(path: &Path) -> bool {
+    let name = path.file_name().and_then(OsStr::to_str);
+    name.and_then(journal::number).is_some()
+}
+
+fn visit(directory: &Path, count: &mut impl FnMut(&Path, u64)) {
+    for entry in fs::read_dir(directory).into_iter().flatten().flatten() {
+        // A link is not followed.
+        match entry.metadata() {
+            Ok(found) if found.is_dir() => visit(&entry.path(), count),
+            Ok(found) => count(&entry.path(), taken(&found)),
+            Err(_) => {}
+        }
+    }
+}
+
+/// The disk of a file. A file of the journal is as long as it may become, and takes only what was written.
+#[cfg(unix)]
+fn taken(file: &Metadata) -> u64 {
+    use std::os::unix::fs::MetadataExt;
+    file.blocks() * 512
+}
+
+#[cfg(not(unix))]
+fn taken(file: &Metadata) -> u64 {
+    file.len()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{fs::File, io::Write};
+
+    use super::*;
+
+    #[test]
+    #[cfg(unix)]
+    fn each_file_counts_for_its_part_with_the_blocks_that_it_has() {
+        const MIB: u64 = 1024 * 1024;
+        let directory = tempfile::tempdir().unwrap();
+        for (path, mib) in [
+            ("store/0.jnl", 1),
+            ("store/keyspaces/1/tables/7", 2),
+            ("store/keyspaces/1/tables/8.jnl", 2),
+            ("store.damaged-1/0.jnl", 4),
+            ("marks", 1),
+        ] {
+            let path = directory.path().join(path);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            let mut file = File::create(path).unwrap();
+            file.write_all(&vec![7; (mib * MIB) as usize]).unwrap();
+            file.set_len(64 * MIB).unwrap();
+            file.sync_all().unwrap();
+        }
+        let found = disk(directory.path());
+        let parts = [found.journal, found.tables, found.other];
+        // A file system adds blocks of its own for large files.
+        assert_eq!(parts.map(|bytes| bytes / MIB), [1, 4, 5], "{found:?}");
+        assert_eq!(
+            disk(&directory.path().join("missing")),
+            StoreUsage::default()
+        );
+    }
+}
