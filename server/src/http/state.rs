@@ -165,7 +165,10 @@ impl State {
                 damaged += 1;
                 continue;
             };
-            served += 1;
+            match hosted.damage() {
+                Some(_) => damaged += 1,
+                None => served += 1,
+            }
             // One for all indices beyond the labelled ones would be wrong for each of them.
             let Some(label) = hosted.own_label() else {
                 continue;
@@ -195,7 +198,7 @@ impl State {
         let state = |state: &str| [("state", Arc::from(state))];
         gauges.push((
             "indices",
-            "Indices that are served, and those that cannot be read",
+            "Indices that are served, and those that cannot be read or written",
             vec![(state("served"), served), (state("damaged"), damaged)],
         ));
         (gauges, missed)

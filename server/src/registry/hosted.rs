@@ -372,6 +372,15 @@ impl Hosted {
         is_resumed
     }
 
+    /// The damage of its journal, after which no record is applied: reads go on at the published revision.
+    pub(crate) fn damage(&self) -> Option<RegistryError> {
+        let state = self.state.borrow();
+        let closed = state.closed.as_ref();
+        let damage =
+            closed.filter(|why| matches!(why, RegistryError::Log(LogError::Damaged { .. })));
+        damage.cloned()
+    }
+
     /// True if it is closed because a lost receipt could not be settled.
     pub(super) fn is_unsettled(&self) -> bool {
         let state = self.state.borrow();

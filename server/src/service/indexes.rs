@@ -17,6 +17,7 @@ use super::{
 };
 use crate::{
     identity::{Caller, Role},
+    log::Uid,
     registry::{Hosted, IndexLimit, Listed, Published, Registry, RegistryError},
 };
 
@@ -148,18 +149,22 @@ impl Service {
         let mut page = Listing::default();
         let (mut bytes, mut last) = (0, None::<String>);
         for (at, listed) in listed.into_iter().enumerate() {
+            let damaged = |name: &str, uid: Uid, why| Damaged {
+                name: name.into(),
+                uid: uid.to_string(),
+                error: registry_error(name, why),
+            };
             let (name, entry) = match listed {
                 Listed::Hosted(hosted) => {
-                    let index = describe(&hosted, &hosted.published());
-                    (index.name.clone(), Ok(index))
+                    let entry = match hosted.damage() {
+                        Some(why) => Err(damaged(hosted.name(), hosted.uid(), why)),
+                        None => Ok(describe(&hosted, &hosted.published())),
+                    };
+                    (hosted.name().to_owned(), entry)
                 }
                 Listed::Damaged { name, uid, why } => {
-                    let damaged = Damaged {
-                        name: name.clone(),
-                        uid: uid.to_string(),
-                        error: registry_error(&name, why),
-                    };
-                    (name, Err(damaged))
+                    let entry = Err(damaged(&name, uid, why));
+                    (name, entry)
                 }
             };
             bytes += match &entry {

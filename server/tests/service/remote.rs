@@ -295,6 +295,16 @@ async fn a_journal_that_has_lost_applied_records_is_noticed() {
         assert!(error.to_string().contains("revision 3"), "{error}");
     }
     assert_eq!(everything(&service).await.point_count, 3);
+    let listing = service
+        .list_indexes(&CALL, Default::default())
+        .await
+        .unwrap();
+    assert!(listing.indexes.is_empty());
+    let damaged = &listing.damaged[0];
+    assert_eq!(
+        (&*damaged.name, damaged.error.code()),
+        ("arm", Code::DataLoss)
+    );
 }
 
 /// Each server reads what the other has just acknowledged. Without `latest` it may lag behind.
