@@ -27,7 +27,7 @@ use crate::{
     ServerInfo,
 };
 
-/// A connection to a Wayfold server, or to several that serve the same indices. Clones share it; any number of calls can
+/// A connection to a Wayfold server, or to several that share their indices. Clones share it; any number of calls can
 /// be under way on it at once.
 ///
 /// The next call restores a broken connection, or goes to another server.
@@ -43,7 +43,8 @@ pub struct Client {
 }
 
 impl Client {
-    /// Connects with the default settings: [`ClientBuilder::connect`].
+    /// Connects with the default settings to a server, or to the first of several that answers: `uri` names them with
+    /// commas between them. See [`ClientBuilder::connect`].
     ///
     /// # Errors
     /// The errors of [`ClientBuilder::connect`].

@@ -246,8 +246,8 @@ impl IndexHandle {
         self.shared.client.call(call, self.timeout, attempt).await
     }
 
-    /// Makes a mutation, with a message made for each attempt. A server that the client has gone to evaluates it once it
-    /// has the newest revision that the handle has seen: an older one may lack the points that it names.
+    /// Makes a mutation, with a message made for each attempt. A server to which the client has gone evaluates it after
+    /// the newest revision that the handle has seen: an older one may lack the points that it names.
     pub(crate) async fn mutate<Q, A, M, F, Fut>(
         &self,
         call: &'static str,

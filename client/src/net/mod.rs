@@ -1,7 +1,8 @@
 //! The asynchronous client: a connection to a server, and its calls.
 //!
-//! `client` makes the calls on its `connections`, and `handle` is an index; `request` has a file for each call. `limits` divides what is
-//! too large for one call, `retry` repeats what found no server. The other files are what travels.
+//! `client` makes the calls on its `connections`, and `handle` is an index; `request` has a file for each call. `limits`
+//! divides what is too large for one call, `retry` repeats what found no server, and `newest` remembers the revisions
+//! that were seen. The other files are what travels.
 
 pub(crate) mod client;
 pub(crate) mod connections;

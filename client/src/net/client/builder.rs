@@ -65,9 +65,9 @@ impl ClientBuilder {
     /// Connects to the server at `uri`: `https://HOST:PORT`, which needs the certificate of an authority,
     /// `http://HOST:PORT`, or just `HOST:PORT`.
     ///
-    /// `uri` may name several servers that share their indices, with commas between them: the client uses the first that
-    /// answers, and goes on at the next one when that is unavailable. Reads still see no older revision of an index than
-    /// the client has seen before; a [`Watch`](crate::Watch) ends with an error when the client leaves its server.
+    /// `uri` may name several servers that share their indices, with commas between them: the client uses the first
+    /// that answers, and goes on at the next one when that is unavailable. Reads still see no older revision of an index
+    /// than the client has seen before; a [`Watch`](crate::Watch) ends with an error when the client leaves its server.
     ///
     /// # Errors
     /// [`Error::Address`]; [`Error::Argument`]: a token that is none; or [`Error::Connection`] if no attempt reaches a

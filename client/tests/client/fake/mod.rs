@@ -53,6 +53,7 @@ struct Inner {
     script: Option<Script>,
     calls: usize,
     knn: Vec<v1::KnnRequest>,
+    get: Vec<v1::GetRequest>,
     insert: Vec<v1::InsertRequest>,
     remove: Vec<v1::RemoveRequest>,
     timeouts: Vec<Option<String>>,
@@ -175,6 +176,10 @@ impl Fake {
 
     pub(crate) fn knn_requests(&self) -> Vec<v1::KnnRequest> {
         self.inner.lock().unwrap().knn.clone()
+    }
+
+    pub(crate) fn get_requests(&self) -> Vec<v1::GetRequest> {
+        self.inner.lock().unwrap().get.clone()
     }
 
     pub(crate) fn insert_requests(&self) -> Vec<v1::InsertRequest> {

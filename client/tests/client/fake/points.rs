@@ -91,8 +91,16 @@ impl PointService for Fake {
         &self,
         request: Request<v1::GetRequest>,
     ) -> Result<Response<v1::GetResponse>, Status> {
-        self.enter(&request, request.get_ref().ids.len()).await?;
-        Err(Status::unimplemented("get"))
+        let received = request.get_ref().clone();
+        self.inner.lock().unwrap().get.push(received);
+        let number = self.enter(&request, request.get_ref().ids.len()).await?;
+        match request.get_ref().ids.is_empty() {
+            true => Ok(Response::new(v1::GetResponse {
+                revision: revision(number),
+                ..Default::default()
+            })),
+            false => Err(Status::unimplemented("get")),
+        }
     }
 
     async fn knn(
