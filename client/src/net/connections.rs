@@ -128,3 +128,60 @@ impl Connections {
         let _ = turn.wait_for(|turn| *turn != connection.turn).await;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use tonic::transport::Endpoint;
+
+    use super::*;
+    use crate::Credentials;
+
+    /// Connections that are never made.
+    fn connections(count: usize) -> Connections {
+        let bearer = Credentials::new().bearer().unwrap();
+        let connection = |number| {
+            let channel = Endpoint::from_static("http://127.0.0.1:0").connect_lazy();
+            let uri = format!("server {number}");
+            Connection::new(uri.into(), (channel, bearer.clone()), 0)
+        };
+        Connections::new((0..count).map(connection).collect(), 0)
+    }
+
+    #[tokio::test]
+    async fn calls_that_fail_together_move_the_client_once() {
+        let connections = connections(3);
+        let first = connections.current();
+        let calls = [first.clone(), first.clone()];
+        for call in &calls {
+            connections.leave(call);
+            connections.left(call).await;
+            assert_eq!(&**connections.current().uri(), "server 1");
+        }
+        for next in ["server 2", "server 0", "server 1"] {
+            connections.leave(&connections.current());
+            assert_eq!(&**connections.current().uri(), next);
+        }
+        // A call that began before the client came round again.
+        connections.leave(&first);
+        assert_eq!(&**connections.current().uri(), "server 1");
+    }
+
+    #[tokio::test]
+    async fn a_server_is_left_for_a_long_silence_and_not_for_a_short_timeout() {
+        let connections = connections(2);
+        let first = connections.current();
+        let silence = Error::timeout("knn", MAX_SILENCE);
+        connections.failed(&first, &silence, MAX_SILENCE / 2);
+        assert_eq!(connections.current().turn(), first.turn());
+        connections.failed(&first, &silence, MAX_SILENCE);
+        assert_ne!(connections.current().turn(), first.turn());
+    }
+
+    #[tokio::test]
+    async fn a_single_server_is_never_left() {
+        let connections = connections(1);
+        let only = connections.current();
+        connections.leave(&only);
+        assert_eq!(connections.current().turn(), only.turn());
+    }
+}

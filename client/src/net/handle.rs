@@ -20,7 +20,8 @@ use crate::{
 /// `FAILED_PRECONDITION`, and [`Client::index`] gives a new one.
 ///
 /// Clones are cheap and share the last revision that any answer named. Reads see that revision or a later one: a caller
-/// who wrote through the handle reads its own writes, on any server.
+/// who wrote through the handle reads its own writes, on any server. A client of several servers has one such revision
+/// for all its handles of an index.
 #[derive(Clone, Debug)]
 pub struct IndexHandle {
     shared: Arc<Shared>,
@@ -247,7 +248,7 @@ impl IndexHandle {
     }
 
     /// Makes a mutation, with a message made for each attempt. A server to which the client has gone evaluates it after
-    /// the newest revision that the handle has seen: an older one may lack the points that it names.
+    /// the newest revision that the handle has seen: it may refuse an update of points that it lacks.
     pub(crate) async fn mutate<Q, A, M, F, Fut>(
         &self,
         call: &'static str,

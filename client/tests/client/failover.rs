@@ -143,7 +143,8 @@ async fn a_mutation_keeps_its_operation_id_at_the_next_server() {
     let (first, second) = (Fake::start().await, Fake::start().await);
     let index = connect([&first.uri, &second.uri]).await;
     let index = index.index("line").await.unwrap();
-    first.fail(|number, _| (number > 0).then(|| Answer::unavailable("no answer from NATS")));
+    // Another call comes before the first mutation at a server.
+    first.fail(|_, rows| (rows > 0).then(|| Answer::unavailable("no answer from NATS")));
     index.insert([[0.0]]).await.unwrap();
     let sent = |fake: &Fake| fake.insert_requests()[0].operation_id.clone();
     assert_eq!(sent(&first), sent(&second));
@@ -294,6 +295,55 @@ async fn the_copy_looks_for_its_index_at_the_next_server() {
     let servers = several([&first.uri, &second.uri]);
     let index = Index::shared(&servers, "line").open().unwrap();
     wait_for(&index, &[(1, 0.0), (2, 1.0)]);
+}
+
+/// Only a refusal that another server may not repeat is not final. The fake takes no writes.
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn writes_to_a_server_that_lacks_the_index_go_to_the_next_one() {
+    let (first, second) = (Fake::start().await, Fake::start().await);
+    first.scan_answers(vec![scanned(3, &[(1, 0.0)])], true);
+    first.watch_tells(vec![Ok(message(3, vec![]))]);
+    let servers = several([&first.uri, &second.uri]);
+    let index = Index::shared(&servers, "line").open().unwrap();
+    while first.watch_requests().is_empty() {
+        thread::yield_now();
+    }
+    first.fail(|_, _| Some(Answer::not_found("no index is named so")));
+    index.insert([5.0]).unwrap();
+    let refused = index.flush().unwrap_err();
+    assert!(matches!(refused, Error::WritesRefused { .. }), "{refused}");
+    assert_eq!(refused.code(), Code::Unimplemented);
+}
+
+/// The second server has not heard that the index was made again.
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn the_copy_does_not_go_back_to_a_uid_that_its_index_had_before() {
+    const NEW: &str = "the-next-uid";
+    let of_new = |number| fake::revision_of(NEW, number);
+    let reset = |revision| v1::WatchResponse {
+        revision,
+        reset: Some(v1::ResetReason::UidChanged.into()),
+        ..Default::default()
+    };
+    let (first, second) = (Fake::start().await, Fake::start().await);
+    first.describe_as([fake::UID, NEW]);
+    first.scan_answers(vec![scanned(3, &[(1, 0.0)])], true);
+    first.watch_tells(vec![Ok(reset(of_new(1)))]);
+    let mut anew = scanned(1, &[(7, 0.5)]);
+    anew.revision = of_new(1);
+    first.scan_answers(vec![anew], true);
+    first.watch_tells(vec![Err(Answer::unavailable("the server is stopping"))]);
+    second.watch_tells(vec![Ok(reset(fake::revision(3)))]);
+    second.scan_answers(vec![scanned(3, &[(1, 0.0)])], true);
+    let mut next = message(2, vec![piece(2, &[(8, 1.5)], &[], (0, false))]);
+    next.revision = of_new(2);
+    next.mutations[0].revision = of_new(2);
+    first.watch_tells(vec![Ok(next)]);
+
+    let servers = several([&first.uri, &second.uri]);
+    let index = Index::shared(&servers, "line").open().unwrap();
+    wait_for(&index, &[(7, 0.5), (8, 1.5)]);
+    assert_eq!(second.watch_requests().len(), 1);
 }
 
 /// Of two servers without anything in common, the second has no index.

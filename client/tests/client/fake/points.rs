@@ -68,8 +68,9 @@ impl PointService for Fake {
 
     async fn write(
         &self,
-        _: Request<v1::WriteRequest>,
+        request: Request<v1::WriteRequest>,
     ) -> Result<Response<v1::WriteResponse>, Status> {
+        self.enter(&request, request.get_ref().ids.len()).await?;
         Err(Status::unimplemented("write"))
     }
 

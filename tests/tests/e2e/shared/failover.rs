@@ -1,13 +1,13 @@
 //! Several servers with one journal in NATS: a client goes on at another one when its server dies, or is cut off from
 //! NATS. The environment variable `NATS_SERVER` has the path of the program nats-server.
 
-use std::{collections::BTreeSet, process::Command, thread};
+use std::{collections::BTreeSet, process::Command, thread, time::Duration};
 
 use tempfile::TempDir;
 use tokio::runtime::Runtime;
-use wayfold::{Client, Index};
+use wayfold::{Client, Code, Index};
 use wayfold_index::Space;
-use wayfold_tests::{Process, ServerProcess, Signal};
+use wayfold_tests::{Process, ServerProcess, Signal, server};
 
 use super::{
     history::{check_copies, content, wait_for_all},
@@ -41,6 +41,10 @@ impl Nats {
             _process: process,
             _directory: directory,
         }
+    }
+
+    fn uri(&self) -> String {
+        format!("http://{}", self.address)
     }
 
     /// A server of Wayfold that shares its journal through NATS at an address.
@@ -102,20 +106,23 @@ fn writes_of_a_copy_are_there_once_after_its_server_has_died() {
     check_copies(&stored, &space, &[&index, &reader]);
 }
 
-/// The second server stands still while the first one writes, and has the records only after the first has died.
+/// The second server hears nothing of NATS while the first one writes, and for a while after that has died.
 #[test]
 #[ignore = "needs nats-server"]
 fn a_server_that_lags_is_not_older_to_its_client() {
     let nats = Nats::start();
-    let [first, second] = [(); 2].map(|()| Nats::server(&nats.address));
+    let runtime = Runtime::new().unwrap();
+    let way = runtime.block_on(Proxy::to(&nats.uri()));
+    let first = Nats::server(&nats.address);
+    let second = Nats::server(way.uri.trim_start_matches("http://"));
     let space: Space = "R2".parse().unwrap();
     let uris = format!("{},{}", first.uri(), second.uri());
     let copy = shared(&uris, &space);
     wait_for_index(second.uri());
-    Runtime::new().unwrap().block_on(async {
+    runtime.block_on(async {
         let client = Client::connect(&uris).await.unwrap();
         let index = client.index("arm").await.unwrap();
-        second.process().signal(Signal::Pause);
+        way.hold(&nats.uri());
         let mut ids = Vec::new();
         for number in 0..POINTS {
             let inserted = index.insert([[number as f64, 0.0]]).await.unwrap();
@@ -123,9 +130,16 @@ fn a_server_that_lags_is_not_older_to_its_client() {
         }
         let seen = index.revision();
         first.stop(Signal::Kill);
-        second.process().signal(Signal::Resume);
 
-        // A removal of a point that is not there yet would remove nothing.
+        // It has none of the points.
+        let impatient = index.with_timeout(Duration::from_millis(500));
+        let read = impatient.get(&ids[..]).await.unwrap_err();
+        let updated = impatient.update([ids[0]]).tags([1]).await.unwrap_err();
+        for error in [read, updated] {
+            assert_eq!(error.code(), Code::DeadlineExceeded, "{error}");
+        }
+        way.lead_to(&nats.uri());
+        index.update([ids[0]]).tags([1]).await.unwrap();
         let removed = index.remove([ids[POINTS - 1]]).await.unwrap();
         assert_eq!(removed.removed_count, 1);
         let left = &ids[..POINTS - 1];
@@ -135,7 +149,22 @@ fn a_server_that_lags_is_not_older_to_its_client() {
         assert!(described.revision.number > seen.number);
     });
     wait_for_all(&copy, &[-1.0, 0.0], &[&copy]);
-    check_copies(&content(&shared(second.uri(), &space)), &space, &[&copy]);
+    let stored = content(&shared(second.uri(), &space));
+    check_copies(&stored, &space, &[&copy]);
+}
+
+/// Its connections stay open, and nothing comes.
+#[tokio::test]
+async fn a_server_that_stands_still_is_left() {
+    let [first, second] = [(); 2].map(|()| server!());
+    let uris = format!("{},{}", first.uri(), second.uri());
+    let client = Client::connect(&uris).await.unwrap();
+    client.server().await.unwrap();
+    first.process().signal(Signal::Pause);
+    client.server().await.unwrap();
+    first.process().signal(Signal::Resume);
+    second.stop(Signal::Kill);
+    client.server().await.unwrap();
 }
 
 #[test]
@@ -143,7 +172,7 @@ fn a_server_that_lags_is_not_older_to_its_client() {
 fn a_copy_leaves_a_server_that_is_cut_off_from_the_journal() {
     let nats = Nats::start();
     let runtime = Runtime::new().unwrap();
-    let way = runtime.block_on(Proxy::to(&format!("http://{}", nats.address)));
+    let way = runtime.block_on(Proxy::to(&nats.uri()));
     let first = Nats::server(way.uri.trim_start_matches("http://"));
     let second = Nats::server(&nats.address);
     let space: Space = "R2".parse().unwrap();
