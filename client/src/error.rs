@@ -272,7 +272,7 @@ fn earlier_attempt(earlier: Option<&Error>) -> String {
 }
 
 /// The innermost error: "Connection refused" says more than the "transport error" around it.
-fn root_cause(error: &(dyn std::error::Error + 'static)) -> String {
+pub(crate) fn root_cause(error: &(dyn std::error::Error + 'static)) -> String {
     let mut cause = error;
     while let Some(source) = cause.source() {
         cause = source;

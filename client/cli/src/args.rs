@@ -37,7 +37,8 @@ fn after_help() -> String {
 #[derive(Debug, Parser)]
 #[command(name = "wayfold", version, after_help = after_help(), max_term_width = 100)]
 pub(super) struct Args {
-    /// The server's address; `verify` takes several
+    /// The server's address, or those of servers that share their indices, with commas between them; `verify` takes
+    /// the option several times
     #[arg(
         long,
         global = true,

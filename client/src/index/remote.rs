@@ -62,7 +62,7 @@ impl OpenRemote {
         self
     }
 
-    /// Connects and opens the index.
+    /// Connects to the first server that answers, and opens the index.
     ///
     /// # Errors
     /// [`Error::Address`], [`Error::Connection`], [`Error::Timeout`]. `NOT_FOUND`: there is no index of this name.

@@ -12,6 +12,9 @@ impl Index {
     /// travel in the background, writes of others arrive as they happen.
     ///
     /// A read sees everything up to one revision of the server's, and own writes after it in the order of their calls.
+    ///
+    /// `uri` may name several servers that share their indices, with commas between them: the index goes on at another
+    /// one when its server is unavailable ([`ClientBuilder::connect`](crate::ClientBuilder::connect)).
     pub fn shared(uri: &str, name: &str) -> OpenShared {
         OpenShared::new(uri, name)
     }
@@ -33,7 +36,8 @@ impl Index {
         OpenShared::over_zenoh(session, prefix, name)
     }
 
-    /// The index of this name on a server, without a copy: each call is one of the server's, and waits for it.
+    /// The index of this name on a server, without a copy: each call is one of the server's, and waits for it. `uri`
+    /// may name several servers, as for [`Index::shared`].
     pub fn remote(uri: &str, name: &str) -> OpenRemote {
         OpenRemote::new(uri, name)
     }

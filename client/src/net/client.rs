@@ -10,36 +10,41 @@ use std::{
 };
 
 use tokio::time::{Instant, timeout_at};
-use tonic::{Code, service::interceptor::InterceptedService, transport::Channel};
+use tonic::Code;
 use wayfold_index::Space;
 use wayfold_proto::{
     space,
-    v1::{
-        self, create_index_request::SpaceForm, index_service_client::IndexServiceClient,
-        point_service_client::PointServiceClient,
-    },
+    v1::{self, create_index_request::SpaceForm},
 };
 
 pub use self::builder::ClientBuilder;
-use super::credentials::Bearer;
+use super::{
+    connections::{Connection, Connections, IndexStub},
+    newest::{Newest, NewestRevisions},
+};
 use crate::{
-    DamagedIndex, Error, IndexHandle, IndexInfo, IndexList, Limits, RetryPolicy, ServerInfo,
+    DamagedIndex, Error, IndexHandle, IndexInfo, IndexList, Limits, RetryPolicy, Revision,
+    ServerInfo,
 };
 
-/// A connection to a Wayfold server. Clones share it; any number of calls can be under way on it at once.
+/// A connection to a Wayfold server, or to several that share their indices. Clones share it; any number of calls can
+/// be under way on it at once.
 ///
-/// The next call restores a broken connection.
+/// The next call restores a broken connection, or goes to another server.
 #[derive(Clone)]
 pub struct Client {
-    channel: Transport,
+    connections: Arc<Connections>,
     uri: Arc<str>,
     settings: ClientBuilder,
     /// The limits by which requests are divided; `None` until a request needs them.
     limits: Arc<Mutex<Option<Limits>>>,
+    /// The newest revisions that any answer named, if there are several servers.
+    newest: Arc<NewestRevisions>,
 }
 
 impl Client {
-    /// Connects with the default settings: [`ClientBuilder::connect`].
+    /// Connects with the default settings to a server, or to the first of several that answers: `uri` names them with
+    /// commas between them. See [`ClientBuilder::connect`].
     ///
     /// # Errors
     /// The errors of [`ClientBuilder::connect`].
@@ -52,7 +57,7 @@ impl Client {
         ClientBuilder::default()
     }
 
-    /// The server's address.
+    /// The server's address; of several, all of them with commas between them.
     pub fn uri(&self) -> &str {
         &self.uri
     }
@@ -67,10 +72,9 @@ impl Client {
 
     /// Returns the result of [`Client::server`] on behalf of `call`, which an error names.
     async fn server_for(&self, call: &'static str, timeout: Duration) -> Result<ServerInfo, Error> {
-        let stub = self.indexes();
-        let attempt = |remaining| {
-            let (mut stub, request) = (stub.clone(), within(remaining, v1::GetServerRequest {}));
-            async move { stub.get_server(request).await }
+        let attempt = |connection: Connection, remaining| {
+            let request = within(remaining, v1::GetServerRequest {});
+            async move { connection.indexes().get_server(request).await }
         };
         ServerInfo::from_message(call, self.call(call, timeout, attempt).await?)
     }
@@ -122,7 +126,11 @@ impl Client {
         };
         let call = |stub: IndexStub, request| async move { { stub }.create_index(request).await };
         let answer = self.index_call(CALL, message, call).await?;
-        Ok((IndexInfo::from_message(CALL, answer.index)?, answer.created))
+        let info = IndexInfo::from_message(CALL, answer.index)?;
+        match self.is_newest(&info) {
+            true => Ok((info, answer.created)),
+            false => Ok((self.index_info(name).await?, false)),
+        }
     }
 
     /// Opens an index that exists.
@@ -143,8 +151,30 @@ impl Client {
             index_name: name.to_owned(),
         };
         let call = |stub: IndexStub, request| async move { { stub }.get_index(request).await };
-        let answer = self.index_call(CALL, message, call).await?;
-        IndexInfo::from_message(CALL, answer.index)
+        loop {
+            let answer = self.index_call(CALL, message.clone(), call).await?;
+            let info = IndexInfo::from_message(CALL, answer.index)?;
+            if self.is_newest(&info) {
+                return Ok(info);
+            }
+            // This server lags behind another one: wait for it.
+            let handle = IndexHandle::new(self.clone(), info);
+            handle.get([]).await?;
+        }
+    }
+
+    /// False if the client has seen a newer revision of the index.
+    fn is_newest(&self, info: &IndexInfo) -> bool {
+        self.newest(&info.revision).number() <= info.revision.number
+    }
+
+    /// The newest revision of the uid that any answer named to this client, if there are several servers: they may lag
+    /// behind each other. This one is the first if there is only one.
+    pub(crate) fn newest(&self, revision: &Revision) -> Arc<Newest> {
+        match self.connections.are_several() {
+            true => self.newest.of(revision),
+            false => Arc::new(Newest::new(revision.number)),
+        }
     }
 
     /// All indices of the server, by name; the damaged ones in a list of their own.
@@ -163,8 +193,11 @@ impl Client {
                 |stub: IndexStub, request| async move { { stub }.list_indexes(request).await };
             let page = self.index_call(CALL, message, call).await?;
             for index in page.indexes {
-                list.indexes
-                    .push(IndexInfo::from_message(CALL, Some(index))?);
+                let info = IndexInfo::from_message(CALL, Some(index))?;
+                list.indexes.push(match self.is_newest(&info) {
+                    true => info,
+                    false => self.index_info(&info.name).await?,
+                });
             }
             list.damaged
                 .extend(page.damaged.into_iter().map(DamagedIndex::from_message));
@@ -196,9 +229,11 @@ impl Client {
         let call = |stub: IndexStub, request| async move { { stub }.delete_index(request).await };
         match self.index_call("delete_index", message, call).await {
             // The index existed before this call: an earlier attempt or another caller deleted it.
-            Err(error) if error.code() == Code::NotFound => Ok(uid),
-            deleted => deleted.map(|_| uid),
+            Err(error) if error.code() == Code::NotFound => {}
+            deleted => drop(deleted?),
         }
+        self.newest.forget(&uid);
+        Ok(uid)
     }
 
     /// The uid of the index of this name, if it cannot be read.
@@ -219,8 +254,9 @@ impl Client {
         F: FnMut(IndexStub, tonic::Request<Q>) -> Fut,
         Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
     {
-        let stub = self.indexes();
-        let attempt = |remaining| send(stub.clone(), within(remaining, message.clone()));
+        let attempt = |connection: Connection, remaining| {
+            send(connection.indexes(), within(remaining, message.clone()))
+        };
         self.call(call, self.settings.timeout, attempt).await
     }
 
@@ -229,21 +265,42 @@ impl Client {
         &self,
         call: &'static str,
         timeout: Duration,
-        mut attempt: F,
+        attempt: F,
     ) -> Result<A, Error>
     where
-        F: FnMut(Duration) -> Fut,
+        F: FnMut(Connection, Duration) -> Fut,
+        Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
+    {
+        let answer = self.call_at(call, timeout, attempt).await;
+        answer.map(|(answer, _)| answer)
+    }
+
+    /// Acts like [`Client::call`], and returns the connection that the answer came on.
+    pub(crate) async fn call_at<A, F, Fut>(
+        &self,
+        call: &'static str,
+        timeout: Duration,
+        mut attempt: F,
+    ) -> Result<(A, Connection), Error>
+    where
+        F: FnMut(Connection, Duration) -> Fut,
         Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
     {
         let deadline = Instant::now() + timeout;
         let attempt = || {
-            let sent = attempt(deadline.saturating_duration_since(Instant::now()));
+            let connection = self.connection();
+            let began = Instant::now();
+            let remaining = deadline.saturating_duration_since(began);
+            let sent = attempt(connection.clone(), remaining);
             async move {
-                match timeout_at(deadline, sent).await {
-                    Ok(Ok(response)) => Ok(response.into_inner()),
-                    Ok(Err(status)) => Err(Error::from_status(call, &self.uri, timeout, status)),
-                    Err(_) => Err(Error::timeout(call, timeout)),
-                }
+                let error = match timeout_at(deadline, sent).await {
+                    Ok(Ok(response)) => return Ok((response.into_inner(), connection)),
+                    Ok(Err(status)) => Error::from_status(call, connection.uri(), timeout, status),
+                    Err(_) => Error::timeout(call, timeout),
+                };
+                self.connections
+                    .failed(&connection, &error, began.elapsed());
+                Err(error)
             }
         };
         let answer = self.settings.retry.run(deadline, attempt).await;
@@ -254,16 +311,13 @@ impl Client {
         answer
     }
 
-    /// The stub of the calls about whole indices.
-    pub(crate) fn indexes(&self) -> IndexStub {
-        IndexServiceClient::new(self.channel.clone())
-            .max_decoding_message_size(self.settings.max_message_bytes)
+    /// The connection that the next call uses.
+    pub(crate) fn connection(&self) -> Connection {
+        self.connections.current()
     }
 
-    /// The stub of the calls about points.
-    pub(crate) fn points(&self) -> PointStub {
-        PointServiceClient::new(self.channel.clone())
-            .max_decoding_message_size(self.settings.max_message_bytes)
+    pub(crate) fn connections(&self) -> &Connections {
+        &self.connections
     }
 
     pub(crate) fn timeout(&self) -> Duration {
@@ -278,14 +332,6 @@ impl Client {
         self.settings.max_message_bytes
     }
 }
-
-/// A connection whose calls have the client's token.
-type Transport = InterceptedService<Channel, Bearer>;
-
-type IndexStub = IndexServiceClient<Transport>;
-
-/// The stub of the calls about points.
-pub(crate) type PointStub = PointServiceClient<Transport>;
 
 /// A request that the server gives up after `remaining`.
 pub(crate) fn within<Q>(remaining: Duration, message: Q) -> tonic::Request<Q> {

@@ -1,12 +1,6 @@
 //! One index of a server: its requests, and the last revision that an answer named.
 
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering},
-    },
-    time::Duration,
-};
+use std::{sync::Arc, time::Duration};
 
 use wayfold_index::Space;
 use wayfold_proto::v1;
@@ -14,15 +8,20 @@ use wayfold_proto::v1;
 use crate::{
     Client, Error, Get, IndexInfo, Insert, Knn, KnnAnswers, KnnRequests, Limits, Query, Radius,
     Remove, Revision, ScanRequest, SnapshotRequest, State, States, Update, Verify, WatchRequest,
-    net::client::PointStub,
-    net::{client::within, request::LONGEST_WAIT},
+    net::{
+        client::within,
+        connections::{Connection, PointStub},
+        newest::Newest,
+        request::LONGEST_WAIT,
+    },
 };
 
 /// An index of a server, of one uid: when the index is deleted and created again, the calls of this handle fail with
 /// `FAILED_PRECONDITION`, and [`Client::index`] gives a new one.
 ///
 /// Clones are cheap and share the last revision that any answer named. Reads see that revision or a later one: a caller
-/// who wrote through the handle reads its own writes, on any server.
+/// who wrote through the handle reads its own writes, on any server. A client of several servers has one such revision
+/// for all its handles of an index.
 #[derive(Clone, Debug)]
 pub struct IndexHandle {
     shared: Arc<Shared>,
@@ -37,8 +36,8 @@ struct Shared {
     name: String,
     uid: Arc<str>,
     space: Space,
-    /// The number of the last revision, of `uid`, that an answer named.
-    revision: AtomicU64,
+    /// The last revision, of `uid`, that an answer named.
+    newest: Arc<Newest>,
 }
 
 impl IndexHandle {
@@ -55,11 +54,11 @@ impl IndexHandle {
     ) -> IndexHandle {
         let timeout = client.timeout();
         let shared = Shared {
+            newest: client.newest(&revision),
             client,
             name,
             uid: revision.uid,
             space,
-            revision: AtomicU64::new(revision.number),
         };
         IndexHandle {
             shared: Arc::new(shared),
@@ -100,7 +99,7 @@ impl IndexHandle {
 
     /// The last revision that an answer named; the handle's reads see this one or a later one.
     pub fn revision(&self) -> Revision {
-        self.revision_at(self.shared.revision.load(Ordering::Acquire))
+        self.revision_at(self.shared.newest.number())
     }
 
     /// Revision `number` of the index's uid.
@@ -225,9 +224,7 @@ impl IndexHandle {
     /// Remembers a revision that an answer named, if it is of this uid.
     pub(crate) fn note(&self, revision: &Revision) {
         if *revision.uid == *self.shared.uid {
-            self.shared
-                .revision
-                .fetch_max(revision.number, Ordering::AcqRel);
+            self.shared.newest.note(revision.number);
         }
     }
 
@@ -262,8 +259,52 @@ impl IndexHandle {
         F: Fn(PointStub, tonic::Request<Q>) -> Fut,
         Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
     {
-        let stub = self.shared.client.points();
-        let attempt = |remaining| send(stub.clone(), within(remaining, message()));
+        let attempt = |connection: Connection, remaining| {
+            send(connection.points(), within(remaining, message()))
+        };
         self.shared.client.call(call, self.timeout, attempt).await
+    }
+
+    /// Makes a mutation, with a message made for each attempt. A server to which the client has gone evaluates it after
+    /// the newest revision that the handle has seen: it may refuse an update of points that it lacks.
+    pub(crate) async fn mutate<Q, A, M, F, Fut>(
+        &self,
+        call: &'static str,
+        message: M,
+        send: F,
+    ) -> Result<A, Error>
+    where
+        M: Fn() -> Q,
+        F: Fn(PointStub, tonic::Request<Q>) -> Fut,
+        Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
+    {
+        let attempt = |connection: Connection, remaining| {
+            let sent = send(connection.points(), within(remaining, message()));
+            async move {
+                self.catch_up(&connection, remaining).await?;
+                sent.await
+            }
+        };
+        self.shared.client.call(call, self.timeout, attempt).await
+    }
+
+    /// Waits until the server has the newest revision that the handle has seen, if there are several servers.
+    async fn catch_up(
+        &self,
+        connection: &Connection,
+        remaining: Duration,
+    ) -> Result<(), tonic::Status> {
+        let newest = &self.shared.newest;
+        if !self.client().connections().are_several() || newest.is_reached_in(connection.turn()) {
+            return Ok(());
+        }
+        let request = v1::GetRequest {
+            index_name: self.name().to_owned(),
+            min_revision: self.min_revision(),
+            ..Default::default()
+        };
+        connection.points().get(within(remaining, request)).await?;
+        newest.set_reached_in(connection.turn());
+        Ok(())
     }
 }

@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use tonic::Code;
 
-use crate::{Client, Error, IndexHandle, Limits, net::client::PointStub};
+use crate::{Client, Error, IndexHandle, Limits, net::connections::PointStub};
 
 /// The most states or ids that the client puts into one read, so that a call keeps within its timeout.
 pub const READ_ROWS: usize = 1_000;
@@ -64,7 +64,7 @@ impl<'a> Division<'a> {
             let operation_ids = operation_ids(self.operation_id, &parts).map_err(failed)?;
             for (part, operation_id) in parts.iter().zip(&operation_ids) {
                 let message = || message(part, operation_id);
-                match self.index.call(self.call, message, &send).await {
+                match self.index.mutate(self.call, message, &send).await {
                     Ok(answer) => append(answer, part.len())?,
                     Err(error) => match limits.lowered(&error) {
                         Some(lowered) if part.len() > 1 => {

@@ -1,9 +1,11 @@
 //! The asynchronous client: a connection to a server, and its calls.
 //!
-//! `client` is the connection and `handle` an index on it; `request` has a file for each call. `limits` divides what is
-//! too large for one call, `retry` repeats what found no server. The other files are what travels.
+//! `client` makes the calls on its `connections`, and `handle` is an index; `request` has a file for each call. `limits`
+//! divides what is too large for one call, `retry` repeats what found no server, and `newest` remembers the revisions
+//! that were seen. The other files are what travels.
 
 pub(crate) mod client;
+pub(crate) mod connections;
 mod credentials;
 mod handle;
 mod include;
@@ -11,6 +13,7 @@ mod info;
 pub(crate) mod limits;
 pub(crate) mod neighbor_spec;
 mod neighbors;
+mod newest;
 pub(crate) mod points;
 mod refusal;
 pub(crate) mod request;

@@ -12,7 +12,8 @@ use crate::Error;
 ///
 /// The client retries only calls that take effect once: reads, and mutations, which carry an operation id. The n-th
 /// pause is drawn evenly from [b/2, b], where b is `first` · 2ⁿ, at most `longest`. It is longer if the server asks for
-/// a longer one. No attempt begins after the call's deadline.
+/// a longer one. No attempt begins after the call's deadline. With several servers, the attempt after `UNAVAILABLE` goes
+/// to another one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RetryPolicy {
     /// The most attempts, the first included.

@@ -5,6 +5,7 @@
 mod backup;
 mod dividing;
 mod examples;
+mod failover;
 mod fake;
 mod index;
 mod requests;

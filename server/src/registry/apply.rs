@@ -93,10 +93,11 @@ pub(super) async fn run(
                     }
                     Err(error) => Err(error.into()),
                 };
-                head.and_then(|head| match head < base {
+                let head = head.and_then(|head| match head < base {
                     true => Err(hosted.journal_lost(head)),
-                    false => Ok(arrivals.push(hosted.superseded(&record, head))),
-                })
+                    false => Ok(head),
+                });
+                head.map(|head| arrivals.push(hosted.superseded(&record, head)))
             }
             Some(arrived) = arrivals.next() => arrived,
         };

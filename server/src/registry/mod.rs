@@ -248,14 +248,15 @@ impl Registry {
             return;
         }
         let hosted = self.hosted();
-        let catching_up = hosted.iter().map(|hosted| async move {
+        let indexes = hosted.len();
+        let catching_up = hosted.into_iter().map(|hosted| async move {
             if let Err(error) = hosted.catch_up().await {
                 warn!(index = hosted.name(), %error, "cannot catch up with the journal");
             }
         });
         let catching_up = stream::iter(catching_up).buffer_unordered(CATCHING_UP);
         catching_up.collect::<()>().await;
-        info!(indexes = hosted.len(), "caught up with the journal");
+        info!(indexes, "caught up with the journal");
     }
 
     /// A receiver of every change from now on: an index is created, deleted, restored, damaged or recovered.

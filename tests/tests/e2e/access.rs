@@ -92,6 +92,32 @@ async fn certificates_are_renewed_without_a_failed_call() {
     assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
 }
 
+/// The certificate of the second server does not have the name by which the first is addressed.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn each_of_several_servers_is_known_by_its_own_name() {
+    let directory = tempfile::tempdir().unwrap();
+    let authority = Authority::new(directory.path());
+    let token = authority.token("reader", "read", "*");
+    let [first, second] = ["localhost", "planning.example"].map(|name| {
+        authority.certify(name);
+        let mut command = authority.command();
+        command
+            .env("WAYFOLD_TLS__CERTIFICATE", authority.file(name, "pem"))
+            .env("WAYFOLD_TLS__KEY", authority.file(name, "key"));
+        ServerProcess::ready(Process::spawn(&mut command))
+    });
+    let uris = [&first, &second].map(|server| server.uri().to_owned());
+    let uris = [uris[0].replace("127.0.0.1", "localhost"), uris[1].clone()].join(",");
+    let credentials = authority.credentials().token(token);
+    let client = Client::builder().credentials(credentials);
+    let client = client.connect(&uris).await.unwrap();
+    client.server().await.unwrap();
+    first.stop(Signal::Kill);
+    client.server().await.unwrap();
+    second.stop(Signal::Kill);
+    assert_eq!(client.server().await.unwrap_err().code(), Code::Unavailable);
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_certificate_or_a_token_is_an_identity_and_nothing_else_is() {
     let directory = tempfile::tempdir().unwrap();

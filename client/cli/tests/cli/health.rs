@@ -24,6 +24,17 @@ fn a_server_that_serves_is_healthy() {
     assert_eq!(health.stdout, format!("{} serves\n", server.uri));
 }
 
+#[test]
+fn one_option_names_several_servers() {
+    let server = Server::start();
+    server.json(&["list"]).lines();
+    let several = format!("http://127.0.0.1:0,{}", server.uri);
+    let run = command(&several, &["health"]).output().unwrap();
+    assert_eq!(run.status.code(), Some(0));
+    let said = String::from_utf8(run.stdout).unwrap();
+    assert_eq!(said, format!("{several} serves\n"));
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_server_that_does_not_serve_is_status_1() {
     let (reporter, service) = health_reporter();

@@ -38,6 +38,8 @@ pub(super) struct Follower {
     failures: u32,
     /// The number of reloads since the last mutation.
     reloads: u32,
+    /// The uids that the index had before, and never has again.
+    past_uids: Vec<Arc<str>>,
 }
 
 /// The reason for which following stopped.
@@ -65,6 +67,7 @@ impl Follower {
             missing: None,
             failures: 0,
             reloads: 0,
+            past_uids: Vec::new(),
         }
     }
 
@@ -153,6 +156,10 @@ impl Follower {
             true => Arc::clone(&self.index),
             false => Arc::new(core.link.index().await?),
         };
+        if self.past_uids.contains(index.uid()) {
+            // This server lags behind the one that named the present uid.
+            return self.index.revision_at(self.revision).check_uid(index.uid());
+        }
         if index.space() != &core.space {
             return Err(Error::OtherSpace {
                 index: index.name().to_owned(),
@@ -170,6 +177,7 @@ impl Follower {
                 core.refuse(&mut writer, uid.err().unwrap_or(Error::Closed));
             }
             writer.forget_history();
+            self.past_uids.push(Arc::clone(self.index.uid()));
         }
         let mut points = core.points.write();
         let old = points.replace(forest);
@@ -188,6 +196,9 @@ impl Follower {
 
     /// Waits before the next attempt, or returns the reason to make none.
     async fn recover(&mut self, error: Error) -> Result<(), Error> {
+        if self.core.link.may_lag(&error) {
+            self.core.link.leave();
+        }
         match error.code() {
             Code::NotFound => {
                 let since = *self.missing.get_or_insert_with(Instant::now);

@@ -105,6 +105,27 @@ impl Link {
         policy.endless_pause(failures, error)
     }
 
+    /// True if another server may know better: this one has no index of the name, or another one, as a server may that
+    /// lags behind.
+    pub(super) fn may_lag(&self, error: &Error) -> bool {
+        let has_others = match &self.way {
+            Way::Grpc(way) => way.has_others(),
+            #[cfg(feature = "zenoh")]
+            Way::Zenoh(_) => false,
+        };
+        let is_missing = error.code() == Code::NotFound;
+        has_others && (is_missing || error.reason() == Some("UID_MISMATCH"))
+    }
+
+    /// Makes the next calls at another server, if there is one.
+    pub(super) fn leave(&self) {
+        match &self.way {
+            Way::Grpc(way) => way.leave(),
+            #[cfg(feature = "zenoh")]
+            Way::Zenoh(_) => {}
+        }
+    }
+
     /// The index that has the name now.
     pub(super) async fn index(&self) -> Result<ServedIndex, Error> {
         let request = v1::GetIndexRequest {

@@ -96,7 +96,8 @@ impl OpenShared {
         self
     }
 
-    /// Connects, opens a writer session, reads all points and begins to follow the index.
+    /// Connects to the first server that answers, opens a writer session, reads all points and begins to follow the
+    /// index.
     ///
     /// # Errors
     /// [`Error::Address`], [`Error::Connection`], [`Error::Timeout`]. `NOT_FOUND`: there is no index of this name.

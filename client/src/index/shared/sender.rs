@@ -53,7 +53,7 @@ pub(super) async fn run(core: Arc<Core>) {
                 }
             }
             Next::Batch(request) => match write(&core, &index, &request).await {
-                Err(error) if !is_transient(&error) => {
+                Err(error) if !is_transient(&error) && !core.link.may_lag(&error) => {
                     refuse(&core, &index, Some(request.session), error);
                     Ok(())
                 }
@@ -69,6 +69,9 @@ pub(super) async fn run(core: Arc<Core>) {
             }
             continue;
         };
+        if core.link.may_lag(&error) {
+            core.link.leave();
+        }
         failures += 1;
         let pause = core.link.pause(failures, Some(&error));
         core.disconnected(Task::Sender, error);

@@ -3,10 +3,17 @@
 use std::{sync::Arc, time::Duration};
 
 use tokio::time::{Instant, timeout_at};
-use tonic::{service::interceptor::InterceptedService, transport::Endpoint};
+use tonic::transport::{Channel, Endpoint};
 
 use super::Client;
-use crate::{Credentials, Error, RetryPolicy, net::request::LONGEST_WAIT};
+use crate::{
+    Credentials, Error, RetryPolicy,
+    error::root_cause,
+    net::{
+        connections::{Connection, Connections, MAX_SILENCE},
+        request::LONGEST_WAIT,
+    },
+};
 
 /// Settings of a [`Client`].
 #[derive(Clone, Debug)]
@@ -58,46 +65,105 @@ impl ClientBuilder {
     /// Connects to the server at `uri`: `https://HOST:PORT`, which needs the certificate of an authority,
     /// `http://HOST:PORT`, or just `HOST:PORT`.
     ///
+    /// `uri` may name several servers that share their indices, with commas between them: the client uses the first
+    /// that answers, and goes on at the next one when that is unavailable. Reads still see no older revision of an index
+    /// than the client has seen before; a [`Watch`](crate::Watch) ends with an error when the client leaves its server.
+    ///
     /// # Errors
     /// [`Error::Address`]; [`Error::Argument`]: a token that is none; or [`Error::Connection`] if no attempt reaches a
     /// server within the timeout.
     pub async fn connect(self, uri: &str) -> Result<Client, Error> {
-        const CALL: &str = "connect";
         let bearer = self.credentials.bearer()?;
-        let endpoint = endpoint(uri, &self.credentials)?
-            .tcp_nodelay(true)
-            .connect_timeout(self.timeout)
-            // The keep-alive lets a waiting stream notice that its peer is gone.
-            .http2_keep_alive_interval(Duration::from_secs(10))
-            .keep_alive_timeout(Duration::from_secs(20));
-        let uri: Arc<str> = endpoint.uri().to_string().trim_end_matches('/').into();
+        let endpoints = self.endpoints(uri)?;
+        let uris: Vec<&str> = endpoints.iter().map(|(uri, _)| &**uri).collect();
+        let uri: Arc<str> = uris.join(",").into();
         let deadline = Instant::now() + self.timeout;
-        let unreachable = |source| Error::Connection {
-            call: CALL,
-            uri: uri.to_string(),
-            source,
-        };
-        let connect = || async {
-            let connected = timeout_at(deadline, endpoint.connect()).await;
-            let connected = connected.map_err(|_| Error::timeout(CALL, self.timeout))?;
-            connected.map_err(|error| unreachable(Box::new(error)))
-        };
+        let connect = || self.connect_first(&uri, &endpoints, deadline);
         let connected = self.retry.run(deadline, connect).await;
-        let channel = connected.map_err(|error| match error {
+        let (first, channel) = connected.map_err(|error| match error {
             // The attempt before the timeout knows why there was no connection.
             Error::Timeout {
                 earlier: Some(earlier),
                 ..
             } => *earlier,
-            Error::Timeout { .. } => unreachable("no answer in time".into()),
+            Error::Timeout { .. } => unreachable(&uri, "no answer in time".into()),
             other => other,
         })?;
+        let mut first_channel = Some(channel);
+        let connections = endpoints
+            .into_iter()
+            .enumerate()
+            .map(|(number, (uri, endpoint))| {
+                let connected = first_channel.take_if(|_| number == first);
+                let channel = connected.unwrap_or_else(|| endpoint.connect_lazy());
+                Connection::new(uri, (channel, bearer.clone()), self.max_message_bytes)
+            });
         Ok(Client {
-            channel: InterceptedService::new(channel, bearer),
+            connections: Arc::new(Connections::new(connections.collect(), first)),
             uri,
             settings: self,
             limits: Arc::default(),
+            newest: Arc::default(),
         })
+    }
+
+    /// The endpoints that `uri` names, and their addresses as the client shows them.
+    fn endpoints(&self, uri: &str) -> Result<Vec<(Arc<str>, Endpoint)>, Error> {
+        let uris: Vec<&str> = uri.split(',').collect();
+        // The keep-alive lets a waiting stream notice that its peer is gone.
+        let (connect, interval, silence) = match uris.len() {
+            1 => (self.timeout, 10, Duration::from_secs(20)),
+            // One that is silent leaves time for the others.
+            servers => (
+                MAX_SILENCE.min(self.timeout / u32::try_from(servers).unwrap_or(u32::MAX)),
+                5,
+                MAX_SILENCE,
+            ),
+        };
+        let endpoints = uris.into_iter().map(|uri| {
+            let endpoint = endpoint(uri, &self.credentials)?
+                .tcp_nodelay(true)
+                .connect_timeout(connect)
+                .http2_keep_alive_interval(Duration::from_secs(interval))
+                .keep_alive_timeout(silence);
+            let uri = endpoint.uri().to_string();
+            Ok((uri.trim_end_matches('/').into(), endpoint))
+        });
+        endpoints.collect()
+    }
+
+    /// Connects to the first server that answers, and returns its number.
+    async fn connect_first(
+        &self,
+        uri: &str,
+        endpoints: &[(Arc<str>, Endpoint)],
+        deadline: Instant,
+    ) -> Result<(usize, Channel), Error> {
+        let mut failures = Vec::new();
+        for (number, (server, endpoint)) in endpoints.iter().enumerate() {
+            let connected = timeout_at(deadline, endpoint.connect()).await;
+            let why = match connected {
+                Ok(Ok(channel)) => return Ok((number, channel)),
+                Ok(Err(error)) if endpoints.len() == 1 => {
+                    return Err(unreachable(uri, Box::new(error)));
+                }
+                Err(_) if failures.is_empty() => return Err(Error::timeout(CALL, self.timeout)),
+                Ok(Err(error)) => root_cause(&error),
+                Err(_) => "no answer in time".to_owned(),
+            };
+            failures.push(format!("{server}: {why}"));
+        }
+        Err(unreachable(uri, failures.join("; ").into()))
+    }
+}
+
+const CALL: &str = "connect";
+
+fn unreachable(uri: &str, source: Box<dyn std::error::Error + Send + Sync>) -> Error {
+    Error::Connection {
+        call: CALL,
+        uri: uri.to_owned(),
+        source,
     }
 }
 

@@ -5,7 +5,7 @@ use tonic_health::pb::{
 };
 
 use super::{Client, within};
-use crate::Error;
+use crate::{Error, net::connections::Connection};
 
 impl Client {
     /// Returns true if the server serves calls, and false while it starts or stops.
@@ -13,11 +13,10 @@ impl Client {
     /// # Errors
     /// Those of every call.
     pub async fn is_serving(&self) -> Result<bool, Error> {
-        let stub = HealthClient::new(self.channel.clone());
-        let check = |remaining| {
+        let check = |connection: Connection, remaining| {
             // The empty name is the server as a whole.
             let request = within(remaining, HealthCheckRequest::default());
-            let mut stub = stub.clone();
+            let mut stub = HealthClient::new(connection.channel());
             async move { stub.check(request).await }
         };
         let answer = self.call("health", self.timeout(), check).await?;

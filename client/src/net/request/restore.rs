@@ -49,14 +49,15 @@ impl Client {
             failed: Some(failed),
             moved,
         };
-        let mut stub = self.indexes();
+        let connection = self.connection();
+        let mut stub = connection.indexes();
         let restored = stub.restore_index(stream::unfold(source, Source::next));
         tokio::select! {
             biased;
             Ok(error) = failure => Err(error),
             restored = restored => {
                 let restored = restored.map_err(|status| {
-                    Error::from_status(CALL, self.uri(), self.timeout(), status)
+                    Error::from_status(CALL, connection.uri(), self.timeout(), status)
                 })?;
                 let info = IndexInfo::from_message(CALL, restored.into_inner().index)?;
                 Ok(IndexHandle::new(self.clone(), info))

@@ -6,7 +6,7 @@ use tonic::Streaming;
 use wayfold_proto::v1;
 
 use super::{awaitable, into_stream, receive};
-use crate::{Error, Filter, Include, IndexHandle, Points, Revision};
+use crate::{Error, Filter, Include, IndexHandle, Points, Revision, net::connections::Connection};
 
 /// Reads all points at one revision, in the order of their ids; await it to begin.
 #[derive(Clone, Debug)]
@@ -66,9 +66,9 @@ impl ScanRequest {
 
     async fn send(self) -> Result<Scan, Error> {
         let ScanRequest { index, include, .. } = &self;
-        let (stub, client) = (index.client().points(), index.client());
-        let attempt = |_remaining: Duration| {
-            let (mut stub, message) = (stub.clone(), self.message());
+        let client = index.client();
+        let attempt = |connection: Connection, _remaining: Duration| {
+            let (mut stub, message) = (connection.points(), self.message());
             // Without a deadline, which would bound the whole stream.
             async move { stub.scan(message).await }
         };

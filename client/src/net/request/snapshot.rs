@@ -9,7 +9,7 @@ use wayfold_proto::{
 };
 
 use super::{awaitable, into_stream};
-use crate::{Error, IndexHandle, Revision, SnapshotPart};
+use crate::{Error, IndexHandle, Revision, SnapshotPart, net::connections::Connection};
 
 /// Reads all of an index at one revision, as a backup or for another server; await it to begin.
 #[derive(Clone, Debug)]
@@ -55,13 +55,13 @@ impl SnapshotRequest {
 
     async fn send(self) -> Result<Snapshot, Error> {
         let index = self.index;
-        let (stub, client) = (index.client().indexes(), index.client());
+        let client = index.client();
         let message = v1::SnapshotIndexRequest {
             index_name: index.name().to_owned(),
             min_revision: index.min_revision(),
         };
-        let attempt = |_remaining: Duration| {
-            let (mut stub, message) = (stub.clone(), message.clone());
+        let attempt = |connection: Connection, _remaining: Duration| {
+            let (mut stub, message) = (connection.indexes(), message.clone());
             // Without a deadline, which would bound the whole stream.
             async move { stub.snapshot_index(message).await }
         };

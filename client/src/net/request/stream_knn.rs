@@ -9,7 +9,9 @@ use tonic::Streaming;
 use wayfold_proto::v1::{self, stream_knn_response::Result as Answer};
 
 use super::knn;
-use crate::{Error, Include, IndexHandle, Knn, Neighbors, Refusal, States};
+use crate::{
+    Error, Include, IndexHandle, Knn, Neighbors, Refusal, States, net::connections::Connection,
+};
 
 /// The sending half of a stream of [`Knn`] requests, which are answered in their order.
 ///
@@ -68,24 +70,25 @@ const MAX_WAITING: usize = 64;
 
 pub(crate) async fn open_stream(index: &IndexHandle) -> Result<(KnnRequests, KnnAnswers), Error> {
     let (client, timeout) = (index.client(), index.timeout());
-    let (stub, mut sender) = (client.points(), None);
-    let attempt = |_remaining: Duration| {
+    let mut sender = None;
+    let attempt = |connection: Connection, _remaining: Duration| {
         let (messages, receiver) = mpsc::channel(MAX_WAITING);
         sender = Some(messages);
-        let mut stub = stub.clone();
+        let mut stub = connection.points();
         // Without a deadline, which would bound the whole stream.
         async move { stub.stream_knn(ReceiverStream::new(receiver)).await }
     };
-    let answers = client.call(CALL, timeout, attempt).await?;
-    let messages = sender.ok_or_else(|| over(client.uri()))?;
+    let (answers, connection) = client.call_at(CALL, timeout, attempt).await?;
+    let uri = connection.uri();
+    let messages = sender.ok_or_else(|| over(uri))?;
     let (sent, pending) = mpsc::unbounded_channel();
     let requests = KnnRequests {
-        uri: client.uri().to_owned(),
+        uri: uri.to_string(),
         messages,
         pending: sent,
     };
     let answers = KnnAnswers {
-        uri: client.uri().to_owned(),
+        uri: uri.to_string(),
         timeout,
         messages: answers,
         pending,

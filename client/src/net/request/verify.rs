@@ -5,7 +5,7 @@ use std::time::Duration;
 use wayfold_proto::v1::{self, verify_index_response::Result as Answer};
 
 use super::{awaitable, receive};
-use crate::{Error, IndexHandle, IndexInfo};
+use crate::{Error, IndexHandle, IndexInfo, net::connections::Connection};
 
 /// Compares the searched points with the stored ones, at one revision, and the answers to sampled queries with brute
 /// force over the stored points. Await it for the report, or follow its progress ([`Verify::with_progress`]).
@@ -99,9 +99,8 @@ impl Verify {
         mut progress: impl FnMut(u64, u64),
     ) -> Result<Verified, Error> {
         let (index, message) = (&self.index, self.message());
-        let stub = index.client().indexes();
-        let attempt = |_remaining: Duration| {
-            let (mut stub, message) = (stub.clone(), message.clone());
+        let attempt = |connection: Connection, _remaining: Duration| {
+            let (mut stub, message) = (connection.indexes(), message.clone());
             // Without a deadline, which would bound the whole stream.
             async move { stub.verify_index(message).await }
         };

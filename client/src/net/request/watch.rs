@@ -7,12 +7,16 @@ use std::{
     time::{Duration, SystemTime},
 };
 
-use futures_util::{StreamExt, stream::BoxStream};
+use futures_util::{
+    StreamExt,
+    stream::{self, BoxStream},
+};
 use tokio::time::timeout;
+use tonic::Streaming;
 use wayfold_proto::v1;
 
 use super::{awaitable, into_stream};
-use crate::{Error, Include, IndexHandle, Points, Revision};
+use crate::{Error, Include, IndexHandle, Points, Revision, net::connections::Connection};
 
 /// Follows an index: every mutation, in order, once readers can see it; await it to begin.
 ///
@@ -167,29 +171,28 @@ impl WatchRequest {
 
     async fn send(self) -> Result<Watch, Error> {
         let client = self.index.client().clone();
-        let stub = client.points();
-        let attempt = |_remaining: Duration| {
-            let (mut stub, message) = (stub.clone(), self.message());
+        let attempt = |connection: Connection, _remaining: Duration| {
+            let (mut stub, message) = (connection.points(), self.message());
             // Without a deadline, which would bound the whole stream.
             async move { stub.watch(message).await }
         };
         let waited = self.index.timeout();
-        let messages = client.call(CALL, waited, attempt).await?;
+        let (messages, connection) = client.call_at(CALL, waited, attempt).await?;
         let index = self.index;
         let start = WatchStart {
-            server: client.uri().to_owned(),
+            server: connection.uri().to_string(),
             uid: index.revision().uid,
             coordinates: index.coordinates(),
             include: self.include,
             after: self.after.map(|after| after.number),
             timeout: waited,
         };
-        let messages = messages.map(move |next| {
-            let failed = |status| Error::from_status(CALL, client.uri(), waited, status);
-            let message = next.map_err(failed)?;
-            index.answered(CALL, message.revision.clone())?;
-            Ok(message)
-        });
+        let feed = Feed {
+            index,
+            connection,
+            messages,
+        };
+        let messages = stream::unfold(feed, Feed::next);
         Watch::of(start, Box::pin(messages)).await
     }
 
@@ -200,6 +203,44 @@ impl WatchRequest {
             include: self.include.to_message(),
             own_session: self.own_session,
         }
+    }
+}
+
+/// The messages of a server, until the client leaves it.
+struct Feed {
+    index: IndexHandle,
+    connection: Connection,
+    messages: Streaming<v1::WatchResponse>,
+}
+
+impl Feed {
+    async fn next(mut self) -> Option<(Result<v1::WatchResponse, Error>, Feed)> {
+        let connections = self.index.client().connections();
+        let received = tokio::select! {
+            biased;
+            received = self.messages.next() => received?,
+            () = connections.left(&self.connection) => {
+                let elsewhere = Error::Connection {
+                    call: CALL,
+                    uri: self.connection.uri().to_string(),
+                    source: "the client has gone to another server".into(),
+                };
+                return Some((Err(elsewhere), self));
+            }
+        };
+        let named = match received {
+            Ok(message) => {
+                let named = self.index.answered(CALL, message.revision.clone());
+                named.map(|_| message)
+            }
+            Err(status) => {
+                let (uri, waited) = (self.connection.uri(), self.index.timeout());
+                let error = Error::from_status(CALL, uri, waited, status);
+                connections.failed(&self.connection, &error, Duration::ZERO);
+                Err(error)
+            }
+        };
+        Some((named, self))
     }
 }
 

@@ -27,10 +27,13 @@ pub(crate) const UID: &str = "the-uid";
 
 /// A revision of the fake's index.
 pub(crate) fn revision(number: u64) -> Option<v1::Revision> {
-    Some(v1::Revision {
-        uid: UID.to_owned(),
-        number,
-    })
+    revision_of(UID, number)
+}
+
+/// A revision of an index with this uid.
+pub(crate) fn revision_of(uid: &str, number: u64) -> Option<v1::Revision> {
+    let uid = uid.to_owned();
+    Some(v1::Revision { uid, number })
 }
 
 /// The limits that tests of dividing are written for.
@@ -53,12 +56,11 @@ struct Inner {
     script: Option<Script>,
     calls: usize,
     knn: Vec<v1::KnnRequest>,
+    get: Vec<v1::GetRequest>,
     insert: Vec<v1::InsertRequest>,
     remove: Vec<v1::RemoveRequest>,
     /// The points that `get` finds, whose payloads are their ids as text; without them, it finds none.
     stored: Option<Vec<u64>>,
-    /// The ids of each `get`.
-    get: Vec<Vec<u64>>,
     timeouts: Vec<Option<String>>,
     /// The number of calls for its limits, which no other count includes.
     described: usize,
@@ -66,6 +68,8 @@ struct Inner {
     limits: Option<v1::Limits>,
     /// The revisions of the next answers; later answers repeat the last.
     revisions: VecDeque<u64>,
+    /// The uids of the next descriptions of its index, [`UID`] after them.
+    uids: VecDeque<&'static str>,
     /// True if calls wait for ever.
     silent: bool,
     /// The parts of the next snapshots; a snapshot that is not ended waits for ever after its last part.
@@ -128,6 +132,11 @@ impl Fake {
         self.inner.lock().unwrap().revisions = revisions.into();
     }
 
+    /// Sets the uids of the next descriptions of the index.
+    pub(crate) fn describe_as<const N: usize>(&self, uids: [&'static str; N]) {
+        self.inner.lock().unwrap().uids = uids.into();
+    }
+
     pub(crate) fn fall_silent(&self) {
         self.inner.lock().unwrap().silent = true;
     }
@@ -181,6 +190,10 @@ impl Fake {
         self.inner.lock().unwrap().knn.clone()
     }
 
+    pub(crate) fn get_requests(&self) -> Vec<v1::GetRequest> {
+        self.inner.lock().unwrap().get.clone()
+    }
+
     pub(crate) fn insert_requests(&self) -> Vec<v1::InsertRequest> {
         self.inner.lock().unwrap().insert.clone()
     }
@@ -196,7 +209,8 @@ impl Fake {
 
     /// The ids of each call that read points.
     pub(crate) fn gets(&self) -> Vec<Vec<u64>> {
-        self.inner.lock().unwrap().get.clone()
+        let requests = self.get_requests().into_iter();
+        requests.map(|request| request.ids).collect()
     }
 
     /// The `grpc-timeout` of each call.
@@ -298,10 +312,11 @@ impl IndexService for Fake {
         request: Request<v1::GetIndexRequest>,
     ) -> Result<Response<v1::GetIndexResponse>, Status> {
         let number = self.enter(&request, 0).await?;
+        let uid = self.inner.lock().unwrap().uids.pop_front();
         let index = v1::Index {
             name: request.into_inner().index_name,
             space: Some(space::to_message(&"R1".parse::<Space>().unwrap())),
-            revision: revision(number),
+            revision: revision_of(uid.unwrap_or(UID), number),
             ..Default::default()
         };
         Ok(Response::new(v1::GetIndexResponse { index: Some(index) }))

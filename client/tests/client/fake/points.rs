@@ -68,8 +68,9 @@ impl PointService for Fake {
 
     async fn write(
         &self,
-        _: Request<v1::WriteRequest>,
+        request: Request<v1::WriteRequest>,
     ) -> Result<Response<v1::WriteResponse>, Status> {
+        self.enter(&request, request.get_ref().ids.len()).await?;
         Err(Status::unimplemented("write"))
     }
 
@@ -94,10 +95,13 @@ impl PointService for Fake {
         let number = self.enter(&request, request.get_ref().ids.len()).await?;
         let request = request.into_inner();
         let mut inner = self.inner.lock().unwrap();
-        let Some(stored) = inner.stored.clone() else {
-            return Err(Status::unimplemented("get"));
+        inner.get.push(request.clone());
+        let stored = match (&inner.stored, request.ids.is_empty()) {
+            (Some(stored), _) => stored,
+            // It only waits for a revision.
+            (None, true) => &Default::default(),
+            (None, false) => return Err(Status::unimplemented("get")),
         };
-        inner.get.push(request.ids.clone());
         let missing: Vec<u64> = request
             .ids
             .iter()

@@ -14,7 +14,7 @@ use base64::{Engine as _, engine::general_purpose::URL_SAFE_NO_PAD};
 use bytes::Bytes;
 use futures_util::StreamExt;
 use serde::{Deserialize, Serialize};
-use tokio::{runtime::Handle, sync::watch, time::sleep};
+use tokio::{runtime::Handle, sync::watch, time::interval};
 use tokio_util::task::AbortOnDropHandle;
 use tracing::{debug, warn};
 
@@ -253,7 +253,9 @@ async fn read_all(bucket: &kv::Store) -> Result<Known, LogError> {
 
 /// Notes every change of the bucket.
 async fn follow(bucket: kv::Store, known: Arc<watch::Sender<Known>>, changed: watch::Sender<()>) {
+    let mut attempts = interval(RETRY_INTERVAL);
     loop {
+        attempts.tick().await;
         // From the first revision on: what changed while there was no connection comes again.
         if let Ok(mut entries) = bucket.watch_all_from_revision(1).await {
             while let Some(Ok(entry)) = entries.next().await {
@@ -265,7 +267,6 @@ async fn follow(bucket: kv::Store, known: Arc<watch::Sender<Known>>, changed: wa
             }
         }
         debug!("the catalogue in NATS cannot be followed now");
-        sleep(RETRY_INTERVAL).await;
     }
 }
 

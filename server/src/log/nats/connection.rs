@@ -11,7 +11,7 @@ use async_nats::{
         stream::{Config, DiscardPolicy, LastRawMessageErrorKind, Stream},
     },
 };
-use tokio::time::{Instant, sleep};
+use tokio::time::{Instant, interval};
 use tracing::warn;
 
 use super::{NatsError, NatsOptions, message::Position};
@@ -167,8 +167,9 @@ pub(super) async fn patiently<T, E: std::error::Error, Asked: Future<Output = Re
     what: &str,
     ask: impl Fn() -> Asked,
 ) -> Result<T, NatsError> {
-    let until = Instant::now() + START_TIME;
+    let (until, mut attempts) = (Instant::now() + START_TIME, interval(START_INTERVAL));
     loop {
+        attempts.tick().await;
         match ask().await {
             Ok(given) => return Ok(given),
             Err(error) if Instant::now() >= until => {
@@ -179,7 +180,6 @@ pub(super) async fn patiently<T, E: std::error::Error, Asked: Future<Output = Re
             }
             Err(error) => warn!(what, %error, "NATS does not give it yet; trying again"),
         }
-        sleep(START_INTERVAL).await;
     }
 }
 

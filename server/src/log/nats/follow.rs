@@ -1,10 +1,10 @@
 //! The records of an index in the order of its stream, from a revision on.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use async_nats::jetstream::consumer::{DeliverPolicy, pull};
 use futures_util::{StreamExt, stream};
-use tokio::time::sleep;
+use tokio::time::{Interval, interval};
 use tracing::debug;
 
 use super::{
@@ -15,7 +15,7 @@ use super::{
 use crate::log::{LogError, Record, RecordStream, Uid};
 
 /// A pull of this length notices a lost server of NATS after about as long.
-const PULL_TIME: std::time::Duration = std::time::Duration::from_secs(2);
+const PULL_TIME: Duration = Duration::from_secs(2);
 
 /// A follower's place, and its subscription while it has one.
 struct Follower {
@@ -24,6 +24,8 @@ struct Follower {
     /// The newest revision that was returned.
     after: u64,
     messages: Option<pull::Ordered>,
+    /// The times of subscriptions.
+    attempts: Option<Interval>,
 }
 
 /// The records after the revision `after`. It waits for new ones, and while NATS cannot be reached.
@@ -33,6 +35,7 @@ pub(super) fn follow(connection: Arc<Connection>, uid: Uid, after: u64) -> Recor
         uid,
         after,
         messages: None,
+        attempts: None,
     };
     let batches = stream::unfold(Some(follower), |follower| async move {
         let mut follower = follower?;
@@ -43,7 +46,6 @@ pub(super) fn follow(connection: Arc<Connection>, uid: Uid, after: u64) -> Recor
                 Err(LogError::Unreachable { what }) => {
                     debug!(uid = %follower.uid, what, "cannot read the stream in NATS");
                     follower.messages = None;
-                    sleep(RETRY_INTERVAL).await;
                 }
                 Err(error) => return Some((Err(error), None)),
             }
@@ -58,6 +60,11 @@ impl Follower {
         let messages = match &mut self.messages {
             Some(messages) => messages,
             None => {
+                let attempts = &mut self.attempts;
+                attempts
+                    .get_or_insert_with(|| interval(RETRY_INTERVAL))
+                    .tick()
+                    .await;
                 let subscribed = subscribe(&self.connection, self.uid, self.after).await?;
                 self.messages.insert(subscribed)
             }

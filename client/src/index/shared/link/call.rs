@@ -3,7 +3,7 @@
 use tonic::{Request, Response, Status};
 use wayfold_proto::v1;
 
-use crate::Client;
+use crate::net::connections::Connection;
 
 /// The end of a call's key over Zenoh.
 #[cfg(feature = "zenoh")]
@@ -24,7 +24,7 @@ pub(super) trait Call: prost::Message + Clone {
 
     /// Sends it over gRPC.
     fn send(
-        client: Client,
+        connection: Connection,
         request: Request<Self>,
     ) -> impl Future<Output = Result<Response<Self::Answer>, Status>> + Send;
 }
@@ -38,10 +38,10 @@ macro_rules! calls {
             const KEY: Key = $key;
 
             async fn send(
-                client: Client,
+                connection: Connection,
                 request: Request<Self>,
             ) -> Result<Response<Self::Answer>, Status> {
-                client.$stub().$call(request).await
+                connection.$stub().$call(request).await
             }
         })*
     };

@@ -10,10 +10,11 @@ use super::{
 };
 use crate::{
     Client, Credentials, Error, IndexHandle, RetryPolicy, Watch,
-    index::shared::served_index::ServedIndex, net::client::within,
+    index::shared::served_index::ServedIndex,
+    net::{client::within, connections::Connection},
 };
 
-/// A connection to a server.
+/// The client of the servers.
 #[derive(Clone, Debug)]
 pub(super) struct GrpcLink(Client);
 
@@ -29,8 +30,20 @@ impl GrpcLink {
     }
 
     pub(super) async fn call<C: Call>(&self, request: &C) -> Result<C::Answer, Error> {
-        let attempt = |remaining| C::send(self.0.clone(), within(remaining, request.clone()));
+        let attempt = |connection: Connection, remaining| {
+            C::send(connection, within(remaining, request.clone()))
+        };
         self.0.call(C::NAME, self.0.timeout(), attempt).await
+    }
+
+    /// True if the client has several servers.
+    pub(super) fn has_others(&self) -> bool {
+        self.0.connections().are_several()
+    }
+
+    /// Makes the next calls at another server, if there is one.
+    pub(super) fn leave(&self) {
+        self.0.connections().leave(&self.0.connection());
     }
 
     pub(super) fn retry_policy(&self) -> RetryPolicy {

@@ -1,0 +1,187 @@
+//! The connections of a client: one for each server, and the one in use.
+
+use std::{sync::Arc, time::Duration};
+
+use tokio::sync::watch;
+use tonic::{Code, service::interceptor::InterceptedService, transport::Channel};
+use wayfold_proto::v1::{
+    index_service_client::IndexServiceClient, point_service_client::PointServiceClient,
+};
+
+use super::credentials::Bearer;
+use crate::Error;
+
+/// The longest time for which a client with several servers waits for one that is silent: for its connection, and for
+/// the answer to a keep-alive. A call that was without an answer for longer makes the next one go elsewhere.
+pub(crate) const MAX_SILENCE: Duration = Duration::from_secs(5);
+
+/// A connection whose calls have the client's token.
+type Transport = InterceptedService<Channel, Bearer>;
+
+pub(crate) type IndexStub = IndexServiceClient<Transport>;
+
+/// The stub of the calls about points.
+pub(crate) type PointStub = PointServiceClient<Transport>;
+
+/// A connection to one server. The next call restores it when it is broken.
+#[derive(Clone, Debug)]
+pub(crate) struct Connection {
+    /// The number of times that the client had gone to the next server when this connection was taken, counted from the
+    /// first server.
+    turn: usize,
+    uri: Arc<str>,
+    channel: Transport,
+    max_message_bytes: usize,
+}
+
+/// The connections to servers that serve the same indices.
+#[derive(Debug)]
+pub(crate) struct Connections {
+    /// At least one.
+    all: Vec<Connection>,
+    /// The turn of the connection in use: `turn` modulo their number is its place in `all`.
+    turn: watch::Sender<usize>,
+}
+
+impl Connection {
+    pub(crate) fn new(
+        uri: Arc<str>,
+        (channel, bearer): (Channel, Bearer),
+        max_message_bytes: usize,
+    ) -> Connection {
+        Connection {
+            turn: 0,
+            uri,
+            channel: InterceptedService::new(channel, bearer),
+            max_message_bytes,
+        }
+    }
+
+    /// The server's address.
+    pub(crate) fn uri(&self) -> &Arc<str> {
+        &self.uri
+    }
+
+    pub(crate) fn turn(&self) -> usize {
+        self.turn
+    }
+
+    pub(crate) fn channel(&self) -> Transport {
+        self.channel.clone()
+    }
+
+    /// The stub of the calls about whole indices.
+    pub(crate) fn indexes(&self) -> IndexStub {
+        IndexServiceClient::new(self.channel()).max_decoding_message_size(self.max_message_bytes)
+    }
+
+    /// The stub of the calls about points.
+    pub(crate) fn points(&self) -> PointStub {
+        PointServiceClient::new(self.channel()).max_decoding_message_size(self.max_message_bytes)
+    }
+}
+
+impl Connections {
+    /// These connections; the first calls use the one at `first`.
+    pub(crate) fn new(all: Vec<Connection>, first: usize) -> Connections {
+        let turn = watch::Sender::new(first);
+        Connections { all, turn }
+    }
+
+    pub(crate) fn are_several(&self) -> bool {
+        self.all.len() > 1
+    }
+
+    /// The connection in use.
+    pub(crate) fn current(&self) -> Connection {
+        let turn = *self.turn.borrow();
+        Connection {
+            turn,
+            ..self.all[turn % self.all.len()].clone()
+        }
+    }
+
+    /// A call on this connection failed after a time. If its server may be of no use now, the next calls go to the
+    /// next server.
+    pub(crate) fn failed(&self, connection: &Connection, error: &Error, after: Duration) {
+        match error.code() {
+            Code::Unavailable => self.leave(connection),
+            // It stands still, or the revision that the call waits for does not reach it.
+            Code::DeadlineExceeded if after >= MAX_SILENCE => self.leave(connection),
+            _ => {}
+        }
+    }
+
+    /// Lets the next calls go to the next server, unless this connection is no longer in use.
+    pub(crate) fn leave(&self, connection: &Connection) {
+        self.turn.send_if_modified(|turn| {
+            let leaves = self.are_several() && *turn == connection.turn;
+            *turn += usize::from(leaves);
+            leaves
+        });
+    }
+
+    /// Returns once this connection is not in use any more.
+    pub(crate) async fn left(&self, connection: &Connection) {
+        let mut turn = self.turn.subscribe();
+        // The sender is `self`, so there is no error.
+        let _ = turn.wait_for(|turn| *turn != connection.turn).await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tonic::transport::Endpoint;
+
+    use super::*;
+    use crate::Credentials;
+
+    /// Connections that are never made.
+    fn connections(count: usize) -> Connections {
+        let bearer = Credentials::new().bearer().unwrap();
+        let connection = |number| {
+            let channel = Endpoint::from_static("http://127.0.0.1:0").connect_lazy();
+            let uri = format!("server {number}");
+            Connection::new(uri.into(), (channel, bearer.clone()), 0)
+        };
+        Connections::new((0..count).map(connection).collect(), 0)
+    }
+
+    #[tokio::test]
+    async fn calls_that_fail_together_move_the_client_once() {
+        let connections = connections(3);
+        let first = connections.current();
+        let calls = [first.clone(), first.clone()];
+        for call in &calls {
+            connections.leave(call);
+            connections.left(call).await;
+            assert_eq!(&**connections.current().uri(), "server 1");
+        }
+        for next in ["server 2", "server 0", "server 1"] {
+            connections.leave(&connections.current());
+            assert_eq!(&**connections.current().uri(), next);
+        }
+        // A call that began before the client came round again.
+        connections.leave(&first);
+        assert_eq!(&**connections.current().uri(), "server 1");
+    }
+
+    #[tokio::test]
+    async fn a_server_is_left_for_a_long_silence_and_not_for_a_short_timeout() {
+        let connections = connections(2);
+        let first = connections.current();
+        let silence = Error::timeout("knn", MAX_SILENCE);
+        connections.failed(&first, &silence, MAX_SILENCE / 2);
+        assert_eq!(connections.current().turn(), first.turn());
+        connections.failed(&first, &silence, MAX_SILENCE);
+        assert_ne!(connections.current().turn(), first.turn());
+    }
+
+    #[tokio::test]
+    async fn a_single_server_is_never_left() {
+        let connections = connections(1);
+        let only = connections.current();
+        connections.leave(&only);
+        assert_eq!(connections.current().turn(), only.turn());
+    }
+}

@@ -1,0 +1,196 @@
+//! Several servers with one journal in NATS: a client goes on at another one when its server dies, or is cut off from
+//! NATS. The environment variable `NATS_SERVER` has the path of the program nats-server.
+
+use std::{collections::BTreeSet, process::Command, thread, time::Duration};
+
+use tempfile::TempDir;
+use tokio::runtime::Runtime;
+use wayfold::{Client, Code, Index};
+use wayfold_index::Space;
+use wayfold_tests::{Process, ServerProcess, Signal, server};
+
+use super::{
+    history::{check_copies, content, wait_for_all},
+    proxy::Proxy,
+    shared,
+};
+
+const POINTS: usize = 300;
+
+/// A server of NATS with JetStream.
+struct Nats {
+    address: String,
+    _process: Process,
+    _directory: TempDir,
+}
+
+impl Nats {
+    fn start() -> Nats {
+        const SAYS: &str = "Listening for client connections on ";
+        let program = std::env::var("NATS_SERVER").expect("NATS_SERVER is the path of nats-server");
+        let directory = tempfile::tempdir().unwrap();
+        let store = directory.path().to_str().unwrap();
+        let arguments = ["--jetstream", "--addr", "127.0.0.1", "--port", "-1"];
+        let arguments = [&arguments[..], &["--store_dir", store]].concat();
+        let mut process = Process::start(program, &arguments);
+        let lines = process.log_until(SAYS);
+        let (_, address) = lines.last().unwrap().split_once(SAYS).unwrap();
+        process.log_until("Server is ready");
+        Nats {
+            address: address.to_owned(),
+            _process: process,
+            _directory: directory,
+        }
+    }
+
+    fn uri(&self) -> String {
+        format!("http://{}", self.address)
+    }
+
+    /// A server of Wayfold that shares its journal through NATS at an address.
+    fn server(address: &str) -> ServerProcess {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+        command
+            .args(["--grpc", "127.0.0.1:0"])
+            .env("WAYFOLD_DATA__DIR", "memory")
+            .env("WAYFOLD_CLUSTER__NATS", format!("nats://{address}"))
+            .env("WAYFOLD_CLUSTER__REPLICAS", "1");
+        ServerProcess::ready(Process::spawn(&mut command))
+    }
+}
+
+/// Waits until a server knows the index that another one has created.
+fn wait_for_index(uri: &str) {
+    let runtime = Runtime::new().unwrap();
+    runtime.block_on(async {
+        let client = Client::connect(uri).await.unwrap();
+        while client.index("arm").await.is_err() {
+            tokio::task::yield_now().await;
+        }
+    });
+}
+
+/// Inserts one point a call, and returns the ids.
+fn insert(index: &Index, first: usize) -> Vec<u64> {
+    let numbers = first..first + POINTS;
+    let inserted = numbers.map(|number| index.insert([number as f64, 0.0]).unwrap());
+    inserted.collect()
+}
+
+#[test]
+#[ignore = "needs nats-server"]
+fn writes_of_a_copy_are_there_once_after_its_server_has_died() {
+    let nats = Nats::start();
+    let [first, second] = [(); 2].map(|()| Nats::server(&nats.address));
+    let space: Space = "R2".parse().unwrap();
+    let uris = format!("{},{}", first.uri(), second.uri());
+    let index = shared(&uris, &space);
+    let reader = shared(&uris, &space);
+    wait_for_index(second.uri());
+    let mut ids = insert(&index, 0);
+    // Some of the writes are under way.
+    first.stop(Signal::Kill);
+    ids.extend(insert(&index, POINTS));
+    index.flush().unwrap();
+
+    let stored = content(&shared(second.uri(), &space));
+    assert_eq!(
+        stored.keys().copied().collect::<BTreeSet<u64>>(),
+        ids.iter().copied().collect()
+    );
+    let states: Vec<u64> = ids.iter().map(|id| stored[id].1[0]).collect();
+    let expected = (0..2 * POINTS).map(|number| (number as f64).to_bits());
+    assert_eq!(states, expected.collect::<Vec<u64>>());
+    wait_for_all(&index, &[-1.0, 0.0], &[&reader, &index]);
+    let stored = content(&shared(second.uri(), &space));
+    check_copies(&stored, &space, &[&index, &reader]);
+}
+
+/// The second server hears nothing of NATS while the first one writes, and for a while after that has died.
+#[test]
+#[ignore = "needs nats-server"]
+fn a_server_that_lags_is_not_older_to_its_client() {
+    let nats = Nats::start();
+    let runtime = Runtime::new().unwrap();
+    let way = runtime.block_on(Proxy::to(&nats.uri()));
+    let first = Nats::server(&nats.address);
+    let second = Nats::server(way.uri.trim_start_matches("http://"));
+    let space: Space = "R2".parse().unwrap();
+    let uris = format!("{},{}", first.uri(), second.uri());
+    let copy = shared(&uris, &space);
+    wait_for_index(second.uri());
+    runtime.block_on(async {
+        let client = Client::connect(&uris).await.unwrap();
+        let index = client.index("arm").await.unwrap();
+        way.hold(&nats.uri());
+        let mut ids = Vec::new();
+        for number in 0..POINTS {
+            let inserted = index.insert([[number as f64, 0.0]]).await.unwrap();
+            ids.push(inserted.outcomes[0].id().unwrap());
+        }
+        let seen = index.revision();
+        first.stop(Signal::Kill);
+
+        // It has none of the points.
+        let impatient = index.with_timeout(Duration::from_millis(500));
+        let read = impatient.get(&ids[..]).await.unwrap_err();
+        let updated = impatient.update([ids[0]]).tags([1]).await.unwrap_err();
+        for error in [read, updated] {
+            assert_eq!(error.code(), Code::DeadlineExceeded, "{error}");
+        }
+        way.lead_to(&nats.uri());
+        index.update([ids[0]]).tags([1]).await.unwrap();
+        let removed = index.remove([ids[POINTS - 1]]).await.unwrap();
+        assert_eq!(removed.removed_count, 1);
+        let left = &ids[..POINTS - 1];
+        assert_eq!(index.get(left).await.unwrap().ids(), left);
+        let described = client.index_info("arm").await.unwrap();
+        assert_eq!(described.point_count, left.len() as u64);
+        assert!(described.revision.number > seen.number);
+    });
+    wait_for_all(&copy, &[-1.0, 0.0], &[&copy]);
+    let stored = content(&shared(second.uri(), &space));
+    check_copies(&stored, &space, &[&copy]);
+}
+
+/// Its connections stay open, and nothing comes.
+#[tokio::test]
+async fn a_server_that_stands_still_is_left() {
+    let [first, second] = [(); 2].map(|()| server!());
+    let uris = format!("{},{}", first.uri(), second.uri());
+    let client = Client::connect(&uris).await.unwrap();
+    client.server().await.unwrap();
+    first.process().signal(Signal::Pause);
+    client.server().await.unwrap();
+    first.process().signal(Signal::Resume);
+    second.stop(Signal::Kill);
+    client.server().await.unwrap();
+}
+
+#[test]
+#[ignore = "needs nats-server"]
+fn a_copy_leaves_a_server_that_is_cut_off_from_the_journal() {
+    let nats = Nats::start();
+    let runtime = Runtime::new().unwrap();
+    let way = runtime.block_on(Proxy::to(&nats.uri()));
+    let first = Nats::server(way.uri.trim_start_matches("http://"));
+    let second = Nats::server(&nats.address);
+    let space: Space = "R2".parse().unwrap();
+    let index = shared(&format!("{},{}", first.uri(), second.uri()), &space);
+    wait_for_index(second.uri());
+    let other = shared(second.uri(), &space);
+    insert(&index, 0);
+    wait_for_all(&index, &[-1.0, 0.0], &[&other]);
+
+    way.close();
+    insert(&index, POINTS);
+    index.flush().unwrap();
+    let late = other.insert([-2.0, 0.0]).unwrap();
+    while index.get(late).unwrap().is_none() {
+        thread::yield_now();
+    }
+    wait_for_all(&index, &[-3.0, 0.0], &[&other, &index]);
+    let stored = content(&shared(second.uri(), &space));
+    assert_eq!(stored.len(), 2 * POINTS + 3);
+    check_copies(&stored, &space, &[&index, &other]);
+}
