@@ -41,6 +41,7 @@ impl Nats {
             };
             let text = format!(
                 "server_name: node-{node}\nlisten: \"127.0.0.1:{port}\"\n\
+                 max_payload: 65536\n\
                  jetstream {{ store_dir: {store:?}, sync_interval: always }}\n{cluster}\n"
             );
             fs::write(config(directory, node), text).expect("a writable directory");

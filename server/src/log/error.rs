@@ -29,17 +29,6 @@ pub enum LogError {
         /// The name.
         name: String,
     },
-    /// A record does not fit into a message of NATS.
-    #[error(
-        "its record takes {bytes} bytes, and a message of NATS at most {most}; split the call, or raise max_payload in \
-         the configuration of NATS"
-    )]
-    TooLarge {
-        /// The bytes of the record.
-        bytes: usize,
-        /// The greatest number of bytes.
-        most: usize,
-    },
     /// NATS does not answer.
     #[error("NATS does not answer ({what}); the server tries again, and so can you")]
     Unreachable {

@@ -72,7 +72,6 @@ impl From<LogError> for RegistryError {
             LogError::UnknownIndex { .. } => Self::Deleted,
             error @ (LogError::UidTaken { .. }
             | LogError::NameTaken { .. }
-            | LogError::TooLarge { .. }
             | LogError::Unreachable { .. }
             | LogError::Fenced { .. }
             | LogError::Unconfirmed { .. }

@@ -66,12 +66,6 @@ fn storage_error(what: String, error: LogError) -> Error {
         | LogError::Unconfirmed { .. }
         | LogError::Unreachable { .. }
         | LogError::Closed => Error::StorageFailed { what },
-        LogError::TooLarge { bytes, most } => Error::LimitExceeded {
-            limit: "max_payload of NATS",
-            value: most as u64,
-            requested: bytes as u64,
-            advice: "send the rows in several calls, or raise max_payload in the configuration of NATS",
-        },
         LogError::UnknownIndex { .. }
         | LogError::UidTaken { .. }
         | LogError::NameTaken { .. }

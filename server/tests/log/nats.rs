@@ -1,7 +1,7 @@
 //! A server of NATS under test.
 
 use std::{
-    env,
+    env, fs,
     io::{BufRead, BufReader},
     process::{Child, Command, Stdio},
 };
@@ -21,16 +21,16 @@ impl NatsServer {
     pub(crate) fn start() -> Self {
         let program = env::var_os("NATS_SERVER").expect("NATS_SERVER, the path of nats-server");
         let files = tempfile::tempdir().unwrap();
+        // Many packs of records take several messages of so few bytes.
+        let config = files.path().join("nats.conf");
+        let store = files.path().join("store");
+        let text = format!(
+            "listen: \"127.0.0.1:-1\"\nmax_payload: 1300\njetstream {{ store_dir: {store:?} }}\n"
+        );
+        fs::write(&config, text).unwrap();
         let mut child = Command::new(program)
-            .args([
-                "--addr",
-                "127.0.0.1",
-                "--port",
-                "-1",
-                "--jetstream",
-                "--store_dir",
-            ])
-            .arg(files.path())
+            .arg("--config")
+            .arg(config)
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();

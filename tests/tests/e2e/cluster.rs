@@ -24,7 +24,8 @@ const NATS_SERVERS: usize = 3;
 const WRITERS: u64 = 8;
 const LOAD: Load = Load {
     rows: 20,
-    heavy: 0.0,
+    // Such a call takes several messages of NATS.
+    heavy: 0.05,
     removals: 0.2,
 };
 /// The number of faults, unless the environment variable `CLUSTER_FAULTS` sets another.

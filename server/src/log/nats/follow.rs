@@ -10,7 +10,7 @@ use tracing::debug;
 use super::{
     RETRY_INTERVAL,
     connection::{Connection, unreachable},
-    message,
+    message::Unpacker,
 };
 use crate::log::{LogError, Record, RecordStream, Uid};
 
@@ -24,6 +24,7 @@ struct Follower {
     /// The newest revision that was returned.
     after: u64,
     messages: Option<pull::Ordered>,
+    unpacker: Unpacker,
     /// The times of subscriptions.
     attempts: Option<Interval>,
 }
@@ -35,6 +36,7 @@ pub(super) fn follow(connection: Arc<Connection>, uid: Uid, after: u64) -> Recor
         uid,
         after,
         messages: None,
+        unpacker: Unpacker::default(),
         attempts: None,
     };
     let batches = stream::unfold(Some(follower), |follower| async move {
@@ -55,7 +57,7 @@ pub(super) fn follow(connection: Arc<Connection>, uid: Uid, after: u64) -> Recor
 }
 
 impl Follower {
-    /// The next records; none if a message brought only known ones.
+    /// The next records; none if a message brought only known ones, or a part of a pack.
     async fn next(&mut self) -> Result<Vec<Arc<Record>>, LogError> {
         let messages = match &mut self.messages {
             Some(messages) => messages,
@@ -78,7 +80,9 @@ impl Follower {
                 });
             }
         };
-        let mut records = message::unpack(self.uid, self.after + 1, &message.payload)?;
+        let headers = message.headers.clone().unwrap_or_default();
+        let next = (self.uid, self.after + 1);
+        let mut records = self.unpacker.take(next, &headers, &message.payload)?;
         records.retain(|record| record.revision() > self.after);
         if let Some(last) = records.last() {
             self.after = last.revision();
@@ -116,10 +120,11 @@ pub(super) async fn read(
 ) -> Result<Vec<Arc<Record>>, LogError> {
     let after = after.unwrap_or(0);
     let mut sequence = place_after(connection, uid, after).await?;
-    let (mut records, mut bytes) = (Vec::new(), 0);
+    let (mut records, mut bytes, mut unpacker) = (Vec::new(), 0, Unpacker::default());
     while let Some((position, message)) = connection.next(uid, sequence).await? {
         sequence = position.sequence + 1;
-        for record in message::unpack(uid, position.first, &message.payload)? {
+        let next = (uid, position.first);
+        for record in unpacker.take(next, &message.headers, &message.payload)? {
             if record.revision() <= after {
                 continue;
             }

@@ -1,18 +1,23 @@
-//! A message of a stream: consecutive records of an index.
+//! The messages of a stream: packs of consecutive records of an index.
 //!
-//! The payload is the records in turn, each as its length (u64, little-endian) and its stored form. The headers name
-//! the first and the last revision and the digest of the last record, so that a reader finds its place without payloads.
+//! The bytes of a pack are its records in turn, each as its length (u64, little-endian) and its stored form. A pack is
+//! one message, or the messages of one atomic batch if it is larger than a message may be. Headers name the first and
+//! the last revision of the pack, the digest of its last record, and the place of the message in the pack, so that a
+//! reader finds its place without payloads.
 
 use std::{str::FromStr, sync::Arc};
 
 use async_nats::{HeaderMap, jetstream::message::StreamMessage};
-use bytes::Bytes;
 
 use crate::log::{LogError, Origin, Record, Tip, Uid, cursor::Cursor};
 
 const FIRST: &str = "Wayfold-First";
 const LAST: &str = "Wayfold-Last";
 const DIGEST: &str = "Wayfold-Digest";
+/// The number of the message in its pack, from 1, and the number of messages.
+const PART: &str = "Wayfold-Part";
+
+const FOREIGN: &str = "a message of its stream in NATS was not published by Wayfold";
 
 /// A message's place in its stream, and the records in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,7 +56,7 @@ impl Position {
         read().ok_or(LogError::Damaged {
             uid,
             revision: 0,
-            what: "a message of its stream in NATS was not published by Wayfold",
+            what: FOREIGN,
         })
     }
 }
@@ -71,8 +76,8 @@ fn digest(text: &str) -> Option<[u8; 32]> {
     Some(digest)
 }
 
-/// The headers of a message with these records; it has one at least.
-pub(super) fn headers(first: &Record, last: &Record) -> HeaderMap {
+/// The headers of a message of a pack from `first` to `last`, by its number and the number of messages.
+pub(super) fn headers(first: &Record, last: &Record, (part, parts): (usize, usize)) -> HeaderMap {
     let digest: String = last
         .digest()
         .iter()
@@ -82,6 +87,7 @@ pub(super) fn headers(first: &Record, last: &Record) -> HeaderMap {
     headers.insert(FIRST, first.revision().to_string());
     headers.insert(LAST, last.revision().to_string());
     headers.insert(DIGEST, digest);
+    headers.insert(PART, format!("{part}/{parts}"));
     headers
 }
 
@@ -96,10 +102,51 @@ pub(super) fn pack(payload: &mut Vec<u8>, stored: &[u8]) {
     payload.extend_from_slice(stored);
 }
 
-/// The records of a payload, each intact.
-pub(super) fn unpack(uid: Uid, first: u64, payload: &Bytes) -> Result<Vec<Arc<Record>>, LogError> {
+/// The messages of a pack that is not complete yet.
+#[derive(Default)]
+pub(super) struct Unpacker {
+    parts: usize,
+    bytes: Vec<u8>,
+}
+
+impl Unpacker {
+    /// Takes the next message of an index; returns the records of a complete pack, each intact. `next` is the revision
+    /// that an error names.
+    pub(super) fn take(
+        &mut self,
+        (uid, next): (Uid, u64),
+        headers: &HeaderMap,
+        payload: &[u8],
+    ) -> Result<Vec<Arc<Record>>, LogError> {
+        let damaged = |what| LogError::Damaged {
+            uid,
+            revision: next,
+            what,
+        };
+        let place = headers.get(PART).and_then(|part| {
+            let (part, parts) = part.as_str().split_once('/')?;
+            Some((part.parse::<usize>().ok()?, parts.parse::<usize>().ok()?))
+        });
+        let (part, parts) = place.ok_or_else(|| damaged(FOREIGN))?;
+        if part == 1 {
+            *self = Self::default();
+        }
+        if part != self.parts + 1 {
+            return Err(damaged("a part of it is missing in its stream in NATS"));
+        }
+        self.parts = part;
+        self.bytes.extend_from_slice(payload);
+        match part == parts {
+            true => unpack(uid, next, &std::mem::take(self).bytes),
+            false => Ok(Vec::new()),
+        }
+    }
+}
+
+/// The records of a pack, each intact.
+fn unpack(uid: Uid, first: u64, pack: &[u8]) -> Result<Vec<Arc<Record>>, LogError> {
     let mut records = Vec::new();
-    let mut cursor = Cursor::new(payload);
+    let mut cursor = Cursor::new(pack);
     while !cursor.is_empty() {
         let damaged = |what| LogError::Damaged {
             uid,
@@ -116,6 +163,8 @@ pub(super) fn unpack(uid: Uid, first: u64, payload: &Bytes) -> Result<Vec<Arc<Re
 
 #[cfg(test)]
 mod tests {
+    use bytes::Bytes;
+
     use super::*;
     use crate::log::Effects;
 
@@ -125,12 +174,12 @@ mod tests {
         vec![first, second]
     }
 
-    fn payload(records: &[Record]) -> Bytes {
+    fn payload(records: &[Record]) -> Vec<u8> {
         let mut payload = Vec::new();
         for record in records {
             pack(&mut payload, &record.encode());
         }
-        payload.into()
+        payload
     }
 
     #[test]
@@ -142,7 +191,7 @@ mod tests {
             found,
             records.iter().cloned().map(Arc::new).collect::<Vec<_>>()
         );
-        assert_eq!(unpack(uid, 4, &Bytes::new()), Ok(Vec::new()));
+        assert_eq!(unpack(uid, 4, &[]), Ok(Vec::new()));
     }
 
     #[test]
@@ -150,16 +199,37 @@ mod tests {
         let (uid, records) = (Uid::unique(), records());
         let whole = payload(&records);
         for bit in 0..8 * whole.len() {
-            let mut flipped = whole.to_vec();
+            let mut flipped = whole.clone();
             flipped[bit / 8] ^= 1 << (bit % 8);
-            let found = unpack(uid, 4, &flipped.into());
+            let found = unpack(uid, 4, &flipped);
             assert!(found.is_err(), "bit {bit}");
         }
         let boundary = packed_bytes(records[0].encode().len());
         for length in (1..whole.len()).filter(|length| *length != boundary) {
-            let found = unpack(uid, 4, &whole.slice(..length));
+            let found = unpack(uid, 4, &whole[..length]);
             assert!(found.is_err(), "{length} bytes");
         }
+    }
+
+    #[test]
+    fn parts_make_a_pack_in_their_order_only() {
+        let (uid, records) = (Uid::unique(), records());
+        let whole = payload(&records);
+        let parts: Vec<_> = whole.chunks(whole.len().div_ceil(3)).collect();
+        let take = |unpacker: &mut Unpacker, part: usize| {
+            let headers = headers(&records[0], &records[1], (part, 3));
+            unpacker.take((uid, 4), &headers, parts[part - 1])
+        };
+        let mut unpacker = Unpacker::default();
+        // A reader that begins again gets the first part again.
+        for part in [1, 2, 1, 2] {
+            assert_eq!(take(&mut unpacker, part), Ok(Vec::new()));
+        }
+        assert_eq!(take(&mut unpacker, 3).unwrap().len(), 2);
+        for part in [2, 3] {
+            assert!(take(&mut unpacker, part).is_err());
+        }
+        assert!(take(&mut unpacker, 1).is_ok() && take(&mut unpacker, 3).is_err());
     }
 
     #[test]
@@ -168,7 +238,7 @@ mod tests {
         let mut message = StreamMessage {
             subject: "log".into(),
             sequence: 9,
-            headers: headers(&records[0], &records[1]),
+            headers: headers(&records[0], &records[1], (1, 1)),
             payload: Bytes::new(),
             time: std::time::SystemTime::UNIX_EPOCH.into(),
         };

@@ -1,8 +1,8 @@
 //! The log of several servers: its journal is in the streams of NATS JetStream, its catalogue is a bucket of NATS, and
 //! each server has a point store of its own.
 //!
-//! An index is a subject of a stream. A message holds consecutive records, and is published with the sequence number of
-//! the message before it on the subject: NATS takes it only if that is the newest. So of two servers that submit after
+//! An index is a subject of a stream. A pack of consecutive records is published with the sequence number of the message
+//! before it on the subject: NATS takes it only if that is the newest. So of two servers that submit after
 //! the same revision one wins, whatever each of them believes. No server trims what it publishes yet: the streams keep
 //! every record of an index until the index is deleted.
 //!
@@ -114,7 +114,7 @@ struct NatsJournal {
 impl Journal for NatsJournal {
     fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
         let (answer, outcome) = oneshot::channel();
-        let mut submission = Submission::new(record, answer, self.connection.max_payload)?;
+        let mut submission = Submission::new(record, answer);
         let mut publishers = self.publishers.lock();
         let start = || Publisher::start(uid, Arc::clone(&self.connection), &self.runtime);
         while let Err(back) = publishers.entry(uid).or_insert_with(start).send(submission) {

@@ -3,7 +3,19 @@
 
 use std::{sync::Arc, time::Duration};
 
-use async_nats::jetstream::{ErrorCode, context::PublishErrorKind, message::PublishMessage};
+use async_nats::{
+    header::{
+        NATS_BATCH_COMMIT, NATS_BATCH_COMMIT_FINAL, NATS_BATCH_ID, NATS_BATCH_SEQUENCE,
+        NATS_EXPECTED_LAST_SUBJECT_SEQUENCE,
+    },
+    jetstream::{
+        ErrorCode,
+        context::{PublishError, PublishErrorKind},
+        message::PublishMessage,
+        publish::PublishAck,
+    },
+};
+use bytes::Bytes;
 use tokio::{
     runtime::Handle,
     sync::{mpsc, oneshot},
@@ -11,6 +23,7 @@ use tokio::{
 };
 use tokio_util::task::AbortOnDropHandle;
 use tracing::debug;
+use uuid::Uuid;
 
 use super::{
     connection::{self, Connection},
@@ -40,25 +53,12 @@ pub(super) struct Publisher {
 }
 
 impl Submission {
-    /// An error means that the record cannot be published.
-    pub(super) fn new(
-        record: Arc<Record>,
-        answer: Answer,
-        max_payload: usize,
-    ) -> Result<Self, LogError> {
-        let stored = record.encode();
-        let bytes = message::packed_bytes(stored.len());
-        if bytes > max_payload {
-            return Err(LogError::TooLarge {
-                bytes,
-                most: max_payload,
-            });
-        }
-        Ok(Self {
+    pub(super) fn new(record: Arc<Record>, answer: Answer) -> Self {
+        Self {
+            stored: record.encode(),
             record,
-            stored,
             answer,
-        })
+        }
     }
 }
 
@@ -143,7 +143,7 @@ impl Task {
         }
     }
 
-    /// Publishes consecutive records as one message.
+    /// Publishes consecutive records as one pack.
     async fn publish(&mut self, batch: &[Submission]) -> Result<(), Refusal> {
         let (Some(first), Some(last)) = (batch.first(), batch.last()) else {
             return Ok(());
@@ -153,19 +153,10 @@ impl Task {
         for submission in batch {
             message::pack(&mut payload, &submission.stored);
         }
-        let payload = bytes::Bytes::from(payload);
+        let payload = Bytes::from(payload);
         let expected = self.place_before(first).await?;
         for _ in 0..MAX_REPEATS {
-            let message = PublishMessage::build()
-                .payload(payload.clone())
-                .headers(message::headers(first, last))
-                .expected_last_subject_sequence(expected.sequence);
-            let subject = self.connection.subject(self.uid);
-            let sent = self.connection.context.send_publish(subject, message).await;
-            let acknowledged = match sent {
-                Ok(acknowledgement) => acknowledgement.await,
-                Err(error) => Err(error),
-            };
+            let acknowledged = self.send((first, last), &payload, expected.sequence).await;
             let error = match acknowledged {
                 Ok(acknowledgement) => {
                     self.newest = Some(Position {
@@ -207,6 +198,45 @@ impl Task {
         Err(Refusal::Unconfirmed {
             what: format!("NATS refused it {MAX_REPEATS} times as too early"),
         })
+    }
+
+    /// Publishes a pack behind the message `expected`, all of it or nothing.
+    async fn send(
+        &self,
+        (first, last): (&Record, &Record),
+        pack: &Bytes,
+        expected: u64,
+    ) -> Result<PublishAck, PublishError> {
+        let (context, subject) = (&self.connection.context, self.connection.subject(self.uid));
+        let client = context.client();
+        let parts = pack.len().div_ceil(self.connection.max_payload);
+        let batch = Uuid::new_v4().to_string();
+        for part in 1..=parts {
+            let start = (part - 1) * self.connection.max_payload;
+            let end = pack.len().min(start + self.connection.max_payload);
+            let mut headers = message::headers(first, last, (part, parts));
+            if part == 1 {
+                headers.insert(NATS_EXPECTED_LAST_SUBJECT_SEQUENCE, expected.to_string());
+            }
+            if parts > 1 {
+                headers.insert(NATS_BATCH_ID, &*batch);
+                headers.insert(NATS_BATCH_SEQUENCE, part.to_string());
+            }
+            let payload = pack.slice(start..end);
+            if part < parts {
+                // The end of the batch tells of an error here.
+                let sent = client.publish_with_headers(subject.clone(), headers, payload);
+                let failed = |error| PublishError::with_source(PublishErrorKind::Other, error);
+                sent.await.map_err(failed)?;
+                continue;
+            }
+            if parts > 1 {
+                headers.insert(NATS_BATCH_COMMIT, NATS_BATCH_COMMIT_FINAL);
+            }
+            let message = PublishMessage::build().payload(payload).headers(headers);
+            return context.send_publish(subject, message).await?.await;
+        }
+        unreachable!("a pack has a record")
     }
 
     /// The message that `record` follows.
