@@ -29,6 +29,20 @@ pub enum LogError {
         /// The name.
         name: String,
     },
+    /// The journal ends before what this server has applied. The server looks again: NATS may have answered from the past.
+    #[error(
+        "index {uid}: the journal ends at revision {head}, and this server has applied {applied}: NATS has lost the \
+         records between; nothing is written, and reads go on. If it lasts, create the index under another name from \
+         the points of this server"
+    )]
+    JournalBehind {
+        /// The index.
+        uid: Uid,
+        /// The newest revision of the journal.
+        head: u64,
+        /// The newest revision that this server has applied.
+        applied: u64,
+    },
     /// NATS does not answer.
     #[error("NATS does not answer ({what}); the server tries again, and so can you")]
     Unreachable {

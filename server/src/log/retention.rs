@@ -95,12 +95,6 @@ impl<T> Bounded<T> {
         Some(oldest)
     }
 
-    /// Removes the items that are not to be kept, wherever they are.
-    pub(crate) fn retain(&mut self, keep: impl Fn(&T) -> bool) {
-        self.items.retain(|(item, _)| keep(item));
-        self.bytes = self.items.iter().map(|(_, bytes)| bytes).sum();
-    }
-
     /// The items and their bytes, as the window of an index.
     pub(crate) fn window(&self) -> Window {
         Window {

@@ -44,8 +44,8 @@ pub(super) struct Applied {
 pub(super) struct Awaited {
     /// The submitted record.
     pub(super) record: Arc<Record>,
-    /// The revision that was published when it was submitted: the journal had it.
-    pub(super) base: u64,
+    /// The record that was published when it was submitted: the journal had it.
+    pub(super) base: Tip,
     pub(super) outcome: BoxFuture<'static, Result<(), LogError>>,
 }
 
@@ -93,18 +93,20 @@ pub(super) async fn run(
                     }
                     Err(error) => Err(error.into()),
                 };
-                let head = head.and_then(|head| match head < base {
-                    true => Err(hosted.journal_lost(head)),
-                    false => Ok(head),
-                });
-                head.map(|head| arrivals.push(hosted.superseded(&record, head)))
+                match head {
+                    Ok(head) => hosted.journal_has(base, head).await.map(|()| head),
+                    Err(error) => Err(error),
+                }
+                .map(|head| arrivals.push(hosted.superseded(&record, head)))
             }
             Some(arrived) = arrivals.next() => arrived,
         };
         if let Err(error) = outcome {
             if let Some(hosted) = hosted.upgrade() {
                 match &error {
-                    RegistryError::Log(LogError::Damaged { .. }) => {
+                    RegistryError::Log(
+                        LogError::Damaged { .. } | LogError::JournalBehind { .. },
+                    ) if !hosted.is_reported.swap(true, Relaxed) => {
                         error!(index = hosted.name(), %error, "no further record is applied");
                     }
                     // The log reports its failure once, so an index logs it at debug level only.
@@ -206,13 +208,28 @@ impl Hosted {
         Ok(())
     }
 
-    /// The error of a journal that ends at the revision `head`, before one that this server has applied.
-    fn journal_lost(&self, head: u64) -> RegistryError {
-        RegistryError::Log(LogError::Damaged {
-            uid: self.uid(),
-            revision: head + 1,
-            what: "the journal has lost it after this server had applied it",
-        })
+    /// Fails if the journal, which ends at the revision `head`, does not have the applied record `base`.
+    async fn journal_has(self: &Arc<Self>, base: Tip, head: u64) -> Result<(), RegistryError> {
+        if head < base.revision {
+            return Err(RegistryError::Log(LogError::JournalBehind {
+                uid: self.uid(),
+                head,
+                applied: base.revision,
+            }));
+        }
+        // Another record may have taken its place after the journal had lost it.
+        if head > base.revision || base.revision == 0 {
+            return Ok(());
+        }
+        let found = self.read(base.revision - 1, 1).await?;
+        match found.first().is_none_or(|found| found.tip() == base) {
+            true => Ok(()),
+            false => Err(RegistryError::Log(LogError::Damaged {
+                uid: self.uid(),
+                revision: base.revision,
+                what: "the journal has another one in its place",
+            })),
+        }
     }
 
     /// Waits for what the journal has instead of a record that it does not have, at least up to the revision `head`.

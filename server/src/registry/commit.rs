@@ -87,7 +87,7 @@ impl Hosted {
     /// nothing may be returned then. If other servers share the journal, an empty record shows that none has written
     /// since.
     pub async fn settled(&self, writer: WriteGuard) -> Result<Committed, RegistryError> {
-        if self.host.log.journal.is_shared() {
+        if self.is_shared() {
             let effects = Effects::new(self.space().coordinates());
             return self.decided(self.submit(writer, effects)).await;
         }
@@ -103,7 +103,7 @@ impl Hosted {
     /// journal may lag behind it, and NATS may be asked at a server that lags itself: only an accepted record shows that
     /// none is missing. All calls that wait share the next one.
     pub async fn latest(self: &Arc<Self>) -> Result<(), RegistryError> {
-        if !self.host.log.journal.is_shared() {
+        if !self.is_shared() {
             return Ok(());
         }
         let Fences { begun, done } = &self.fences;
@@ -122,11 +122,6 @@ impl Hosted {
     pub fn recall(&self, writer: &WriteGuard, id: &str) -> Option<Arc<Operation>> {
         let pending = writer.pending_operation(id).cloned();
         pending.or_else(|| self.operations.lock().recall(id).cloned())
-    }
-
-    /// Forgets an operation that was remembered and refused.
-    pub fn forget(&self, id: &str) {
-        self.operations.lock().forget(id);
     }
 
     /// Remembers an operation that changed nothing.
@@ -163,7 +158,7 @@ impl Hosted {
             Ok(Receipt::Accepted) => {}
             Ok(Receipt::Awaited(outcome)) => self.await_receipt(Awaited {
                 record,
-                base: writer.base().revision,
+                base: writer.base().view.tip(),
                 outcome,
             }),
             Err(error) => {

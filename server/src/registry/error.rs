@@ -72,6 +72,7 @@ impl From<LogError> for RegistryError {
             LogError::UnknownIndex { .. } => Self::Deleted,
             error @ (LogError::UidTaken { .. }
             | LogError::NameTaken { .. }
+            | LogError::JournalBehind { .. }
             | LogError::Unreachable { .. }
             | LogError::Fenced { .. }
             | LogError::Unconfirmed { .. }

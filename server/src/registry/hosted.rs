@@ -3,7 +3,7 @@
 use std::{
     sync::{
         Arc, Weak,
-        atomic::{AtomicU64, Ordering::Relaxed},
+        atomic::{AtomicBool, AtomicU64, Ordering::Relaxed},
     },
     time::SystemTime,
 };
@@ -68,6 +68,8 @@ pub struct Hosted {
     pub(super) batches: Arc<()>,
     apply_loop: parking_lot::Mutex<ApplyLoop>,
     pub(super) fences: Fences,
+    /// True once a damage of its journal was logged.
+    pub(super) is_reported: AtomicBool,
 }
 
 /// The task that applies the records of the log, and the channel of the receipts it waits for.
@@ -121,6 +123,7 @@ impl Hosted {
             followers: Followers::default(),
             missed: AtomicU64::new(0),
             fences: Fences::default(),
+            is_reported: AtomicBool::new(false),
             batches: Arc::default(),
             apply_loop: parking_lot::Mutex::new(ApplyLoop::start(
                 0,
@@ -138,6 +141,11 @@ impl Hosted {
     /// The bytes of its payloads after `effects`, which follow the records of `writer`; 0 if they are not counted.
     pub fn payload_bytes(&self, writer: &Writer, effects: &Effects) -> u64 {
         self.payload_sizes.lock().after(writer.pending(), effects)
+    }
+
+    /// True if other servers write to it too.
+    pub fn is_shared(&self) -> bool {
+        self.host.log.journal.is_shared()
     }
 
     /// Its name.
@@ -254,7 +262,7 @@ impl Hosted {
     }
 
     /// The records of the journal after the revision `after`: see [`Journal::read`](crate::log::Journal::read).
-    async fn read(
+    pub(super) async fn read(
         self: &Arc<Self>,
         after: u64,
         max_bytes: usize,
@@ -269,7 +277,7 @@ impl Hosted {
     }
 
     /// Waits until all records that the journal has now are published: a server that shares its journal may lag behind.
-    pub(super) async fn catch_up(self: &Arc<Self>) -> Result<(), RegistryError> {
+    pub async fn catch_up(self: &Arc<Self>) -> Result<(), RegistryError> {
         let hosted = Arc::clone(self);
         let newest = move || hosted.host.log.journal.newest(hosted.uid);
         let newest = tokio::task::spawn_blocking(newest).await;
@@ -376,17 +384,27 @@ impl Hosted {
     pub(crate) fn damage(&self) -> Option<RegistryError> {
         let state = self.state.borrow();
         let closed = state.closed.as_ref();
-        let damage =
-            closed.filter(|why| matches!(why, RegistryError::Log(LogError::Damaged { .. })));
+        let damage = closed.filter(|why| {
+            let RegistryError::Log(why) = why else {
+                return false;
+            };
+            matches!(
+                why,
+                LogError::Damaged { .. } | LogError::JournalBehind { .. }
+            )
+        });
         damage.cloned()
     }
 
-    /// True if it is closed because a lost receipt could not be settled.
+    /// True if it is closed for a reason that may pass: a lost receipt could not be settled, or NATS may have answered
+    /// from the past.
     pub(super) fn is_unsettled(&self) -> bool {
         let state = self.state.borrow();
         matches!(
             state.closed,
-            Some(RegistryError::Log(LogError::Unconfirmed { .. }))
+            Some(RegistryError::Log(
+                LogError::Unconfirmed { .. } | LogError::JournalBehind { .. }
+            ))
         )
     }
 

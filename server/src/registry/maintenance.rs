@@ -1,6 +1,7 @@
 //! Periodic maintenance: reopens a failed store, merges idle indices further, and trims old records.
 
 use std::{
+    collections::BTreeSet,
     future::pending,
     sync::Arc,
     time::{Duration, SystemTime},
@@ -43,6 +44,8 @@ impl Registry {
             (MAINTENANCE_INTERVAL, Instant::now(), Instant::now());
         let mut last_error = None;
         let mut catalogue = self.host.log.catalogue.changes();
+        // True if the last changes of the catalogue are not adopted.
+        let mut is_stale = false;
         loop {
             let now = tokio::select! {
                 now = ticks.tick() => now,
@@ -50,11 +53,17 @@ impl Registry {
                     let registry = Arc::clone(&self);
                     let refreshed = tokio::task::spawn_blocking(move || registry.refresh()).await;
                     if let Ok(Err(error)) = refreshed {
-                        warn!(%error, "cannot adopt the changes of the catalogue");
+                        warn!(%error, "cannot adopt the changes of the catalogue yet");
+                        is_stale = true;
                     }
                     continue;
                 }
             };
+            if std::mem::take(&mut is_stale)
+                && let Some(catalogue) = &mut catalogue
+            {
+                catalogue.mark_changed();
+            }
             if self.failure().is_some() && now >= next_try {
                 let registry = Arc::clone(&self);
                 let outcome = tokio::task::spawn_blocking(move || registry.recover()).await;
@@ -153,9 +162,9 @@ impl Registry {
     ) -> Result<usize, RegistryError> {
         let entries = self.host.log.catalogue.indexes()?;
         let states = self.indexes.read().clone();
+        let names: BTreeSet<_> = entries.iter().map(|entry| &entry.name).collect();
         for (name, state) in &states {
-            let is_stored = entries.iter().any(|entry| entry.name == *name);
-            if !is_stored {
+            if !names.contains(name) {
                 self.change(|indexes| indexes.remove(name));
                 if let IndexState::Hosted(hosted) = state {
                     hosted.close(RegistryError::Deleted);

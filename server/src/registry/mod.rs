@@ -38,7 +38,10 @@ use std::{
 
 use futures_util::{StreamExt, stream};
 use parking_lot::{Mutex, RwLock};
-use tokio::sync::{Semaphore, watch};
+use tokio::{
+    sync::{Semaphore, watch},
+    time::timeout,
+};
 use tracing::{info, warn};
 use wayfold_index::{Forest, ForestOptions, Space};
 
@@ -163,6 +166,9 @@ struct Host {
     labels: Mutex<BTreeSet<Arc<str>>>,
 }
 
+/// The time in which an index of a starting server catches up with a journal, before it is served as it is.
+const CATCH_UP_TIME: Duration = Duration::from_secs(60);
+
 /// The number of indices that catch up with a journal at a time.
 const CATCHING_UP: usize = 64;
 
@@ -250,8 +256,12 @@ impl Registry {
         let hosted = self.hosted();
         let indexes = hosted.len();
         let catching_up = hosted.into_iter().map(|hosted| async move {
-            if let Err(error) = hosted.catch_up().await {
-                warn!(index = hosted.name(), %error, "cannot catch up with the journal");
+            match timeout(CATCH_UP_TIME, hosted.catch_up()).await {
+                Ok(Ok(())) => {}
+                Ok(Err(error)) => {
+                    warn!(index = hosted.name(), %error, "cannot catch up with the journal");
+                }
+                Err(_) => warn!(index = hosted.name(), "is still behind the journal"),
             }
         });
         let catching_up = stream::iter(catching_up).buffer_unordered(CATCHING_UP);

@@ -53,13 +53,6 @@ impl Operations {
         self.window = window;
     }
 
-    /// Forgets the operation with this id.
-    pub(super) fn forget(&mut self, id: &str) {
-        if self.by_id.remove(id).is_some() {
-            self.newest.retain(|operation| operation.id != id);
-        }
-    }
-
     pub(super) fn recall(&self, id: &str) -> Option<&Arc<Operation>> {
         self.by_id.get(id)
     }

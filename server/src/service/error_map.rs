@@ -58,6 +58,7 @@ fn storage_error(what: String, error: LogError) -> Error {
         | LogError::Incomplete { .. }
         | LogError::Unreadable { .. }
         | LogError::Unopened { .. }
+        | LogError::JournalBehind { .. }
         | LogError::Trimmed { .. } => Error::DataLoss { what },
         LogError::Storage { .. }
         | LogError::StorageStopped

@@ -134,7 +134,18 @@ impl Service {
             let recalled = match recalled(hosted, &writer, claim) {
                 // The records that this server lacks, or those that the journal has not accepted, may make it right.
                 Err(Error::SessionRefused { .. }) if !is_caught_up => {
-                    is_caught_up = settled(call, hosted, writer).await? == Committed::Done;
+                    is_caught_up = true;
+                    if hosted.is_shared() {
+                        drop(writer);
+                        let caught_up = async {
+                            hosted.catch_up().await?;
+                            hosted.latest().await
+                        };
+                        let caught_up = call.bound("while reading the journal", caught_up).await?;
+                        caught_up.map_err(|error| registry_error(hosted.name(), error))?;
+                    } else {
+                        let _ = settled(call, hosted, writer).await?;
+                    }
                     continue;
                 }
                 recalled => recalled?,
@@ -209,14 +220,19 @@ impl Service {
             claim.mark(&mut effects, response.encode_to_vec().into());
         }
         if effects.is_empty() {
-            // A concurrent retry finds the operation, and waits for the same records.
-            let operation = effects.operation();
-            if let Some(operation) = operation {
-                hosted.remember(Arc::clone(operation), window);
+            let remember = || {
+                if let Some(operation) = effects.operation() {
+                    hosted.remember(Arc::clone(operation), window);
+                }
+            };
+            // A concurrent retry finds the operation, and waits for the same records. Beside other servers the response
+            // may be one of the past until the journal has taken a record after it.
+            if !hosted.is_shared() {
+                remember();
             }
             let committed = settled(call, hosted, writer).await?;
-            if let (Committed::Refused, Some(operation)) = (committed, operation) {
-                hosted.forget(&operation.id);
+            if hosted.is_shared() && committed == Committed::Done {
+                remember();
             }
             return Ok(committed);
         }

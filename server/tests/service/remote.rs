@@ -292,7 +292,7 @@ async fn a_journal_that_has_lost_applied_records_is_noticed() {
         let error = service.insert(&CALL, insertion(&[[4.0]], &[])).await;
         let error = error.unwrap_err();
         assert_eq!(error.code(), Code::DataLoss, "{error}");
-        assert!(error.to_string().contains("revision 3"), "{error}");
+        assert!(error.to_string().contains("has applied 3"), "{error}");
     }
     assert_eq!(everything(&service).await.point_count, 3);
     let listing = service

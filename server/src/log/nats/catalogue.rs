@@ -14,24 +14,32 @@ use base64::{Engine as _, engine::general_purpose::URL_SAFE_NO_PAD};
 use bytes::Bytes;
 use futures_util::StreamExt;
 use serde::{Deserialize, Serialize};
-use tokio::{runtime::Handle, sync::watch, time::interval};
+use tokio::{
+    runtime::Handle,
+    sync::watch,
+    time::{MissedTickBehavior, interval},
+};
 use tokio_util::task::AbortOnDropHandle;
 use tracing::{debug, warn};
 
 use super::{
     NatsError, RETRY_INTERVAL,
-    connection::{Connection, patiently, unreachable},
+    connection::{Connection, found, patiently, unreachable, within},
 };
 use crate::log::{Catalogue, Entry, LogError, Lost, Uid};
 
-/// A key's value: the last index of a name.
+/// The most deleted indices of a name that are remembered.
+const MAX_DELETED: usize = 1000;
+
+/// A key's value: the index of a name, and those that had it before.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Named {
-    uid: String,
     name: String,
-    space: String,
-    is_deleted: bool,
+    /// The uid and the space; None if the index was deleted.
+    index: Option<(String, String)>,
+    /// The uids of the newest deleted indices, oldest first.
+    deleted: Vec<String>,
 }
 
 /// A value and the revision of its key.
@@ -86,58 +94,74 @@ impl NatsCatalogue {
         })
     }
 
-    /// Sets the key of a name, which has this revision (0 if it does not exist).
+    /// Sets the key of a name, which has this revision (0 if it does not exist). [`LogError::NameTaken`] if another server
+    /// has changed it since.
     async fn set(&self, named: Named, revision: u64) -> Result<(), LogError> {
         let key = key(&named.name);
         let value = serde_json::to_vec(&named).map_err(unreachable)?;
-        let set = self.bucket.update(&key, value.into(), revision).await;
+        let update = self.bucket.update(&key, value.into(), revision);
+        let set = within(async { update.await.map_err(unreachable) }).await;
         let now = match set {
             Ok(now) => now,
-            Err(error) => {
-                // Another server was first, or the answer was lost.
-                let found = self.bucket.entry(&key).await.map_err(unreachable)?;
-                let found = found.and_then(|entry| {
-                    let found = serde_json::from_slice::<Named>(&entry.value).ok()?;
-                    Some((found, entry.revision))
-                });
-                match found {
-                    Some((found, now)) if found == named => now,
-                    Some((found, now)) => {
-                        note(&self.known, found, now);
-                        return Err(LogError::NameTaken { name: named.name });
-                    }
-                    None => return Err(unreachable(error)),
+            // Another server was first, or the answer was lost.
+            Err(error) => match self.newest(&named.name).await? {
+                Some((found, now)) if found == named => now,
+                Some((found, now)) if now > revision => {
+                    note(&self.known, found, now);
+                    self.changed.send_replace(());
+                    return Err(LogError::NameTaken { name: named.name });
                 }
-            }
+                _ => return Err(error),
+            },
         };
         note(&self.known, named, now);
+        self.changed.send_replace(());
         Ok(())
+    }
+
+    /// The value of a name and its revision, of the bucket's leader.
+    async fn newest(&self, name: &str) -> Result<Option<(Named, u64)>, LogError> {
+        let subject = format!("$KV.{}.{}", self.connection.catalogue_name(), key(name));
+        let last = self.bucket.stream.get_last_raw_message_by_subject(&subject);
+        let last = within(async { found(last.await) }).await?;
+        Ok(last.and_then(|message| Some((read(&message.payload)?, message.sequence))))
     }
 }
 
 impl Catalogue for NatsCatalogue {
-    /// Creates and deletes indices of the point store, so that it has those of NATS.
+    /// Creates and deletes indices of the point store, so that it has those of NATS. An index that fails there is
+    /// returned all the same: reading its points gives the cause.
     fn indexes(&self) -> Result<Vec<Entry>, LogError> {
         let known = self.known.borrow().clone();
         let local = self.local.indexes()?;
-        let mut stored: BTreeSet<_> = local.iter().map(|entry| entry.uid).collect();
+        let mut stored = BTreeSet::new();
         for entry in &local {
-            match known.get(&entry.name) {
-                Some((named, _)) if named.is_deleted || !named.is(entry.uid) => {
-                    self.local.delete(entry.uid)?;
-                    stored.remove(&entry.uid);
+            let named = known.get(&entry.name).map(|(named, _)| named);
+            let uid = entry.uid.to_string();
+            if named.is_some_and(|named| named.deleted.contains(&uid)) {
+                // Another server may have published after the purge.
+                let purged = self.runtime.block_on(self.connection.purge(entry.uid));
+                let deleted = purged.and_then(|()| self.local.delete(entry.uid));
+                if let Err(error) = deleted {
+                    warn!(index = entry.name, uid, %error, "cannot delete an index that was deleted elsewhere yet");
                 }
-                Some(_) => {}
-                None => warn!(
+                continue;
+            }
+            stored.insert(entry.uid);
+            if !named.is_some_and(|named| named.is(entry.uid)) {
+                warn!(
                     index = entry.name,
-                    uid = %entry.uid,
+                    uid,
                     "NATS does not know this index, so it is not served; its points stay in the data directory"
-                ),
+                );
             }
         }
         let mut entries = Vec::new();
-        for (named, _) in known.values().filter(|(named, _)| !named.is_deleted) {
-            let (Ok(uid), Ok(space)) = (named.uid.parse(), named.space.parse()) else {
+        for (named, _) in known.values() {
+            let Some((uid, space)) = &named.index else {
+                continue;
+            };
+            let (Ok(uid), Ok(space)) = (uid.parse(), space.parse()) else {
                 warn!(
                     ?named,
                     "this version cannot read an index of the catalogue in NATS"
@@ -149,8 +173,10 @@ impl Catalogue for NatsCatalogue {
                 name: named.name.clone(),
                 space,
             };
-            if !stored.contains(&entry.uid) {
-                self.local.create(entry.clone())?;
+            if !stored.contains(&entry.uid)
+                && let Err(error) = self.local.create(entry.clone())
+            {
+                warn!(index = entry.name, %uid, %error, "cannot create an index of another server here");
             }
             entries.push(entry);
         }
@@ -163,18 +189,17 @@ impl Catalogue for NatsCatalogue {
 
     fn create(&self, entry: Entry) -> Result<(), LogError> {
         let before = self.known.borrow().get(&entry.name).cloned();
-        let revision = match before {
-            Some((named, _)) if !named.is_deleted => {
+        let (deleted, revision) = match before {
+            Some((named, _)) if named.index.is_some() => {
                 return Err(LogError::NameTaken { name: entry.name });
             }
-            Some((_, revision)) => revision,
-            None => 0,
+            Some((named, revision)) => (named.deleted, revision),
+            None => (Vec::new(), 0),
         };
         let named = Named {
-            uid: entry.uid.to_string(),
             name: entry.name.clone(),
-            space: entry.space.to_string(),
-            is_deleted: false,
+            index: Some((entry.uid.to_string(), entry.space.to_string())),
+            deleted,
         };
         self.runtime.block_on(self.set(named, revision))?;
         self.local.create(entry)
@@ -183,32 +208,39 @@ impl Catalogue for NatsCatalogue {
     fn delete(&self, uid: Uid) -> Result<(), LogError> {
         let known = self.known.borrow().clone();
         let found = known.into_values().find(|(named, _)| named.is(uid));
-        if let Some((named, revision)) = found.filter(|(named, _)| !named.is_deleted) {
-            let deleted = Named {
-                is_deleted: true,
-                ..named
-            };
-            let deleting = async {
-                match self.set(deleted, revision).await {
-                    // Another server has deleted it.
-                    Ok(()) | Err(LogError::NameTaken { .. }) => {}
-                    Err(error) => return Err(error),
+        if let Some((mut named, revision)) = found {
+            named.index = None;
+            named.deleted.push(uid.to_string());
+            let forgotten = named.deleted.len().saturating_sub(MAX_DELETED);
+            named.deleted.drain(..forgotten);
+            let name = named.name.clone();
+            let set = self.runtime.block_on(self.set(named, revision));
+            if let Err(error) = set {
+                let known = self.known.borrow();
+                // Another server may have deleted it.
+                if known.get(&name).is_some_and(|(named, _)| named.is(uid)) {
+                    return Err(error);
                 }
-                self.connection.purge(uid).await
-            };
-            self.runtime.block_on(deleting)?;
+            }
+        }
+        if let Err(error) = self.runtime.block_on(self.connection.purge(uid)) {
+            warn!(%uid, %error, "the records of a deleted index stay in NATS");
         }
         self.local.delete(uid)
     }
 
+    /// The first change is the present state.
     fn changes(&self) -> Option<watch::Receiver<()>> {
-        Some(self.changed.subscribe())
+        let mut changes = self.changed.subscribe();
+        changes.mark_changed();
+        Some(changes)
     }
 }
 
 impl Named {
     fn is(&self, uid: Uid) -> bool {
-        self.uid == uid.to_string()
+        let index = self.index.as_ref();
+        index.is_some_and(|(own, _)| *own == uid.to_string())
     }
 }
 
@@ -254,6 +286,7 @@ async fn read_all(bucket: &kv::Store) -> Result<Known, LogError> {
 /// Notes every change of the bucket.
 async fn follow(bucket: kv::Store, known: Arc<watch::Sender<Known>>, changed: watch::Sender<()>) {
     let mut attempts = interval(RETRY_INTERVAL);
+    attempts.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         attempts.tick().await;
         // From the first revision on: what changed while there was no connection comes again.

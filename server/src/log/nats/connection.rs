@@ -8,10 +8,10 @@ use async_nats::{
         self, Context, ErrorCode,
         context::ContextBuilder,
         message::StreamMessage,
-        stream::{Config, DiscardPolicy, LastRawMessageErrorKind, Stream},
+        stream::{Config, DiscardPolicy, LastRawMessageError, LastRawMessageErrorKind, Stream},
     },
 };
-use tokio::time::{Instant, interval};
+use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 use tracing::warn;
 
 use super::{NatsError, NatsOptions, message::Position};
@@ -64,7 +64,8 @@ impl Connection {
                 .require_tls(true);
         }
         let servers: Vec<_> = options.servers.split(',').map(str::trim).collect();
-        let client = connecting.connect(servers).await;
+        let connect = || connecting.clone().connect(servers.clone());
+        let client = patiently("connection", connect).await;
         let client = client.map_err(|error| NatsError::Unreachable {
             servers: options.servers.clone(),
             what: error.to_string(),
@@ -87,6 +88,15 @@ impl Connection {
             let what = format!("stream {}", stream.name);
             let create = || connection.context.get_or_create_stream(stream.clone());
             let stream = patiently(&what, create).await?;
+            let replicas = stream.cached_info().config.num_replicas;
+            if replicas != options.replicas {
+                warn!(
+                    what,
+                    replicas,
+                    expected = options.replicas,
+                    "created with other cluster.replicas"
+                );
+            }
             connection.streams.push(stream);
         }
         Ok(connection)
@@ -125,16 +135,11 @@ impl Connection {
 
     /// The newest message of an index, of the stream's leader; [`Position::START`] if there is none.
     pub(super) async fn last(&self, uid: Uid) -> Result<Position, LogError> {
-        let last = self
-            .stream(uid)
-            .get_last_raw_message_by_subject(&self.subject(uid))
-            .await;
-        match last {
-            Ok(message) => Position::of(uid, &message),
-            Err(error) if error.kind() == LastRawMessageErrorKind::NoMessageFound => {
-                Ok(Position::START)
-            }
-            Err(error) => Err(unreachable(error)),
+        let subject = self.subject(uid);
+        let last = self.stream(uid).get_last_raw_message_by_subject(&subject);
+        match within(async { found(last.await) }).await? {
+            Some(message) => Position::of(uid, &message),
+            None => Ok(Position::START),
         }
     }
 
@@ -144,22 +149,42 @@ impl Connection {
         uid: Uid,
         sequence: u64,
     ) -> Result<Option<(Position, StreamMessage)>, LogError> {
+        let subject = self.subject(uid);
         let next = self
             .stream(uid)
-            .get_first_raw_message_by_subject(self.subject(uid), sequence)
-            .await;
-        match next {
-            Ok(message) => Ok(Some((Position::of(uid, &message)?, message))),
-            Err(error) if error.kind() == LastRawMessageErrorKind::NoMessageFound => Ok(None),
-            Err(error) => Err(unreachable(error)),
+            .get_first_raw_message_by_subject(subject, sequence);
+        match within(async { found(next.await) }).await? {
+            Some(message) => Ok(Some((Position::of(uid, &message)?, message))),
+            None => Ok(None),
         }
     }
 
     /// Forgets the messages of an index.
     pub(super) async fn purge(&self, uid: Uid) -> Result<(), LogError> {
-        let purged = self.stream(uid).purge().filter(self.subject(uid)).await;
-        purged.map(drop).map_err(unreachable)
+        let purge = self.stream(uid).purge().filter(self.subject(uid));
+        within(async { purge.await.map(drop).map_err(unreachable) }).await
     }
+}
+
+/// The message of an answer; None if there is no such message.
+pub(super) fn found(
+    answer: Result<StreamMessage, LastRawMessageError>,
+) -> Result<Option<StreamMessage>, LogError> {
+    match answer {
+        Ok(message) => Ok(Some(message)),
+        Err(error) if error.kind() == LastRawMessageErrorKind::NoMessageFound => Ok(None),
+        Err(error) => Err(unreachable(error)),
+    }
+}
+
+/// Bounds a request: the library waits without a bound for a place in the queue of a connection that is down.
+pub(super) async fn within<T>(
+    request: impl Future<Output = Result<T, LogError>>,
+) -> Result<T, LogError> {
+    let late = |_| LogError::Unreachable {
+        what: "no answer in time".into(),
+    };
+    timeout(2 * REQUEST_TIMEOUT, request).await.map_err(late)?
 }
 
 /// Asks NATS for a stream or a bucket for up to [`START_TIME`]: servers of NATS that have just started elect a leader first.
@@ -168,6 +193,7 @@ pub(super) async fn patiently<T, E: std::error::Error, Asked: Future<Output = Re
     ask: impl Fn() -> Asked,
 ) -> Result<T, NatsError> {
     let (until, mut attempts) = (Instant::now() + START_TIME, interval(START_INTERVAL));
+    attempts.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         attempts.tick().await;
         match ask().await {

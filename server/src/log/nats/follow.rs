@@ -2,14 +2,14 @@
 
 use std::{sync::Arc, time::Duration};
 
-use async_nats::jetstream::consumer::{DeliverPolicy, pull};
+use async_nats::jetstream::consumer::{AckPolicy, DeliverPolicy, pull};
 use futures_util::{StreamExt, stream};
-use tokio::time::{Interval, interval};
+use tokio::time::{Interval, MissedTickBehavior, interval};
 use tracing::debug;
 
 use super::{
     RETRY_INTERVAL,
-    connection::{Connection, unreachable},
+    connection::{Connection, unreachable, within},
     message::Unpacker,
 };
 use crate::log::{LogError, Record, RecordStream, Uid};
@@ -17,14 +17,19 @@ use crate::log::{LogError, Record, RecordStream, Uid};
 /// A pull of this length notices a lost server of NATS after about as long.
 const PULL_TIME: Duration = Duration::from_secs(2);
 
+/// The most bytes that a pull asks for, or one message.
+const PULL_BYTES: usize = 1024 * 1024;
+
 /// A follower's place, and its subscription while it has one.
 struct Follower {
     connection: Arc<Connection>,
     uid: Uid,
     /// The newest revision that was returned.
     after: u64,
-    messages: Option<pull::Ordered>,
+    messages: Option<pull::Stream>,
     unpacker: Unpacker,
+    /// True until the subscription brings a record.
+    is_fresh: bool,
     /// The times of subscriptions.
     attempts: Option<Interval>,
 }
@@ -37,6 +42,7 @@ pub(super) fn follow(connection: Arc<Connection>, uid: Uid, after: u64) -> Recor
         after,
         messages: None,
         unpacker: Unpacker::default(),
+        is_fresh: true,
         attempts: None,
     };
     let batches = stream::unfold(Some(follower), |follower| async move {
@@ -48,6 +54,7 @@ pub(super) fn follow(connection: Arc<Connection>, uid: Uid, after: u64) -> Recor
                 Err(LogError::Unreachable { what }) => {
                     debug!(uid = %follower.uid, what, "cannot read the stream in NATS");
                     follower.messages = None;
+                    follower.unpacker = Unpacker::default();
                 }
                 Err(error) => return Some((Err(error), None)),
             }
@@ -62,11 +69,13 @@ impl Follower {
         let messages = match &mut self.messages {
             Some(messages) => messages,
             None => {
-                let attempts = &mut self.attempts;
-                attempts
-                    .get_or_insert_with(|| interval(RETRY_INTERVAL))
-                    .tick()
-                    .await;
+                let attempts = self.attempts.get_or_insert_with(|| {
+                    let mut attempts = interval(RETRY_INTERVAL);
+                    attempts.set_missed_tick_behavior(MissedTickBehavior::Delay);
+                    attempts
+                });
+                attempts.tick().await;
+                self.is_fresh = true;
                 let subscribed = subscribe(&self.connection, self.uid, self.after).await?;
                 self.messages.insert(subscribed)
             }
@@ -84,6 +93,16 @@ impl Follower {
         let next = (self.uid, self.after + 1);
         let mut records = self.unpacker.take(next, &headers, &message.payload)?;
         records.retain(|record| record.revision() > self.after);
+        let is_gap = records
+            .first()
+            .is_some_and(|first| first.revision() > self.after + 1);
+        if is_gap && !self.is_fresh {
+            // The connection may have lost it. If the stream has, the apply loop notices.
+            return Err(LogError::Unreachable {
+                what: "a message is missing".into(),
+            });
+        }
+        self.is_fresh &= records.is_empty();
         if let Some(last) = records.last() {
             self.after = last.revision();
         }
@@ -91,24 +110,36 @@ impl Follower {
     }
 }
 
-/// Subscribes to the messages of an index from the record after the revision `after` on.
+/// Subscribes to the messages of an index from the record after the revision `after` on. Revisions tell their order, so
+/// no acknowledgement of a message is needed.
 async fn subscribe(
     connection: &Connection,
     uid: Uid,
     after: u64,
-) -> Result<pull::Ordered, LogError> {
+) -> Result<pull::Stream, LogError> {
     let sequence = place_after(connection, uid, after).await?;
-    let config = pull::OrderedConfig {
+    let config = pull::Config {
         filter_subject: connection.subject(uid),
         deliver_policy: DeliverPolicy::ByStartSequence {
             start_sequence: sequence,
         },
-        max_expires: PULL_TIME,
+        ack_policy: AckPolicy::None,
+        inactive_threshold: 15 * PULL_TIME,
+        memory_storage: true,
+        num_replicas: 1,
         ..Default::default()
     };
-    let consumer = connection.stream(uid).create_consumer(config).await;
-    let messages = consumer.map_err(unreachable)?.messages().await;
-    messages.map_err(unreachable)
+    let subscribed = async {
+        let consumer = connection.stream(uid).create_consumer(config).await;
+        let consumer = consumer.map_err(unreachable)?;
+        let messages = consumer
+            .stream()
+            .max_bytes_per_batch(connection.max_payload.max(PULL_BYTES))
+            .expires(PULL_TIME)
+            .heartbeat(PULL_TIME / 4);
+        messages.messages().await.map_err(unreachable)
+    };
+    within(subscribed).await
 }
 
 /// See [`Journal::read`](crate::log::Journal::read).
@@ -125,8 +156,18 @@ pub(super) async fn read(
         sequence = position.sequence + 1;
         let next = (uid, position.first);
         for record in unpacker.take(next, &message.headers, &message.payload)? {
-            if record.revision() <= after {
+            let last = records
+                .last()
+                .map_or(after, |last: &Arc<Record>| last.revision());
+            if record.revision() <= last {
                 continue;
+            }
+            if record.revision() > last + 1 {
+                return Err(LogError::Damaged {
+                    uid,
+                    revision: last + 1,
+                    what: "its stream in NATS does not have it",
+                });
             }
             bytes += record.effects().bytes();
             if bytes > max_bytes && !records.is_empty() {
@@ -142,10 +183,10 @@ pub(super) async fn read(
 async fn place_after(connection: &Connection, uid: Uid, after: u64) -> Result<u64, LogError> {
     let last = connection.last(uid).await?;
     if last.last.revision < after {
-        return Err(LogError::Damaged {
+        return Err(LogError::JournalBehind {
             uid,
-            revision: after,
-            what: "its stream in NATS ends before it, and this server has applied it",
+            head: last.last.revision,
+            applied: after,
         });
     }
     if last.last.revision == after {

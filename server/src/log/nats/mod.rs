@@ -113,6 +113,7 @@ struct NatsJournal {
 
 impl Journal for NatsJournal {
     fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+        let revision = record.revision();
         let (answer, outcome) = oneshot::channel();
         let mut submission = Submission::new(record, answer);
         let mut publishers = self.publishers.lock();
@@ -122,7 +123,12 @@ impl Journal for NatsJournal {
             publishers.retain(|_, publisher| !publisher.is_closed());
         }
         drop(publishers);
-        let outcome = outcome.map(|outcome| outcome.unwrap_or(Err(LogError::Closed)));
+        let lost = LogError::Unconfirmed {
+            uid,
+            revision,
+            what: "the server stopped publishing".into(),
+        };
+        let outcome = outcome.map(|outcome| outcome.unwrap_or(Err(lost)));
         Ok(Receipt::Awaited(outcome.boxed()))
     }
 

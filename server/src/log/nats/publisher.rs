@@ -21,12 +21,11 @@ use tokio::{
     sync::{mpsc, oneshot},
     time::timeout,
 };
-use tokio_util::task::AbortOnDropHandle;
 use tracing::debug;
 use uuid::Uuid;
 
 use super::{
-    connection::{self, Connection},
+    connection::{self, Connection, within},
     message::{self, Position},
 };
 use crate::log::{LogError, Record, Uid};
@@ -46,10 +45,10 @@ pub(super) struct Submission {
     answer: Answer,
 }
 
-/// The handle of a publisher. It ends when this is dropped, and after [`IDLE_TIME`] without a record.
+/// The handle of a publisher. Once this is dropped, and after [`IDLE_TIME`] without a record, it publishes what it has
+/// and ends.
 pub(super) struct Publisher {
     submissions: mpsc::UnboundedSender<Submission>,
-    _task: AbortOnDropHandle<()>,
 }
 
 impl Submission {
@@ -70,10 +69,8 @@ impl Publisher {
             connection,
             newest: None,
         };
-        Self {
-            submissions,
-            _task: AbortOnDropHandle::new(runtime.spawn(task.run(waiting))),
-        }
+        runtime.spawn(task.run(waiting));
+        Self { submissions }
     }
 
     /// True if it has ended.
@@ -156,7 +153,11 @@ impl Task {
         let payload = Bytes::from(payload);
         let expected = self.place_before(first).await?;
         for _ in 0..MAX_REPEATS {
-            let acknowledged = self.send((first, last), &payload, expected.sequence).await;
+            let sent = self.send((first, last), &payload, expected.sequence);
+            let sent = within(async { Ok(sent.await) }).await;
+            let acknowledged = sent.map_err(|error| Refusal::Unconfirmed {
+                what: error.to_string(),
+            })?;
             let error = match acknowledged {
                 Ok(acknowledgement) => {
                     self.newest = Some(Position {
