@@ -159,6 +159,11 @@ pub trait Journal: Send + Sync {
         false
     }
 
+    /// False while the journal cannot be reached.
+    fn is_reachable(&self) -> bool {
+        true
+    }
+
     /// True if other servers may submit records too.
     fn is_shared(&self) -> bool {
         false

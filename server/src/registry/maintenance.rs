@@ -103,10 +103,13 @@ impl Registry {
         }
     }
 
-    /// True if mutations that add points are accepted now: the store has not failed, and memory and disk are below
-    /// their watermarks.
+    /// True if mutations that add points are accepted now: the store has not failed, the journal can be reached, and
+    /// memory and disk are below their watermarks.
     pub fn accepts_growth(&self) -> bool {
-        self.failure().is_none() && self.host.watermarks.admit(0).is_ok()
+        let log = &self.host.log;
+        self.failure().is_none()
+            && log.journal.is_reachable()
+            && self.host.watermarks.admit(0).is_ok()
     }
 
     /// The error of a log that has stopped accepting writes.

@@ -236,12 +236,15 @@ impl Service {
             }
             return Ok(committed);
         }
-        call.bound(
-            "after the mutation was logged; it takes place",
-            hosted.commit(writer, effects, window),
-        )
-        .await?
-        .map_err(|error| registry_error(hosted.name(), error))
+        let doing = match hosted.is_shared() {
+            true => {
+                "before the journal answered; the mutation may take place: repeat the call with its operation_id"
+            }
+            false => "after the mutation was logged; it takes place",
+        };
+        call.bound(doing, hosted.commit(writer, effects, window))
+            .await?
+            .map_err(|error| registry_error(hosted.name(), error))
     }
 }
 

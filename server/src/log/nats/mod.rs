@@ -17,6 +17,7 @@ mod publisher;
 
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
+use async_nats::connection::State;
 use futures_util::FutureExt;
 use parking_lot::Mutex;
 use thiserror::Error;
@@ -159,6 +160,11 @@ impl Journal for NatsJournal {
     /// Nothing is counted: each server keeps the window of its point store.
     fn window(&self, _: Uid) -> Result<Window, LogError> {
         Ok(Window::default())
+    }
+
+    fn is_reachable(&self) -> bool {
+        let state = self.connection.context.client().connection_state();
+        state == State::Connected
     }
 
     fn is_shared(&self) -> bool {
