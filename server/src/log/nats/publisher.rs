@@ -19,18 +19,20 @@ use bytes::Bytes;
 use tokio::{
     runtime::Handle,
     sync::{mpsc, oneshot},
-    time::timeout,
+    time::{interval, timeout},
 };
 use tracing::debug;
 use uuid::Uuid;
 
 use super::{
+    RETRY_INTERVAL,
     connection::{self, Connection, within},
     message::{self, Position},
 };
 use crate::log::{LogError, Record, Uid};
 
-/// The number of times that a message is sent again because NATS was about to store another one of its subject.
+/// The number of times that a message is sent again because NATS was about to store another one of its subject, or because
+/// its stream had no leader.
 const MAX_REPEATS: usize = 100;
 
 /// A publisher without a record for this long ends: a server may have thousands of indices.
@@ -152,6 +154,7 @@ impl Task {
         }
         let payload = Bytes::from(payload);
         let expected = self.place_before(first).await?;
+        let mut attempts = interval(RETRY_INTERVAL);
         for _ in 0..MAX_REPEATS {
             let sent = self.send((first, last), &payload, expected.sequence);
             let sent = within(async { Ok(sent.await) }).await;
@@ -181,6 +184,10 @@ impl Task {
                         }),
                     };
                 }
+                // Nobody has received it: the stream has no leader now.
+                PublishErrorKind::StreamNotFound => {
+                    attempts.tick().await;
+                }
                 // NATS says so of a right number too while it stores another message.
                 PublishErrorKind::Other
                     if connection::code(&error)
@@ -197,7 +204,7 @@ impl Task {
             }
         }
         Err(Refusal::Unconfirmed {
-            what: format!("NATS refused it {MAX_REPEATS} times as too early"),
+            what: format!("NATS has refused it {MAX_REPEATS} times"),
         })
     }
 
