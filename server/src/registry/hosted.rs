@@ -26,7 +26,7 @@ use super::{
     payload_sizes::PayloadSizes,
     recent::RecentRecords,
 };
-use crate::log::{Effects, Entry, LogError, Record, Retention, Uid, View, Window};
+use crate::log::{Effects, Entry, LogError, Retention, Uid, View, Window};
 
 /// One frozen revision of an index. It does not change while it is held.
 pub struct Published {
@@ -242,61 +242,6 @@ impl Hosted {
                 })),
             }
         }
-    }
-
-    /// The published records after the revision `after`: the first ones that fit into `max_bytes` (see
-    /// [`Effects::bytes`](crate::log::Effects::bytes)), but at least one if there is any. [`LogError::Trimmed`] if the
-    /// log no longer holds them.
-    pub async fn mutations(
-        self: &Arc<Self>,
-        after: u64,
-        max_bytes: usize,
-    ) -> Result<Vec<Arc<Record>>, RegistryError> {
-        let last = self.published().revision;
-        if let Some(records) = self.recent.lock().after(after, last, max_bytes) {
-            return Ok(records);
-        }
-        let mut records = self.read(after, max_bytes).await?;
-        records.retain(|record| record.revision() <= last);
-        Ok(records)
-    }
-
-    /// The records of the journal after the revision `after`: see [`Journal::read`](crate::log::Journal::read).
-    pub(super) async fn read(
-        self: &Arc<Self>,
-        after: u64,
-        max_bytes: usize,
-    ) -> Result<Vec<Arc<Record>>, RegistryError> {
-        let hosted = Arc::clone(self);
-        let read = move || {
-            let journal = &hosted.host.log.journal;
-            journal.read(hosted.uid, Some(after), max_bytes)
-        };
-        let read = tokio::task::spawn_blocking(read).await;
-        Ok(read.map_err(|_| RegistryError::Stopped)??)
-    }
-
-    /// Waits until all records that the journal has now are published: a server that shares its journal may lag behind.
-    pub async fn catch_up(self: &Arc<Self>) -> Result<(), RegistryError> {
-        let hosted = Arc::clone(self);
-        let newest = move || hosted.host.log.journal.newest(hosted.uid);
-        let newest = tokio::task::spawn_blocking(newest).await;
-        let newest = newest.map_err(|_| RegistryError::Stopped)??;
-        self.reached(newest).await.map(drop)
-    }
-
-    /// The records after `revision` up to the newest of `writer`, this index's writer; None if some are not cached.
-    pub fn records_since(&self, revision: u64, writer: &Writer) -> Option<Vec<Arc<Record>>> {
-        let base = writer.base().revision;
-        let mut records = match revision >= base {
-            true => Vec::new(),
-            false => self.recent.lock().after(revision, base, usize::MAX)?,
-        };
-        let pending = writer
-            .pending()
-            .filter(|record| record.revision() > revision);
-        records.extend(pending.cloned());
-        Some(records)
     }
 
     /// Waits for the writer, in the order of arrival.

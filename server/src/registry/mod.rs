@@ -24,6 +24,7 @@ mod merging;
 mod operations;
 mod payload_sizes;
 mod recent;
+mod records;
 mod replay;
 mod restore;
 mod usage;
@@ -36,13 +37,9 @@ use std::{
     time::Duration,
 };
 
-use futures_util::{StreamExt, stream};
 use parking_lot::{Mutex, RwLock};
-use tokio::{
-    sync::{Semaphore, watch},
-    time::timeout,
-};
-use tracing::{info, warn};
+use tokio::sync::{Semaphore, watch};
+use tracing::info;
 use wayfold_index::{Forest, ForestOptions, Space};
 
 use crate::{
@@ -166,12 +163,6 @@ struct Host {
     labels: Mutex<BTreeSet<Arc<str>>>,
 }
 
-/// The time in which an index of a starting server catches up with a journal, before it is served as it is.
-const CATCH_UP_TIME: Duration = Duration::from_secs(60);
-
-/// The number of indices that catch up with a journal at a time.
-const CATCHING_UP: usize = 64;
-
 /// The most names of indices in metrics: each is a series of its own for ever.
 const MAX_LABELS: usize = 100;
 
@@ -245,28 +236,6 @@ impl Registry {
         self.add_lost();
         info!(indexes = entries.len(), "replayed the log");
         Ok(())
-    }
-
-    /// Waits until every index has the records that a journal elsewhere has now. An index that cannot be followed does
-    /// not delay the others. Without such a journal it does nothing.
-    pub async fn catch_up(&self) {
-        if !self.host.log.journal.is_shared() {
-            return;
-        }
-        let hosted = self.hosted();
-        let indexes = hosted.len();
-        let catching_up = hosted.into_iter().map(|hosted| async move {
-            match timeout(CATCH_UP_TIME, hosted.catch_up()).await {
-                Ok(Ok(())) => {}
-                Ok(Err(error)) => {
-                    warn!(index = hosted.name(), %error, "cannot catch up with the journal");
-                }
-                Err(_) => warn!(index = hosted.name(), "is still behind the journal"),
-            }
-        });
-        let catching_up = stream::iter(catching_up).buffer_unordered(CATCHING_UP);
-        catching_up.collect::<()>().await;
-        info!(indexes, "caught up with the journal");
     }
 
     /// A receiver of every change from now on: an index is created, deleted, restored, damaged or recovered.

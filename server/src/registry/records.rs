@@ -1,0 +1,97 @@
+//! The records of an index for those who read it from a revision on, and the wait for those that a journal elsewhere has.
+
+use std::{sync::Arc, time::Duration};
+
+use futures_util::{StreamExt, stream};
+use tokio::time::timeout;
+use tracing::{info, warn};
+
+use super::{Hosted, Registry, RegistryError, Writer};
+use crate::log::Record;
+
+/// The time in which an index of a starting server catches up with a journal, before it is served as it is.
+const CATCH_UP_TIME: Duration = Duration::from_secs(60);
+
+/// The number of indices that catch up with a journal at a time.
+const CATCHING_UP: usize = 64;
+
+impl Registry {
+    /// Waits until every index has the records that a journal elsewhere has now. An index that cannot be followed does
+    /// not delay the others. Without such a journal it does nothing.
+    pub async fn catch_up(&self) {
+        if !self.host.log.journal.is_shared() {
+            return;
+        }
+        let hosted = self.hosted();
+        let indexes = hosted.len();
+        let catching_up = hosted.into_iter().map(|hosted| async move {
+            match timeout(CATCH_UP_TIME, hosted.catch_up()).await {
+                Ok(Ok(())) => {}
+                Ok(Err(error)) => {
+                    warn!(index = hosted.name(), %error, "cannot catch up with the journal");
+                }
+                Err(_) => warn!(index = hosted.name(), "is still behind the journal"),
+            }
+        });
+        let catching_up = stream::iter(catching_up).buffer_unordered(CATCHING_UP);
+        catching_up.collect::<()>().await;
+        info!(indexes, "caught up with the journal");
+    }
+}
+
+impl Hosted {
+    /// The published records after the revision `after`: the first ones that fit into `max_bytes` (see
+    /// [`Effects::bytes`](crate::log::Effects::bytes)), but at least one if there is any. [`LogError::Trimmed`] if the
+    /// log no longer holds them.
+    pub async fn mutations(
+        self: &Arc<Self>,
+        after: u64,
+        max_bytes: usize,
+    ) -> Result<Vec<Arc<Record>>, RegistryError> {
+        let last = self.published().revision;
+        if let Some(records) = self.recent.lock().after(after, last, max_bytes) {
+            return Ok(records);
+        }
+        let mut records = self.read(after, max_bytes).await?;
+        records.retain(|record| record.revision() <= last);
+        Ok(records)
+    }
+
+    /// The records of the journal after the revision `after`: see [`Journal::read`](crate::log::Journal::read).
+    pub(super) async fn read(
+        self: &Arc<Self>,
+        after: u64,
+        max_bytes: usize,
+    ) -> Result<Vec<Arc<Record>>, RegistryError> {
+        let hosted = Arc::clone(self);
+        let read = move || {
+            let journal = &hosted.host.log.journal;
+            journal.read(hosted.uid(), Some(after), max_bytes)
+        };
+        let read = tokio::task::spawn_blocking(read).await;
+        Ok(read.map_err(|_| RegistryError::Stopped)??)
+    }
+
+    /// Waits until all records that the journal has now are published: a server that shares its journal may lag behind.
+    pub async fn catch_up(self: &Arc<Self>) -> Result<(), RegistryError> {
+        let hosted = Arc::clone(self);
+        let newest = move || hosted.host.log.journal.newest(hosted.uid());
+        let newest = tokio::task::spawn_blocking(newest).await;
+        let newest = newest.map_err(|_| RegistryError::Stopped)??;
+        self.reached(newest).await.map(drop)
+    }
+
+    /// The records after `revision` up to the newest of `writer`, this index's writer; None if some are not cached.
+    pub fn records_since(&self, revision: u64, writer: &Writer) -> Option<Vec<Arc<Record>>> {
+        let base = writer.base().revision;
+        let mut records = match revision >= base {
+            true => Vec::new(),
+            false => self.recent.lock().after(revision, base, usize::MAX)?,
+        };
+        let pending = writer
+            .pending()
+            .filter(|record| record.revision() > revision);
+        records.extend(pending.cloned());
+        Some(records)
+    }
+}
