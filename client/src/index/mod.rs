@@ -356,11 +356,12 @@ impl Index {
         action: impl FnOnce(&[f64]) -> Result<T, Error>,
     ) -> Result<T, Error> {
         state::check_layout::<S>(self.space(), &self.coordinates)?;
-        let mut row = ROW.take();
+        // At the end of a thread its buffer is gone: destructors still search.
+        let mut row = ROW.try_with(Cell::take).unwrap_or_default();
         row.clear();
         state.write(&mut row);
         let done = self.canonicalize(0, &mut row).and_then(|()| action(&row));
-        ROW.set(row);
+        let _ = ROW.try_with(|buffer| buffer.set(row));
         done
     }
 
