@@ -91,14 +91,15 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
         found: &mut Vec<Neighbor>,
     ) -> Result<Seen, Self::Error>;
 
-    /// Finds the neighbours of many rows, which stand one after the other: an answer each.
+    /// Finds the neighbours of many rows, which stand one after the other: an answer each. There is one question for all
+    /// rows, or one for each.
     ///
     /// # Errors
-    /// Those of [`NearestNeighbors::search`] for any row.
+    /// Those of [`NearestNeighbors::search`] for any row, or the index takes only one question a call.
     fn search_many(
         &self,
         rows: &[f64],
-        question: &Question<'_>,
+        questions: &[Question<'_>],
     ) -> Result<Vec<Vec<Neighbor>>, Self::Error>;
 
     /// Stores a point. With a question, puts what it has found among the points before it into `found`. Returns the

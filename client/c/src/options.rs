@@ -10,11 +10,11 @@ use client::{ScaledRadius, Search, Seen};
 pub struct WayfoldSearch {
     /// The most neighbours of a state; 0 is without a limit.
     pub k: u32,
-    /// If above 0, in place of k: the ⌈k_factor · ln n⌉ nearest of n points.
+    /// Unless negative, in place of k: the ⌈k_factor · ln n⌉ nearest of n points, at least 1.
     pub k_factor: f64,
     /// Only points at this distance or nearer; infinity is without a limit.
     pub radius: f64,
-    /// If above 0: the radius of PRM*, min(radius, radius_factor · (ln n / n)^(1/d)).
+    /// Unless negative: the radius of PRM*, min(radius, radius_factor · (ln n / n)^(1/d)).
     pub radius_factor: f64,
     /// Only points with tag & tag_mask == tag_value.
     pub tag_mask: u64,
@@ -31,9 +31,9 @@ pub struct WayfoldSearch {
 impl WayfoldSearch {
     pub(crate) const ALL: WayfoldSearch = WayfoldSearch {
         k: 0,
-        k_factor: 0.0,
+        k_factor: -1.0,
         radius: f64::INFINITY,
-        radius_factor: 0.0,
+        radius_factor: -1.0,
         tag_mask: 0,
         tag_value: 0,
         since: 0,
@@ -42,8 +42,8 @@ impl WayfoldSearch {
     };
 
     pub(crate) fn search(&self) -> Search {
-        // Not `> 0.0`: the search refuses a NaN.
-        let is_set = |factor: f64| factor != 0.0;
+        // The search refuses a NaN.
+        let is_set = |factor: f64| factor >= 0.0 || factor.is_nan();
         let mut search = match self.k {
             _ if is_set(self.k_factor) => Search::k_factor(self.k_factor),
             0 => Search::within(f64::INFINITY),

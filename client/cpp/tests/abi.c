@@ -13,9 +13,19 @@
         }                                                                                                              \
     } while (0)
 
-// The variables of the thread are destroyed before this function runs, the library's last error among them.
+static wayfold_index *kept = NULL;
+
+// The variables of the thread are destroyed before this function runs, the library's last error and its buffer among them.
 static void at_exit(void) {
+    const double state[2] = {1, 2};
+    const wayfold_search search = wayfold_search_default();
+    uint64_t id = 9;
     size_t size = 0;
+    if (wayfold_index_search(kept, state, 1, 2, &search, 1, &id, NULL, &size, NULL) != WAYFOLD_CODE_OK || size != 1 ||
+        id != 0) {
+        _Exit(2);
+    }
+    wayfold_index_free(kept);
     if (wayfold_index_size(NULL, &size) != WAYFOLD_CODE_INVALID_ARGUMENT || strcmp(wayfold_error_message(), "") != 0) {
         _Exit(1);
     }
@@ -24,6 +34,9 @@ static void at_exit(void) {
 int main(void) {
     CHECK(atexit(at_exit) == 0);
     CHECK(strlen(wayfold_version()) >= 5);
+    const double origin[2] = {0, 0};
+    CHECK(wayfold_index_in_memory("R2", true, &kept) == WAYFOLD_CODE_OK);
+    CHECK(wayfold_index_insert(kept, origin, 1, 2, NULL) == WAYFOLD_CODE_OK);
     wayfold_index *index = NULL;
     CHECK(wayfold_index_in_memory("R2*SO2", true, &index) == WAYFOLD_CODE_OK);
     CHECK(wayfold_index_width(index) == 3);
@@ -59,6 +72,24 @@ int main(void) {
     CHECK(wayfold_index_search(index, states, 2, 3, &search, 2, near, distances, found, &mark) ==
           WAYFOLD_CODE_INVALID_ARGUMENT);
     CHECK(strcmp(wayfold_error_field(), "seen") == 0);
+    // A factor of 0 is a factor: the nearest one, and the radius 0. A negative one is none.
+    search = wayfold_search_default();
+    search.k_factor = 0;
+    CHECK(wayfold_index_search(index, states, 1, 3, &search, 2, near, NULL, found, NULL) == WAYFOLD_CODE_OK);
+    CHECK(found[0] == 1 && near[0] == ids[0]);
+    search = wayfold_search_default();
+    search.radius_factor = 0;
+    CHECK(wayfold_index_search(index, states, 1, 3, &search, 2, near, NULL, found, NULL) == WAYFOLD_CODE_OK);
+    CHECK(found[0] == 1 && near[0] == ids[0]);
+    search.radius_factor = -7;
+    CHECK(wayfold_index_search(index, states, 1, 3, &search, 2, near, NULL, found, NULL) == WAYFOLD_CODE_OK);
+    CHECK(found[0] == 100);
+    search.radius_factor = NAN;
+    CHECK(wayfold_index_search(index, states, 1, 3, &search, 2, near, NULL, found, NULL) ==
+          WAYFOLD_CODE_INVALID_ARGUMENT);
+    search = wayfold_search_default();
+    search.radius = 10;
+    CHECK(wayfold_index_search(index, states, 1, 3, &search, 2, near, distances, found, NULL) == WAYFOLD_CODE_OK);
     double between = 0;
     CHECK(wayfold_index_distance(index, states, states + 3, 3, &between) == WAYFOLD_CODE_OK);
     CHECK(between == distances[1]);
@@ -158,6 +189,27 @@ int main(void) {
     CHECK(wayfold_index_insert(index, states, 1, 4, ids) == WAYFOLD_CODE_INVALID_ARGUMENT);
     CHECK(strcmp(wayfold_error_reason(), "WRONG_WIDTH") == 0);
     CHECK(wayfold_index_insert(index, states, SIZE_MAX, 3, ids) == WAYFOLD_CODE_INVALID_ARGUMENT);
+    // Lengths that no slice has: nothing is read.
+    const size_t huge = SIZE_MAX / 2;
+    CHECK(wayfold_index_nearest(index, states, huge, &nearest, &between, &is_there) == WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(strcmp(wayfold_error_reason(), "WRONG_WIDTH") == 0);
+    CHECK(wayfold_index_distance(index, states, states, huge, &between) == WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(wayfold_index_replace(index, 1000, states, huge, &is_there) == WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(wayfold_index_search(index, states, 1, huge, &search, 4, near, NULL, found, NULL) ==
+          WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(strcmp(wayfold_error_reason(), "WRONG_WIDTH") == 0);
+    point = wayfold_point_default();
+    CHECK(wayfold_index_insert_with(index, states, huge, &point, &id, NULL, 0, NULL, NULL, NULL, NULL) ==
+          WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(strcmp(wayfold_error_reason(), "WRONG_WIDTH") == 0);
+    point.payload = payload;
+    point.payload_bytes = SIZE_MAX;
+    CHECK(wayfold_index_insert_with(index, states, 3, &point, &id, NULL, 0, NULL, NULL, NULL, NULL) ==
+          WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(strcmp(wayfold_error_field(), "payload") == 0);
+    CHECK(wayfold_index_set_payload(index, 1000, payload, SIZE_MAX, &is_there) == WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(wayfold_index_payloads(index, asked, huge, &payloads) == WAYFOLD_CODE_INVALID_ARGUMENT && payloads == NULL);
+    CHECK(strcmp(wayfold_error_field(), "ids") == 0);
     CHECK(wayfold_index_insert(index, NULL, 1, 3, ids) == WAYFOLD_CODE_INVALID_ARGUMENT);
     CHECK(strcmp(wayfold_error_reason(), "NULL_POINTER") == 0);
     CHECK(wayfold_index_size(NULL, &size) == WAYFOLD_CODE_INVALID_ARGUMENT);

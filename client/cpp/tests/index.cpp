@@ -71,6 +71,29 @@ int main() {
     CHECK(wayfold::Search::k(2).timeout(7).raw().timeout_ms == 7);
     CHECK(message_of<wayfold::Error>([] { wayfold::Search::k(1).timeout(0); }).find("timeout") == 0);
 
+    // Many states in a call have the answers of each alone.
+    std::vector<double> asked;
+    for (int at = 0; at < 20; at++) {
+        asked.insert(asked.end(), rows[at].begin(), rows[at].end());
+    }
+    for (const auto &search : {wayfold::Search::k(3), wayfold::Search::within(1), wayfold::Search::within(0)}) {
+        const auto answers = index.search_many(asked.data(), 20, search);
+        CHECK(answers.size() == 20 && answers[0].front().distance == 0);
+        for (int at = 0; at < 20; at++) {
+            CHECK(answers[at] == index.search(rows[at], search));
+        }
+    }
+    CHECK(index.search_many(nullptr, 0, wayfold::Search::k(1)).empty());
+
+    // Factors: 0 is the nearest one and the radius 0, and a negative one is refused.
+    CHECK(index.search(rows[3], wayfold::Search::k_factor(0)) == index.nearest_k(rows[3], 1));
+    CHECK(index.search(rows[3], wayfold::Search::k_factor(2)).size() == 16);  // ⌈2 ln 2000⌉
+    CHECK(index.search(rows[3], wayfold::Search::within(100).radius_factor(0)) == index.nearest_r(rows[3], 0));
+    CHECK(message_of<wayfold::Error>([] { wayfold::Search::k_factor(-1); }).find("k_factor") == 0);
+    CHECK(message_of<wayfold::Error>([] { wayfold::Search::k(1).radius_factor(-1); }).find("radius_factor") == 0);
+    CHECK(message_of<wayfold::Error>([&] { index.search(rows[3], wayfold::Search::k_factor(NAN)); }).find("NaN") !=
+          std::string::npos);
+
     // Searches beside inserts, merges on their own thread.
     std::thread inserts([&] {
         for (int round = 0; round < 5; round++) {

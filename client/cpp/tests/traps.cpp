@@ -8,8 +8,13 @@
 #include <ompl/base/spaces/RealVectorStateSpace.h>
 #include <ompl/base/spaces/TimeStateSpace.h>
 #include <ompl/base/spaces/WrapperStateSpace.h>
+#include <ompl/base/objectives/PathLengthOptimizationObjective.h>
+#include <ompl/geometric/planners/prm/PRM.h>
+#include <ompl/geometric/planners/rrt/BiTRRT.h>
 #include <ompl/geometric/planners/rrt/RRT.h>
 #include <ompl/geometric/planners/rrt/RRTConnect.h>
+#include <ompl/geometric/planners/rrt/TRRT.h>
+#include <ompl/geometric/planners/rrt/pRRT.h>
 #include <ompl/util/Console.h>
 #include <string>
 #include <vector>
@@ -73,8 +78,8 @@ public:
     }
 };
 
-// Runs a planner to the other end of the space.
-template <class P, class Use> void plan(Use use) {
+// The problem of a planner that has to reach the other end of the space.
+ob::ProblemDefinitionPtr problem() {
     const auto space = std::make_shared<Joints>();
     const auto si = std::make_shared<ob::SpaceInformation>(space);
     si->setStateValidityChecker([](const ob::State *state) {
@@ -88,20 +93,68 @@ template <class P, class Use> void plan(Use use) {
     goal->values[2] = 9;
     const auto definition = std::make_shared<ob::ProblemDefinition>(si);
     definition->setStartAndGoalStates(start, goal, 0.5);
-    P planner(si);
+    return definition;
+}
+
+void solve(ob::Planner &planner, const ob::ProblemDefinitionPtr &definition) {
     planner.setProblemDefinition(definition);
-    use(planner);
-    CHECK(planner.ob::Planner::solve(60.0) == ob::PlannerStatus::EXACT_SOLUTION);
+    CHECK(planner.solve(60.0) == ob::PlannerStatus::EXACT_SOLUTION);
     CHECK(definition->getSolutionPath()->check());
 }
 
+template <class P, class Use> void plan(Use use) {
+    const auto definition = problem();
+    P planner(definition->getSpaceInformation());
+    use(planner);
+    solve(planner, definition);
+}
+
+void write(const ob::State *state, double *row) { std::copy_n(state->as<Joints::StateType>()->values, 3, row); }
+
+// An objective that tells that a planner asked it.
+class Counted : public ob::PathLengthOptimizationObjective {
+public:
+    using PathLengthOptimizationObjective::PathLengthOptimizationObjective;
+    ob::Cost stateCost(const ob::State *) const override {
+        calls++;
+        return ob::Cost(1);
+    }
+    mutable unsigned int calls{0};
+};
+
+// Planners that read the objective in their setup get the problem after `use`, as from an allocator.
+template <class P> void objectives() {
+    const auto definition = problem();
+    const auto objective = std::make_shared<Counted>(definition->getSpaceInformation());
+    definition->setOptimizationObjective(objective);
+    const auto planner = wayfold::allocator<P>("sum(R1^3)", write)(definition->getSpaceInformation());
+    solve(*planner, definition);
+    CHECK(objective->calls > 0);
+}
+
+// Planners with threads: the refusal comes from `use`, in the thread of its caller. Their own structure stays.
+template <class P> void refused_at_once() {
+    const auto definition = problem();
+    P planner(definition->getSpaceInformation());
+    const auto plain = message_of<ompl::Exception>([&] { wayfold::use(planner); });
+    CHECK(plain.find("distance of two states") != std::string::npos);
+    const auto text = message_of<ompl::Exception>([&] { wayfold::use(planner, "R3", write); });
+    CHECK(text.find("distance of two states") != std::string::npos);
+    CHECK(!message_of<ompl::Exception>([&] { wayfold::allocator<P>()(definition->getSpaceInformation()); }).empty());
+    solve(planner, definition);
+}
+
 void spaces_of_ones_own() {
-    const auto write = [](const ob::State *state, double *row) {
-        std::copy_n(state->as<Joints::StateType>()->values, 3, row);
-    };
     const auto with_text = [&](auto &planner) { wayfold::use(planner, "sum(R1^3)", write); };
     plan<og::RRTConnect>(with_text);
     plan<og::RRT>(with_text);
+    plan<og::TRRT>(with_text);
+    plan<og::PRM>(with_text);
+    objectives<og::TRRT>();
+    objectives<og::BiTRRT>();
+    refused_at_once<og::TRRT>();
+    refused_at_once<og::pRRT>();
+    refused_at_once<og::PRM>();
     // The space says that it is R3.
     const auto plain = message_of<ompl::Exception>([] { plan<og::RRT>([](auto &planner) { wayfold::use(planner); }); });
     CHECK(plain.find("distance of two states") != std::string::npos);

@@ -146,10 +146,10 @@ public:
         search.raw_.k = k;
         return search;
     }
-    // The ⌈factor · ln n⌉ nearest of n points.
+    // The ⌈factor · ln n⌉ nearest of n points, at least 1.
     static Search k_factor(double factor) {
         Search search;
-        search.raw_.k_factor = factor;
+        search.raw_.k_factor = check_factor(factor, "k_factor");
         return search;
     }
     static Search within(double radius) { return Search().radius(radius); }
@@ -160,7 +160,7 @@ public:
     }
     // The radius of PRM*, min(radius, factor · (ln n / n)^(1/d)).
     Search &radius_factor(double factor) {
-        raw_.radius_factor = factor;
+        raw_.radius_factor = check_factor(factor, "radius_factor");
         return *this;
     }
     Search &tag(std::uint64_t mask, std::uint64_t value) {
@@ -188,6 +188,16 @@ public:
     const wayfold_search &raw() const { return raw_; }
 
 private:
+    static double check_factor(double factor, const char *field) {
+        if (factor < 0) {
+            // In wayfold.h, a negative factor is no factor.
+            throw Error(WAYFOLD_CODE_INVALID_ARGUMENT,
+                        std::string(field) + ": " + std::to_string(factor) + "; it is at least 0", field,
+                        "INVALID_ARGUMENT");
+        }
+        return factor;
+    }
+
     Search() : raw_(wayfold_search_default()) {}
 
     wayfold_search raw_;

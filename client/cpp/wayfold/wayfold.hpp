@@ -262,6 +262,35 @@ public:
         detail::check(
             wayfold_index_search(raw(), states, count, width_, &search.raw(), k, ids, distances, found, nullptr));
     }
+    // Answers a search of many states, rows one after the other, which see the same points.
+    std::vector<std::vector<Neighbor>> search_many(const double *states, std::size_t count,
+                                                   const Search &search) const {
+        if (count == 0) {
+            return {};
+        }
+        std::size_t capacity = 16;
+        std::vector<std::uint64_t> ids;
+        std::vector<double> distances;
+        std::vector<std::size_t> found(count);
+        for (;;) {
+            ids.resize(count * capacity);
+            distances.resize(count * capacity);
+            detail::check(wayfold_index_search(raw(), states, count, width_, &search.raw(), capacity, ids.data(),
+                                               distances.data(), found.data(), nullptr));
+            const std::size_t most = *std::max_element(found.begin(), found.end());
+            if (most <= capacity) {
+                break;
+            }
+            capacity = most + most / 2;
+        }
+        std::vector<std::vector<Neighbor>> answers(count);
+        for (std::size_t row = 0; row < count; row++) {
+            for (std::size_t at = row * capacity; at < row * capacity + found[row]; at++) {
+                answers[row].push_back({ids[at], distances[at]});
+            }
+        }
+        return answers;
+    }
     double distance(const double *a, const double *b) const {
         double distance = 0;
         detail::check(wayfold_index_distance(raw(), a, b, width_, &distance));

@@ -1,17 +1,24 @@
 //! Searches of many states in the shapes of scipy's `KDTree`.
 
-use std::{num::NonZero, panic, sync::Arc, thread};
+use std::{num::NonZero, ops::Range, panic, sync::Arc, thread};
 
 use numpy::{PyArrayDyn, ndarray::ArrayD};
 use pyo3::{
     IntoPyObjectExt,
+    exceptions::PyMemoryError,
     prelude::*,
     sync::PyOnceLock,
     types::{PyList, PyTuple},
 };
 use wayfold::{Error, Neighbor, Search};
 
-use crate::{error::invalid, index::Index, points::column, rows::Rows, search::k_of};
+use crate::{
+    error::invalid,
+    index::{Form, Index},
+    points::column,
+    rows::Rows,
+    search::k_of,
+};
 
 /// The arguments of `query` besides the states and `k`.
 pub(crate) struct Nearest {
@@ -57,15 +64,18 @@ pub(crate) fn nearest<'py>(
                 (distance, id).into_pyobject(py)
             }
             ranks => {
-                let (distances, ids) = ranks.table([neighbors].into_iter());
+                let (distances, ids) =
+                    Table::with_room(1, &ranks)?.fill(&ranks, [neighbors].into_iter());
                 (column(py, distances), column(py, ids)).into_pyobject(py)
             }
         };
     }
+    // Before the search, which might be long.
+    let rows = numbers.len() / index.index.space().coordinates();
+    let table = Table::with_room(rows, &ranks)?;
     let (distances, ids) = index.call(py, |index| {
         let found = search_many(index, &numbers, &search, workers)?;
-        let found = found.iter().map(|row| within(row, bound));
-        Ok(ranks.table(found))
+        Ok(table.fill(&ranks, found.iter().map(|row| within(row, bound))))
     })?;
     if !matches!(ranks, Ranks::First(1)) {
         shape.push(ranks.columns());
@@ -93,20 +103,28 @@ pub(crate) fn ball<'py>(
         check_number(py, "r", radius)?;
     }
     let is_sorted = is_sorted.unwrap_or(!shape.is_empty());
+    let is_remote = index.form == Form::Remote;
     let ids = index.call(py, |index| {
-        let width = index.space().coordinates();
         let within = |radius: f64| Search::within(radius).epsilon(eps);
         let found = match radii[..] {
             [radius] => search_many(index, &numbers, &within(radius), workers)?,
-            _ => numbers
-                .chunks_exact(width)
-                .zip(&radii)
-                .enumerate()
-                .map(|(number, (row, &radius))| {
-                    let found = index.search(row, &within(radius));
-                    Ok(found.map_err(|error| later_row(error, number))?.neighbors)
-                })
-                .collect::<Result<_, Error>>()?,
+            [] => Vec::new(),
+            _ if is_remote => {
+                // It takes one search a call: that of the greatest radius.
+                let greatest = radii.iter().copied().fold(0.0, f64::max);
+                let mut found = search_many(index, &numbers, &within(greatest), workers)?;
+                for (found, &radius) in found.iter_mut().zip(&radii) {
+                    found.truncate(found.partition_point(|near| near.distance <= radius));
+                }
+                found
+            }
+            _ => {
+                let searches: Vec<Search> = radii.iter().map(|&radius| within(radius)).collect();
+                by_workers(index, &numbers, workers, |index, part, rows| {
+                    let width = index.space().coordinates();
+                    index.search_each(rows.chunks_exact(width), &searches[part])
+                })?
+            }
         };
         let ids = found.into_iter().map(|found: Vec<Neighbor>| {
             let mut ids: Vec<u64> = found.iter().map(|found| found.id).collect();
@@ -173,20 +191,45 @@ impl Ranks {
             Ranks::Each(ranks) => ranks.len(),
         }
     }
+}
 
-    /// The distances and the ids of the neighbours of states, one row after the other.
-    fn table<'a>(
-        &self,
-        rows: impl ExactSizeIterator<Item = &'a [Neighbor]>,
+/// The distances and the ids of the neighbours of states, one row after the other.
+struct Table {
+    distances: Vec<f64>,
+    ids: Vec<i64>,
+}
+
+impl Table {
+    /// An empty table with room for all neighbours. A `MemoryError` if there is no memory for it.
+    fn with_room(rows: usize, ranks: &Ranks) -> PyResult<Table> {
+        let columns = ranks.columns();
+        let (mut distances, mut ids) = (Vec::new(), Vec::new());
+        let has_room = rows.checked_mul(columns).is_some_and(|cells| {
+            distances.try_reserve_exact(cells).is_ok() && ids.try_reserve_exact(cells).is_ok()
+        });
+        match has_room {
+            true => Ok(Table { distances, ids }),
+            false => Err(PyMemoryError::new_err(format!(
+                "k: an answer of {rows} rows of {columns} neighbours is more than memory can hold"
+            ))),
+        }
+    }
+
+    fn fill<'a>(
+        self,
+        ranks: &Ranks,
+        rows: impl Iterator<Item = &'a [Neighbor]>,
     ) -> (Vec<f64>, Vec<i64>) {
-        let cells = rows.len() * self.columns();
-        let (mut distances, mut ids) = (Vec::with_capacity(cells), Vec::with_capacity(cells));
+        let Table {
+            mut distances,
+            mut ids,
+        } = self;
         let mut push = |neighbor: Option<&Neighbor>| {
             distances.push(neighbor.map_or(f64::INFINITY, |neighbor| neighbor.distance));
             ids.push(neighbor.map_or(-1, |neighbor| neighbor.id as i64));
         };
         for row in rows {
-            match self {
+            match ranks {
                 Ranks::First(k) => {
                     row.iter().for_each(|neighbor| push(Some(neighbor)));
                     (row.len()..*k).for_each(|_| push(None));
@@ -238,24 +281,42 @@ pub(crate) fn workers(py: Python<'_>, workers: i64) -> PyResult<usize> {
     }
 }
 
-/// Searches for the neighbours of many rows by several threads, each of which sees one state of the index.
+/// Searches for the neighbours of many rows by several threads.
 fn search_many(
     index: &wayfold::Index,
     rows: &[f64],
     search: &Search,
     workers: usize,
 ) -> Result<Vec<Vec<Neighbor>>, Error> {
+    by_workers(index, rows, workers, |index, _, rows| {
+        index.search_many(rows.chunks_exact(index.space().coordinates()), search)
+    })
+}
+
+/// Answers many rows by several threads, each of which sees one state of the index. `answer` gets the numbers of the rows
+/// of a thread, and the rows.
+fn by_workers(
+    index: &wayfold::Index,
+    rows: &[f64],
+    workers: usize,
+    answer: impl Fn(&wayfold::Index, Range<usize>, &[f64]) -> Result<Vec<Vec<Neighbor>>, Error> + Sync,
+) -> Result<Vec<Vec<Neighbor>>, Error> {
     let width = index.space().coordinates();
     let count = rows.len() / width;
-    let part = |rows: &[f64]| index.search_many(rows.chunks_exact(width), search);
     if workers.min(count) <= 1 {
-        return part(rows);
+        return answer(index, 0..count, rows);
     }
     let rows_each = count.div_ceil(workers);
+    let answer = &answer;
     thread::scope(|scope| {
         let threads: Vec<_> = rows
             .chunks(rows_each * width)
-            .map(|rows| thread::Builder::new().spawn_scoped(scope, move || part(rows)))
+            .enumerate()
+            .map(|(number, rows)| {
+                let first = number * rows_each;
+                let part = first..first + rows.len() / width;
+                thread::Builder::new().spawn_scoped(scope, move || answer(index, part, rows))
+            })
             .collect();
         let mut found = Vec::with_capacity(count);
         for (number, thread) in threads.into_iter().enumerate() {

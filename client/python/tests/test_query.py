@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from typing import Any
 
 import numpy as np
@@ -117,7 +118,7 @@ def test_query_equals_scipy_in_r3(
     radius = rng.uniform(0, 1, shape) if seed % 2 else float(rng.uniform(0, 1))
     lengths = index.query_ball_point(asked, radius, return_length=True, workers=workers)
     np.testing.assert_array_equal(lengths, tree.query_ball_point(asked, radius, return_length=True))
-    found = index.query_ball_point(asked, radius, return_sorted=True)
+    found = index.query_ball_point(asked, radius, return_sorted=True, workers=workers)
     expected_balls: Any = tree.query_ball_point(asked, radius, return_sorted=True)
     if shape == ():
         assert found == expected_balls
@@ -132,6 +133,39 @@ def test_the_bound_of_a_query_is_open_and_a_ball_is_closed() -> None:
     assert index.query([0.0], distance_upper_bound=1.0) == (math.inf, -1)
     assert index.query([0.0], distance_upper_bound=math.nextafter(1.0, 2.0)) == (1.0, 0)
     assert index.query_ball_point([0.0], 1.0) == [0]
+
+
+def test_many_radii_see_one_state_of_the_index() -> None:
+    # A writer changes the number of points all the time: all states of a call find as many.
+    index = wayfold.Index("R1")
+    is_over = threading.Event()
+
+    def store() -> None:
+        while not is_over.is_set():
+            ids = index.insert_many([[0.0]] * 50)
+            index.remove(int(ids[0]))
+
+    index.insert_many([[0.0]] * 50)
+    writer = threading.Thread(target=store)
+    writer.start()
+    try:
+        for _ in range(50):
+            lengths = index.query_ball_point(np.zeros((100, 1)), np.linspace(1, 2, 100), return_length=True)
+            assert len(set(lengths.tolist())) == 1
+    finally:
+        is_over.set()
+        writer.join()
+
+
+def test_an_answer_that_no_memory_holds_is_a_memory_error() -> None:
+    index = wayfold.Index("R1")
+    index.insert([1.0])
+    states = np.zeros((2**22, 1))
+    with pytest.raises(MemoryError, match="4194304 rows of 4294967295 neighbours"):
+        index.query(states, 2**32 - 1)
+    # Few of many ranks are few numbers.
+    distances, ids = index.query([0.0], [1, 2**32 - 1])
+    assert distances.tolist() == [1.0, math.inf] and ids.tolist() == [0, -1]
 
 
 def test_types_are_scipys() -> None:

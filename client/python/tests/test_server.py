@@ -41,7 +41,9 @@ def test_all_forms_answer_alike(server: Server) -> None:
             for ours, theirs in zip(memory.query(asked, k), index.query(asked, k), strict=True):
                 np.testing.assert_array_equal(ours, theirs)
         assert index.query(asked[0]) == memory.query(asked[0])
-        assert index.query_ball_point(asked, 0.3).tolist() == memory.query_ball_point(asked, 0.3).tolist()
+        for radius in (0.3, np.linspace(0.0, 0.5, len(asked))):
+            balls = index.query_ball_point(asked, radius, workers=2)
+            assert balls.tolist() == memory.query_ball_point(asked, radius).tolist()
         _, _, rows = index.scan().columns()
         np.testing.assert_array_equal(rows, memory.scan().columns()[2])
     assert shared.close() == []

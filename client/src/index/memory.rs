@@ -143,11 +143,13 @@ impl NearestNeighbors for Memory {
     fn search_many(
         &self,
         rows: &[f64],
-        question: &Question<'_>,
+        questions: &[Question<'_>],
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
         let snapshot = self.read()?.points.forest.snapshot();
         let rows = rows.chunks_exact(self.space.coordinates());
-        rows.map(|row| search_snapshot(&snapshot, row, question))
+        let questions = questions.iter().cycle();
+        rows.zip(questions)
+            .map(|(row, question)| search_snapshot(&snapshot, row, question))
             .collect()
     }
 

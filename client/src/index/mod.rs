@@ -292,7 +292,34 @@ impl Index {
         search: &Search,
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
         let question = search.question()?;
-        self.with_rows(states, |rows| self.form.search_many(rows, &question))
+        self.with_rows(states, |rows| self.form.search_many(rows, &[question]))
+    }
+
+    /// Answers a search for each of many states, which see the same points. A remote index takes only one search.
+    ///
+    /// # Errors
+    /// Those of [`Index::search`] for any of the states; there are not as many searches as states, or several for a
+    /// remote index.
+    pub fn search_each<S: State>(
+        &self,
+        states: impl IntoIterator<Item = S>,
+        searches: &[Search],
+    ) -> Result<Vec<Vec<Neighbor>>, Error> {
+        let questions: Vec<_> = searches
+            .iter()
+            .map(Search::question)
+            .collect::<Result<_, _>>()?;
+        self.with_rows(states, |rows| {
+            let count = rows.len() / self.space().coordinates();
+            match questions.len() == count {
+                true if count == 0 => Ok(Vec::new()),
+                true => self.form.search_many(rows, &questions),
+                false => Err(Error::Argument {
+                    field: "searches",
+                    problem: format!("{} of them for {count} states", questions.len()),
+                }),
+            }
+        })
     }
 
     /// All points as they are now, by ascending id.
@@ -356,11 +383,12 @@ impl Index {
         action: impl FnOnce(&[f64]) -> Result<T, Error>,
     ) -> Result<T, Error> {
         state::check_layout::<S>(self.space(), &self.coordinates)?;
-        let mut row = ROW.take();
+        // At the end of a thread its buffer is gone: destructors still search.
+        let mut row = ROW.try_with(Cell::take).unwrap_or_default();
         row.clear();
         state.write(&mut row);
         let done = self.canonicalize(0, &mut row).and_then(|()| action(&row));
-        ROW.set(row);
+        let _ = ROW.try_with(|buffer| buffer.set(row));
         done
     }
 

@@ -207,8 +207,14 @@ impl NearestNeighbors for Remote {
     fn search_many(
         &self,
         rows: &[f64],
-        question: &Question<'_>,
+        questions: &[Question<'_>],
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
+        let [question] = questions else {
+            return Err(Error::Argument {
+                field: "searches",
+                problem: "a remote index answers one search a call; use search_many".to_owned(),
+            });
+        };
         let answer = self.ask(rows, question)?;
         Ok(answer.rows().map(|row| row.iter().collect()).collect())
     }

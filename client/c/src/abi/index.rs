@@ -4,7 +4,7 @@ use std::ffi::c_char;
 
 use client::Index;
 
-use super::pointers::{check_width, copy, give, index_of, parse_space, put, text, values};
+use super::pointers::{copy, give, index_of, parse_space, put, rows, text};
 use crate::{
     code::Code,
     failure::{Failure, Part, call, free, last},
@@ -177,16 +177,16 @@ pub unsafe extern "C" fn wayfold_index_distance(
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise.
-        let (index, a, b) = unsafe {
+        let index = unsafe { index_of(index) }?;
+        // SAFETY: the caller's promise.
+        let (a, b) = unsafe {
             (
-                index_of(index)?,
-                values(a, width, "a")?,
-                values(b, width, "b")?,
+                rows(index, a, 1, width, "a")?,
+                rows(index, b, 1, width, "b")?,
             )
         };
         let space = index.space();
         let canonical = |row: usize, state: &[f64]| {
-            check_width(index, width)?;
             let mut state = state.to_vec();
             let checked = space.canonicalize(&mut state);
             checked.map_err(|error| client::Error::State { row, error })?;

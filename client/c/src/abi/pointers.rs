@@ -32,11 +32,16 @@ pub(super) fn parse_space(text: &str) -> Result<Space, Failure> {
 
 pub(super) fn product(count: usize, width: usize) -> Result<usize, Failure> {
     let numbers = count.checked_mul(width);
-    // A slice has at most this many bytes.
-    let fits = |numbers: &usize| *numbers <= isize::MAX as usize / 8;
     numbers
-        .filter(fits)
+        .filter(|&numbers| fits::<f64>(numbers))
         .ok_or_else(|| Failure::argument("count", "more numbers than memory can hold"))
+}
+
+/// A slice has at most `isize::MAX` bytes.
+fn fits<T>(count: usize) -> bool {
+    count
+        .checked_mul(size_of::<T>())
+        .is_some_and(|bytes| isize::try_from(bytes).is_ok())
 }
 
 pub(super) fn null(field: &str) -> Failure {
@@ -78,6 +83,22 @@ pub(super) unsafe fn text<'a>(pointer: *const c_char, field: &str) -> Result<&'a
     text.map_err(|_| Failure::argument(field, "not UTF-8"))
 }
 
+/// The rows of `count` states.
+///
+/// # Safety
+/// `states` has `count × width` numbers or is null.
+pub(super) unsafe fn rows<'a>(
+    index: &Index,
+    states: *const f64,
+    count: usize,
+    width: usize,
+    field: &str,
+) -> Result<&'a [f64], Failure> {
+    check_width(index, width)?;
+    // SAFETY: the caller's promise.
+    unsafe { values(states, product(count, width)?, field) }
+}
+
 /// # Safety
 /// `pointer` has `count` values or is null.
 pub(super) unsafe fn values<'a, T>(
@@ -88,7 +109,10 @@ pub(super) unsafe fn values<'a, T>(
     match (pointer.is_null(), count) {
         (_, 0) => Ok(&[]),
         (true, _) => Err(null(field)),
-        // SAFETY: the caller's promise.
+        (false, _) if !fits::<T>(count) => {
+            Err(Failure::argument(field, "more than memory can hold"))
+        }
+        // SAFETY: the caller's promise; the length fits a slice.
         (false, _) => Ok(unsafe { slice::from_raw_parts(pointer, count) }),
     }
 }

@@ -6,7 +6,7 @@ use client::{Index, Neighbor, Search, Seen};
 
 use super::{
     index::WayfoldIndex,
-    pointers::{check_width, copy, index_of, null, product, put, values},
+    pointers::{copy, index_of, null, product, put, rows},
 };
 use crate::{
     code::Code,
@@ -36,7 +36,9 @@ pub unsafe extern "C" fn wayfold_index_nearest(
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise.
-        let (index, row) = unsafe { (index_of(index)?, values(state, width, "state")?) };
+        let index = unsafe { index_of(index) }?;
+        // SAFETY: the caller's promise.
+        let row = unsafe { rows(index, state, 1, width, "state") }?;
         let nearest = index.nearest(row)?;
         // SAFETY: the caller's promise.
         unsafe {
@@ -74,12 +76,9 @@ pub unsafe extern "C" fn wayfold_index_search(
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise.
-        let (index, rows) = unsafe {
-            (
-                index_of(index)?,
-                values(states, product(count, width)?, "states")?,
-            )
-        };
+        let index = unsafe { index_of(index) }?;
+        // SAFETY: the caller's promise.
+        let rows = unsafe { rows(index, states, count, width, "states") }?;
         // SAFETY: the caller's promise.
         let search = unsafe { search.as_ref() }
             .ok_or_else(|| null("search"))?
@@ -104,7 +103,6 @@ pub unsafe extern "C" fn wayfold_index_search(
                 "only a search of one state has it; pass null",
             ));
         }
-        check_width(index, width)?;
         let answers = index.search_many(rows.chunks_exact(width), &search)?;
         for (row, neighbors) in answers.iter().enumerate() {
             let at = row * capacity;
@@ -124,19 +122,19 @@ pub unsafe extern "C" fn wayfold_index_search(
     })
 }
 
-/// Searches with this thread's buffer.
+/// Searches with this thread's buffer, or at the thread's end, when it is gone, with a new one.
 fn search_one(
     index: &Index,
     row: &[f64],
     search: &Search,
     write: impl FnOnce(&[Neighbor], Seen),
 ) -> Result<(), Failure> {
-    let mut found = FOUND.take();
+    let mut found = FOUND.try_with(Cell::take).unwrap_or_default();
     let searched = index.search_into(row, search, &mut found);
     if let Ok(seen) = searched {
         write(&found, seen);
     }
-    FOUND.set(found);
+    let _ = FOUND.try_with(|buffer| buffer.set(found));
     searched?;
     Ok(())
 }

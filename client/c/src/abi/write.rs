@@ -4,7 +4,7 @@ use client::{Index, InsertOptions};
 
 use super::{
     index::WayfoldIndex,
-    pointers::{check_width, copy, index_of, null, product, put, values},
+    pointers::{check_width, copy, index_of, null, put, rows, values},
     search::write_neighbors,
 };
 use crate::{
@@ -29,18 +29,14 @@ pub unsafe extern "C" fn wayfold_index_insert(
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise.
-        let (index, rows) = unsafe {
-            (
-                index_of(index)?,
-                values(states, product(count, width)?, "states")?,
-            )
-        };
+        let index = unsafe { index_of(index) }?;
+        // SAFETY: the caller's promise.
+        let rows = unsafe { rows(index, states, count, width, "states") }?;
         if count == 1 {
             let id = index.insert(rows)?;
             // SAFETY: the caller's promise.
             unsafe { copy(&[id], ids) };
         } else {
-            check_width(index, width)?;
             let stored = index.insert_many(rows.chunks_exact(width))?;
             // SAFETY: the caller's promise.
             unsafe { copy(&stored, ids) };
@@ -74,7 +70,9 @@ pub unsafe extern "C" fn wayfold_index_insert_with(
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise.
-        let (index, row) = unsafe { (index_of(index)?, values(state, width, "state")?) };
+        let index = unsafe { index_of(index) }?;
+        // SAFETY: the caller's promise.
+        let row = unsafe { rows(index, state, 1, width, "state") }?;
         // SAFETY: the caller's promise.
         let point = unsafe { point.as_ref() }.ok_or_else(|| null("point"))?;
         // SAFETY: the caller's promise.
@@ -140,7 +138,7 @@ pub unsafe extern "C" fn wayfold_index_replace(
 ) -> Code {
     let replace = |index: &Index| {
         // SAFETY: the caller's promise.
-        let row = unsafe { values(state, width, "state") }?;
+        let row = unsafe { rows(index, state, 1, width, "state") }?;
         Ok(index.replace(id, row)?)
     };
     // SAFETY: the caller's promise.

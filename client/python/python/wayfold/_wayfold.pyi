@@ -253,7 +253,8 @@ class Index:
         """The distances and the ids of the nearest neighbours, as scipy's `KDTree.query`.
 
         (..., m) in, (..., k) out, squeezed for k = 1. A missing neighbour has the distance inf and the id −1. `k` may
-        be a list of ranks from 1. `workers` threads search, −1 for all processors.
+        be a list of ranks from 1. `workers` threads search, −1 for all processors. An answer that no memory holds is a
+        `MemoryError`.
         """
     def query_ball_point(
         self,
@@ -265,7 +266,10 @@ class Index:
         return_sorted: bool | None = None,
         return_length: bool = False,
     ) -> Any:
-        """The ids of all points at distance `r` or nearer, as scipy's `KDTree.query_ball_point`."""
+        """The ids of all points at distance `r` or nearer, as scipy's `KDTree.query_ball_point`.
+
+        A remote index asks for the greatest of several radii, and leaves out what is too far here.
+        """
     def flush(self) -> None:
         """Waits until the server has acknowledged every write before this call. At once for the other forms."""
     def pending(self) -> int:

@@ -177,12 +177,14 @@ impl NearestNeighbors for SharedIndex {
     fn search_many(
         &self,
         rows: &[f64],
-        question: &Question<'_>,
+        questions: &[Question<'_>],
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
         self.core.check_readable()?;
         let snapshot = self.core.points.read().forest.snapshot();
         let rows = rows.chunks_exact(self.core.space.coordinates());
-        rows.map(|row| search_snapshot(&snapshot, row, question))
+        let questions = questions.iter().cycle();
+        rows.zip(questions)
+            .map(|(row, question)| search_snapshot(&snapshot, row, question))
             .collect()
     }
 

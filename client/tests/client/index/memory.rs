@@ -80,9 +80,39 @@ fn searches_beside_a_writer_are_whole() {
                 .search_many([[0.0; 2]; 3], &Search::within(1e6))
                 .unwrap();
             assert!(counts.windows(2).all(|pair| pair[0].len() == pair[1].len()));
+            let searches = [
+                Search::within(1e6),
+                Search::within(2e6),
+                Search::within(3e6),
+            ];
+            let counts = index.search_each([[0.0; 2]; 3], &searches).unwrap();
+            assert!(counts.windows(2).all(|pair| pair[0].len() == pair[1].len()));
         }
     });
     assert_eq!(index.len().unwrap(), 40_000);
+}
+
+/// Each state has the answer of its own search, and there must be as many searches as states.
+#[test]
+fn each_state_has_its_own_search() {
+    let index = in_memory(&"R1".parse().unwrap());
+    index
+        .insert_many((0..100).map(|at| [f64::from(at)]))
+        .unwrap();
+    let searches = [
+        Search::k(3),
+        Search::within(1.5),
+        Search::within(40.0).tag(1, 1),
+    ];
+    let states = [[10.2], [20.0], [30.0]];
+    let found = index.search_each(states, &searches).unwrap();
+    for ((state, search), found) in states.iter().zip(&searches).zip(found) {
+        assert_eq!(found, index.search(state, search).unwrap().neighbors);
+    }
+    let error = index.search_each(states, &searches[..2]).unwrap_err();
+    assert_eq!(error.to_string(), "searches: 2 of them for 3 states");
+    let none: [[f64; 1]; 0] = [];
+    assert!(index.search_each(none, &[]).unwrap().is_empty());
 }
 
 /// A state may use an index while it is written.

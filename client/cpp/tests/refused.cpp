@@ -1,0 +1,12 @@
+// ompl.hpp: `use` compiles for the planner of the macro PLANNER, or the compiler says the sentence. client/cpp/check
+// compiles it.
+#include <ompl/geometric/planners/fmt/FMT.h>
+#include <ompl/geometric/planners/informedtrees/ABITstar.h>
+#include <ompl/geometric/planners/informedtrees/BITstar.h>
+#include <ompl/geometric/planners/rrt/RRT.h>
+#include <wayfold/ompl.hpp>
+
+void refused(PLANNER &planner) {
+    wayfold::use(planner);
+    wayfold::use(planner, "R1", [](const ompl::base::State *, double *) {});
+}
