@@ -142,8 +142,8 @@ def test_many_radii_see_one_state_of_the_index() -> None:
 
     def store() -> None:
         while not is_over.is_set():
-            ids = index.insert_many([[0.0]] * 50)
-            index.remove(int(ids[0]))
+            for id in index.insert_many([[0.0]] * 50).tolist():
+                index.remove(id)
 
     index.insert_many([[0.0]] * 50)
     writer = threading.Thread(target=store)
