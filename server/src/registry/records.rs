@@ -41,8 +41,8 @@ impl Registry {
 
 impl Hosted {
     /// The published records after the revision `after`: the first ones that fit into `max_bytes` (see
-    /// [`Effects::bytes`](crate::log::Effects::bytes)), but at least one if there is any. [`LogError::Trimmed`](crate::log::LogError::Trimmed) if the
-    /// log no longer holds them.
+    /// [`Effects::bytes`](crate::log::Effects::bytes)), but at least one if there is any. The error is
+    /// [`LogError::Trimmed`](crate::log::LogError::Trimmed) if the log no longer holds them.
     pub async fn mutations(
         self: &Arc<Self>,
         after: u64,
