@@ -63,6 +63,10 @@ async fn metrics(Of(pages): Of<Arc<Pages>>, headers: HeaderMap) -> Response {
         let challenge = [(header::WWW_AUTHENTICATE, "Bearer")];
         return (StatusCode::UNAUTHORIZED, challenge, format!("{why}\n")).into_response();
     }
+    if !caller.oversees() {
+        let why = "the metrics name all indices, and the identity may see only some of them\n";
+        return (StatusCode::FORBIDDEN, why).into_response();
+    }
     let metrics = pages.shared.metrics.clone();
     // Memory and disk are looked at meanwhile: that blocks.
     let text = spawn_blocking(move || metrics.text()).await;

@@ -191,6 +191,15 @@ impl Caller {
         }
     }
 
+    /// True if the caller may know of all indices: it is limited to none of them, or has rights on none and only watches
+    /// the server.
+    pub(crate) fn oversees(&self) -> bool {
+        let Some(identity) = self.identity() else {
+            return matches!(self, Caller::Anyone);
+        };
+        identity.indexes.is_empty() || identity.indexes.iter().any(|it| it.0 == "*")
+    }
+
     /// True if the caller has rights on an index of this name.
     pub fn sees(&self, index: &str) -> bool {
         match self {

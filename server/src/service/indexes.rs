@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use prost::Message;
+use tracing::Span;
 use wayfold_index::Space;
 use wayfold_proto::{
     space,
@@ -223,8 +224,12 @@ impl Service {
         change: impl FnOnce(&Registry) -> Result<T, RegistryError> + Send + 'static,
     ) -> Result<Result<T, RegistryError>, Error> {
         let service = self.clone();
-        let changed =
-            tokio::task::spawn_blocking(move || Ok::<_, Error>(change(service.registry()?)));
+        // The lines of the change have the caller's identity.
+        let span = Span::current();
+        let changed = tokio::task::spawn_blocking(move || {
+            let _entered = span.enter();
+            Ok::<_, Error>(change(service.registry()?))
+        });
         // The join fails only if the work panicked.
         changed.await.unwrap_or_else(|_| {
             Err(Error::Internal {

@@ -2,6 +2,7 @@
 
 use bytes::Bytes;
 use tokio::task::JoinError;
+use tracing::Span;
 use wayfold_proto::{
     snapshot::{Content, Reader, SnapshotError},
     v1,
@@ -86,7 +87,9 @@ impl Restoring {
             return Err(out_of_order());
         };
         let service = self.service;
+        let span = Span::current();
         let finished = tokio::task::spawn_blocking(move || {
+            let _entered = span.enter();
             let hosted = service.registry()?.host(restore, sessions);
             hosted.map_err(|error| not_restored(&name, error))
         });

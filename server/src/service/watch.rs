@@ -1,7 +1,8 @@
 //! `Watch`: the mutations of an index as they become readable.
 
-use std::{collections::VecDeque, sync::Arc};
+use std::{collections::VecDeque, pin::pin, sync::Arc, time::Duration};
 
+use tokio::time::timeout;
 use wayfold_proto::v1;
 
 use super::{
@@ -19,6 +20,9 @@ const MESSAGE_BYTES: usize = 256 * 1024;
 
 /// Approximate bytes of a mutation without its points and removed ids.
 const MUTATION_BYTES: usize = 128;
+
+/// The time between two looks at the rights of a watch that waits.
+const RIGHTS_INTERVAL: Duration = Duration::from_secs(1);
 
 /// A running watch. It pins no revision and holds the mutations of one message at most: the log keeps the rest, for as
 /// long as it retains them.
@@ -191,11 +195,18 @@ impl Watch {
     /// Waits until there is a mutation to send.
     async fn wait(&self) -> Result<(), Error> {
         let reached = self.hosted.reached(self.after + 1);
-        let reached = self.call.bound("while watching", reached);
-        let reached = tokio::select! {
-            // Without this branch a call that waits for a mutation would delay the shutdown forever.
-            () = self.service.stopping() => return self.service.accept(&self.call, Role::Read, None),
-            reached = reached => reached?,
+        let mut reached = pin!(self.call.bound("while watching", reached));
+        let reached = loop {
+            let waited = tokio::select! {
+                // Without this branch a call that waits for a mutation would delay the shutdown forever.
+                () = self.service.stopping() => return self.service.accept(&self.call, Role::Read, None),
+                waited = timeout(RIGHTS_INTERVAL, &mut reached) => waited,
+            };
+            match waited {
+                Ok(reached) => break reached?,
+                // An idle watch ends with its identity too.
+                Err(_) => self.service.accept(&self.call, Role::Read, None)?,
+            }
         };
         reached.map_err(|error| registry_error(self.hosted.name(), error))?;
         Ok(())

@@ -134,7 +134,8 @@ pub(crate) fn exposed(config: &ZenohConfig) -> Result<Vec<Exposed>, ZenohError> 
         }
     }
     for scouting in ["scouting/multicast/enabled", "scouting/gossip/enabled"] {
-        if settings.get_json(scouting).is_ok_and(|on| on == "true") {
+        // Zenoh's own default, which null stands for, is on.
+        if settings.get_json(scouting).is_ok_and(|on| on != "false") {
             exposed.push(Exposed {
                 at: format!("Zenoh's {scouting}"),
                 has_tls: false,
@@ -281,6 +282,9 @@ mod tests {
         assert_eq!(exposed("tcp/[::]:0", router), [false, false]);
         let scouting = "{ scouting: { multicast: { enabled: true } } }";
         assert_eq!(exposed("tcp/127.0.0.1:0", scouting), [false]);
+        // It stands for Zenoh's default, which is on.
+        let default = "{ scouting: { gossip: { enabled: null } } }";
+        assert_eq!(exposed("tcp/127.0.0.1:0", default), [false]);
     }
 
     #[test]

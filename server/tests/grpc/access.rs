@@ -287,9 +287,6 @@ async fn lists_show_what_the_identity_may_see_and_a_watch_ends_with_its_rights()
         server.indices().get_server(request).await
     };
     while looked().await.is_ok() {}
-    let insert = crate::harness::insert("arm", &[1.0]);
-    let inserted = server.points().insert(with_token("writer", insert)).await;
-    inserted.unwrap();
     let status = watch.message().await.unwrap_err();
     assert_eq!(reason(&status, Code::Unauthenticated), "IDENTITY_REVOKED");
     server.stop().await.unwrap().unwrap();

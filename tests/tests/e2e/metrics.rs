@@ -216,8 +216,10 @@ fn probes_answer_everyone_and_metrics_those_with_an_identity() {
     let file = tempfile::NamedTempFile::new().unwrap();
     // The SHA-256 of "password".
     let digest = "5e884898da28047151d0e56f8dc6292773603d0d6aabbdd62a11ef721d1542d8";
+    let of_cell = "39d02b42938b2b75d027ebeb25c9d1fd0b71b6e0453e217a2e85cedc7e4637b4";
     let entry = format!(
-        "[[identity]]\nname = \"prometheus\"\nrole = \"read\"\nindexes = []\ntoken_sha256 = \"{digest}\"\n"
+        "[[identity]]\nname = \"prometheus\"\nrole = \"read\"\nindexes = []\ntoken_sha256 = \"{digest}\"\n\
+         [[identity]]\nname = \"cell\"\nrole = \"admin\"\nindexes = [\"cell-*\"]\ntoken_sha256 = \"{of_cell}\"\n"
     );
     fs::write(file.path(), entry).unwrap();
     let mut settings = tempfile::NamedTempFile::new().unwrap();
@@ -239,6 +241,12 @@ fn probes_answer_everyone_and_metrics_those_with_an_identity() {
             "Authorization: Bearer password\r\n",
             200,
             "wayfold_build",
+        ),
+        (
+            "/metrics",
+            "Authorization: Bearer cell\r\n",
+            403,
+            "name all indices",
         ),
         ("/", "", 404, ""),
     ] {

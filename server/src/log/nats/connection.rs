@@ -67,7 +67,7 @@ impl Connection {
         let connect = || connecting.clone().connect(servers.clone());
         let client = patiently("connection", connect).await;
         let client = client.map_err(|error| NatsError::Unreachable {
-            servers: options.servers.clone(),
+            servers: without_passwords(&options.servers),
             what: error.to_string(),
         })?;
         // A message carries headers too; they count against the limit of NATS.
@@ -166,6 +166,16 @@ impl Connection {
     }
 }
 
+/// The URLs without their users and passwords.
+fn without_passwords(servers: &str) -> String {
+    let hide = |url: &str| match (url.split_once("://"), url.rsplit_once('@')) {
+        (Some((scheme, _)), Some((_, host))) => format!("{scheme}://…@{host}"),
+        (None, Some((_, host))) => format!("…@{host}"),
+        (_, None) => url.to_owned(),
+    };
+    servers.split(',').map(hide).collect::<Vec<_>>().join(",")
+}
+
 /// The message of an answer; None if there is no such message.
 pub(super) fn found(
     answer: Result<StreamMessage, LastRawMessageError>,
@@ -221,4 +231,15 @@ pub(super) fn code(error: &dyn std::error::Error) -> Option<ErrorCode> {
     let source = error.source()?;
     let error = source.downcast_ref::<jetstream::Error>()?;
     Some(error.error_code())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_names_no_password() {
+        let shown = without_passwords("nats://me:se@cret@one:4222,two:4222,me:secret@three");
+        assert_eq!(shown, "nats://…@one:4222,two:4222,…@three");
+    }
 }
