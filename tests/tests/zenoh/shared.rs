@@ -56,7 +56,8 @@ async fn the_lines_of_a_call_name_the_session_that_made_it() {
     robot.json("list", json!({})).await.unwrap();
     let lines = server.log_until("Zenoh/list");
     let peer = format!("peer={}", robot.session.zid());
-    let created = lines.iter().find(|it| it.contains("Zenoh/create")).unwrap();
+    let is_end = |it: &&String| it.contains("Zenoh/create") && it.contains("call ended");
+    let created = lines.iter().find(is_end).unwrap();
     assert!(created.contains(&peer), "{created}");
     let last = lines.last().unwrap();
     assert!(!last.contains("peer="), "{last}");
