@@ -156,6 +156,24 @@ def loading():
     return table(["network"], [f"while {of('network')['points']:,} points are loaded", "server / bare gRPC: ratio"], rows)
 
 
+def cluster():
+    cases, rows = of("cluster")["cases"], []
+    shown = {
+        "insert-1": "one client inserts", "insert-64": "64 clients insert into one index", "knn-8": "8 clients ask for ten neighbours",
+    }
+    places = {"cluster": "at one server", "spread": "at all three"}
+    for case, what in shown.items():
+        lone = cases[case]["lone"]
+        for place, at in places.items():
+            if place in cases[case]:
+                got = cases[case][place]
+                times = [f"{digits(it['p50_ms'])} / {digits(it['p99_ms'])} ms" for it in (lone, got)]
+                rates = [f"{digits(it['rows_per_s'])}/s" for it in (lone, got)]
+                rows.append([f"{what}, {at}", *rates, ratio(got["rows_per_s"] / lone["rows_per_s"]), *times])
+    header = ["calls", "lone", "cluster", "ratio", "lone, p50 / p99", "cluster"]
+    return table(["cluster"], header, rows)
+
+
 def writers():
     rows = [[str(row["batch"]), digits(row["states_per_second"]), f"{100 * row['writer_held']:.0f} %", digits(row["processors"])]
             for row in of("writers")["batches"]]
@@ -385,7 +403,7 @@ def seconds(source):
 TABLES = {
     "index-50000": lambda: index("50000"), "index-million": lambda: index("1000000"), "index-building": building,
     "index-uneven": uneven, "index-processors": processors, "threads": threads, "slowest": slowest, "grpc": grpc, "loading": loading,
-    "writers": writers, "call-cost": call_cost, "zenoh": zenoh, "acknowledged": acknowledged, "kept": kept, "pauses": pauses,
+    "cluster": cluster, "writers": writers, "call-cost": call_cost, "zenoh": zenoh, "acknowledged": acknowledged, "kept": kept, "pauses": pauses,
     "sources": sources, "roadmap-workers": lambda: workers("rigid-workers", roadmap_cell),
     "sharing": sharing,
     "alone": lambda: digits(middle(runs_of("maze-workers", "memory", 1), lambda row: row["total_s"])) + " s", "tree-workers": lambda: workers("maze-workers", trees_cell), "ompl": ompl, "speed": readme_speed,
