@@ -25,7 +25,7 @@ const STREAMS: usize = 4;
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// The time in which NATS must give what a starting server asks for, and the time between two requests.
-const START_TIME: Duration = Duration::from_secs(20);
+const START_TIME: Duration = Duration::from_secs(60);
 const START_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The longest wait before the next attempt to connect.
