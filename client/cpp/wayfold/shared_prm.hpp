@@ -133,7 +133,7 @@ private:
         nn_->setDistanceFunction([this](const Vertex &a, const Vertex &b) { return distanceFunction(a, b); });
     }
 
-    // Runs an action between two exchanges with the index, the first of which waits until then at most.
+    // Exchanges with the index until the deadline at most, runs an action, and exchanges again.
     template <class Action> void run(Action action, Clock::time_point until = for_ever) {
         if (!isSetup()) {
             setup();

@@ -293,7 +293,7 @@ fn search_many(
     })
 }
 
-/// Answers many rows by several threads, each of which sees one state of the index. `answer` gets the numbers of the rows
+/// Several threads answer many rows. Each thread sees one state of the index. `answer` gets the numbers of the rows
 /// of a thread, and the rows.
 fn by_workers(
     index: &wayfold::Index,

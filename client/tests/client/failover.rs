@@ -346,7 +346,7 @@ async fn the_copy_does_not_go_back_to_a_uid_that_its_index_had_before() {
     assert_eq!(second.watch_requests().len(), 1);
 }
 
-/// Of two servers without anything in common, the second has no index.
+/// The second of two servers has nothing of the first, and so no index.
 #[tokio::test]
 async fn a_server_that_stops_is_left() {
     let (first, second) = (Server::start(), Server::start());

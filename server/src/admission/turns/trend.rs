@@ -1,4 +1,4 @@
-//! Whether the queue stands: its calls are late, and it does not get shorter.
+//! The trend of the queue. It stands if its calls are late and it does not get shorter.
 //!
 //! The wait alone cannot tell. Of 64 calls that come at once, most are late, and all can be answered in a second. But
 //! nothing comes behind them, so their queue gets shorter from the first call on.

@@ -1,8 +1,8 @@
 //! The catalogue in NATS: a bucket with a key for each name that an index ever had. A key is changed by
 //! compare-and-set, so of two servers that create an index of one name one wins.
 //!
-//! A deleted index leaves its name and uid behind. A server therefore knows of each index of its point store whether it
-//! was deleted, or whether NATS has forgotten it: an index of which NATS knows nothing is kept and not served.
+//! The bucket keeps the names and uids of deleted indices. A server deletes an index of its point store only if the bucket
+//! names it as deleted. It keeps an index that the bucket does not name, and does not serve it.
 
 use std::{
     collections::{BTreeMap, BTreeSet},

@@ -28,8 +28,8 @@ struct Follower {
     after: u64,
     messages: Option<pull::Stream>,
     unpacker: Unpacker,
-    /// True until the subscription brings a record.
-    is_fresh: bool,
+    /// True if the last subscription brought a gap or damage next, and no record has come since.
+    is_suspect: bool,
     /// The times of subscriptions.
     attempts: Option<Interval>,
 }
@@ -42,7 +42,7 @@ pub(super) fn follow(connection: Arc<Connection>, uid: Uid, after: u64) -> Recor
         after,
         messages: None,
         unpacker: Unpacker::default(),
-        is_fresh: true,
+        is_suspect: false,
         attempts: None,
     };
     let batches = stream::unfold(Some(follower), |follower| async move {
@@ -75,7 +75,6 @@ impl Follower {
                     attempts
                 });
                 attempts.tick().await;
-                self.is_fresh = true;
                 let subscribed = subscribe(&self.connection, self.uid, self.after).await?;
                 self.messages.insert(subscribed)
             }
@@ -91,20 +90,26 @@ impl Follower {
         };
         let headers = message.headers.clone().unwrap_or_default();
         let next = (self.uid, self.after + 1);
-        let mut records = self.unpacker.take(next, &headers, &message.payload)?;
-        records.retain(|record| record.revision() > self.after);
-        let is_gap = records
-            .first()
-            .is_some_and(|first| first.revision() > self.after + 1);
-        if is_gap && !self.is_fresh {
-            // The connection may have lost it. If the stream has, the apply loop notices.
+        let taken = self.unpacker.take(next, &headers, &message.payload);
+        let taken = taken.map(|mut records| {
+            records.retain(|record| record.revision() > self.after);
+            records
+        });
+        let is_whole = taken.as_ref().is_ok_and(|records| {
+            let first = records.first();
+            first.is_none_or(|first| first.revision() == self.after + 1)
+        });
+        if !is_whole && !self.is_suspect {
+            // The connection may have lost a message. If the stream has, the next subscription brings the same.
+            self.is_suspect = true;
             return Err(LogError::Unreachable {
-                what: "a message is missing".into(),
+                what: "a message is missing or damaged".into(),
             });
         }
-        self.is_fresh &= records.is_empty();
+        let records = taken?;
         if let Some(last) = records.last() {
             self.after = last.revision();
+            self.is_suspect = false;
         }
         Ok(records)
     }

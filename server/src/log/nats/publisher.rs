@@ -102,7 +102,7 @@ impl Task {
                 None => match timeout(IDLE_TIME, waiting.recv()).await {
                     Ok(Some(first)) => first,
                     Ok(None) => return,
-                    // What was queued meanwhile still comes.
+                    // A closed channel still yields the records that are queued.
                     Err(_) => {
                         waiting.close();
                         continue;

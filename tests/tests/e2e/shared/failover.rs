@@ -7,7 +7,7 @@ use tempfile::TempDir;
 use tokio::runtime::Runtime;
 use wayfold::{Client, Code, Index};
 use wayfold_index::Space;
-use wayfold_tests::{Process, ServerProcess, Signal, server};
+use wayfold_tests::{Process, ServerProcess, Signal, nats, server};
 
 use super::{
     history::{check_copies, content, wait_for_all},
@@ -17,28 +17,20 @@ use super::{
 
 const POINTS: usize = 300;
 
-/// A server of NATS with JetStream.
+/// A server of NATS.
 struct Nats {
     address: String,
-    _process: Process,
+    _servers: nats::Nats,
     _directory: TempDir,
 }
 
 impl Nats {
     fn start() -> Nats {
-        const SAYS: &str = "Listening for client connections on ";
-        let program = std::env::var("NATS_SERVER").expect("NATS_SERVER is the path of nats-server");
         let directory = tempfile::tempdir().unwrap();
-        let store = directory.path().to_str().unwrap();
-        let arguments = ["--jetstream", "--addr", "127.0.0.1", "--port", "-1"];
-        let arguments = [&arguments[..], &["--store_dir", store]].concat();
-        let mut process = Process::start(program, &arguments);
-        let lines = process.log_until(SAYS);
-        let (_, address) = lines.last().unwrap().split_once(SAYS).unwrap();
-        process.log_until("Server is ready");
+        let servers = nats::Nats::start(directory.path(), 1);
         Nats {
-            address: address.to_owned(),
-            _process: process,
+            address: servers.urls().trim_start_matches("nats://").to_owned(),
+            _servers: servers,
             _directory: directory,
         }
     }
