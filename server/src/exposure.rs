@@ -1,6 +1,6 @@
 //! Beyond this machine nothing is served without TLS and identities, unless the operator asks for it by name.
 
-use std::net::IpAddr;
+use std::net::{IpAddr, SocketAddr};
 
 use thiserror::Error;
 use tracing::warn;
@@ -14,16 +14,31 @@ pub(crate) struct Exposed {
     pub(crate) has_tls: bool,
 }
 
-/// Callers beyond this machine could read and change every index.
+/// Strangers could read and change every index.
 #[derive(Debug, Error)]
-#[error(
-    "{at} reaches beyond this machine without {missing}: everyone there could read and change every index\n  \
-     set {settings}, use an address of this machine (127.0.0.1), or allow it with --insecure"
-)]
-pub struct ExposedError {
-    at: String,
-    missing: &'static str,
-    settings: &'static str,
+pub enum ExposedError {
+    /// Callers beyond this machine could.
+    #[error(
+        "{at} reaches beyond this machine without {missing}: everyone there could read and change every index\n  \
+         set {settings}, use an address of this machine (127.0.0.1), or allow it with --insecure"
+    )]
+    Callers {
+        /// The address, with its setting.
+        at: String,
+        /// What it lacks.
+        missing: &'static str,
+        /// The settings that give it.
+        settings: &'static str,
+    },
+    /// Those who reach the address for the members of a cluster could.
+    #[error(
+        "{at} takes calls of the other servers without their certificates: everyone who reaches it would act for every \
+         identity\n  set cluster.peer_ca, tls.certificate and tls.key, or allow it with --insecure"
+    )]
+    Members {
+        /// The address, with its setting.
+        at: String,
+    },
 }
 
 /// Refuses `exposed` addresses without TLS or identities. With `is_allowed`, they are a warning.
@@ -43,7 +58,7 @@ pub(crate) fn check(
             ),
         };
         if !is_allowed {
-            return Err(ExposedError {
+            return Err(ExposedError::Callers {
                 at: at.clone(),
                 missing,
                 settings,
@@ -54,6 +69,27 @@ pub(crate) fn check(
             missing, "insecure: everyone who reaches this address can read and change every index"
         );
     }
+    Ok(())
+}
+
+/// Refuses an address for the other members of a cluster where anyone could speak for a member.
+pub(crate) fn check_members(
+    address: SocketAddr,
+    has_certificates: bool,
+    has_identities: bool,
+    is_allowed: bool,
+) -> Result<(), ExposedError> {
+    if has_certificates || (address.ip().is_loopback() && !has_identities) {
+        return Ok(());
+    }
+    let at = format!("cluster.listen: {address}");
+    if !is_allowed {
+        return Err(ExposedError::Members { at });
+    }
+    warn!(
+        at,
+        "insecure: everyone who reaches this address acts for every identity"
+    );
     Ok(())
 }
 
@@ -97,8 +133,32 @@ mod tests {
                 has_tls,
             }];
             let refused = check(&exposed, has_identities, false);
-            assert_eq!(refused.err().map(|error| error.missing), missing);
+            let found = refused.err().map(|error| match error {
+                ExposedError::Callers { missing, .. } => missing,
+                ExposedError::Members { .. } => "members",
+            });
+            assert_eq!(found, missing);
             check(&exposed, has_identities, true).unwrap();
+        }
+    }
+
+    #[test]
+    fn an_address_for_members_needs_certificates_unless_only_this_machine_reaches_it() {
+        let (here, beyond) = (
+            "127.0.0.1:1".parse().unwrap(),
+            "10.0.0.7:1".parse().unwrap(),
+        );
+        for (address, has_certificates, has_identities, is_safe) in [
+            (here, false, false, true),
+            (here, false, true, false),
+            (here, true, true, true),
+            (beyond, false, false, false),
+            (beyond, false, true, false),
+            (beyond, true, false, true),
+        ] {
+            let checked = check_members(address, has_certificates, has_identities, false);
+            assert_eq!(checked.is_ok(), is_safe, "{address}");
+            check_members(address, has_certificates, has_identities, true).unwrap();
         }
     }
 }

@@ -12,6 +12,7 @@ pub mod watermark;
 
 mod admission;
 mod cli;
+mod cluster;
 mod exposure;
 mod faces;
 mod grpc;
@@ -28,6 +29,7 @@ mod status;
 mod zenoh;
 
 pub use cli::main;
+pub use cluster::ClusterError;
 pub use exposure::ExposedError;
 pub use grpc::{GrpcError, InProcess, TlsError};
 pub use observe::{LogFormat, LoggingError};

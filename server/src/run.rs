@@ -1,7 +1,10 @@
 //! A server from the bound listener to the last accepted call.
 
-use std::{convert::Infallible, io, net::SocketAddr, pin::pin, sync::Arc, time::Duration};
+use std::{
+    cell::OnceCell, convert::Infallible, io, net::SocketAddr, pin::pin, sync::Arc, time::Duration,
+};
 
+use futures_util::{FutureExt, future::OptionFuture};
 use thiserror::Error;
 use tokio::{
     net::TcpListener,
@@ -14,10 +17,11 @@ use tokio_util::{
 use tracing::{error, info, warn};
 
 use crate::{
-    config::{Config, DataConfig, HttpConfig, OFF, ON},
+    cluster::{self, Cluster, ClusterError},
+    config::{ClusterConfig, Config, DataConfig, HttpConfig, OFF, ON},
     exposure::{self, Exposed, ExposedError},
     faces::Shared,
-    grpc::{self, GrpcError, Tls, TlsError},
+    grpc::{self, Callers, GrpcError, Tls, TlsError},
     http::{self, Pages, State},
     identity::{Identities, TableError},
     lifecycle::{Lifecycle, Phase, PhaseWatch},
@@ -26,7 +30,7 @@ use crate::{
         PointStore, SYNCS, connect_nats,
     },
     registry::{Registry, RegistryError, RegistryOptions},
-    service::Service,
+    service::{Owners, Service},
     snapshots::{Schedule, SnapshotsError},
     watermark::Watermarks,
     zenoh::{self, ZenohError, ZenohFace},
@@ -68,6 +72,9 @@ pub enum ServerError {
         /// The problem.
         source: io::Error,
     },
+    /// The server cannot be a member of its cluster.
+    #[error(transparent)]
+    Cluster(#[from] ClusterError),
     /// The snapshots cannot be written.
     #[error(transparent)]
     Snapshots(#[from] SnapshotsError),
@@ -133,15 +140,25 @@ pub(crate) async fn serve(
     let tls = Tls::open(&config.tls)?;
     let pages = bind_pages(&config.http).await?;
     let pages_at = pages.as_ref().map(TcpListener::local_addr).transpose()?;
-    check_exposure(&config, address, pages_at, tls.is_some())?;
+    let members = bind_members(&config.cluster).await?;
+    let members_at = members.as_ref().map(TcpListener::local_addr).transpose()?;
+    check_exposure(&config, address, (pages_at, members_at), tls.is_some())?;
+    let member_tls = config.cluster.peer_ca().filter(|_| members.is_some());
+    let member_tls = member_tls
+        .map(|ca| Tls::of_members(&config.tls, ca))
+        .transpose()?;
+    let own = members_at
+        .map(|at| cluster::advertised(&config.cluster, at))
+        .transpose()?;
     let identities = Identities::open(config.access.identities())?;
     let (data, min_free_bytes) = (config.data.directory(), config.disk.min_free_bytes);
     let schedule = Schedule::open(&config.snapshot, data, min_free_bytes)?;
     let publishes = !identities.are_required() || config.access.publish_events == ON;
     let _following = AbortOnDropHandle::new(tokio::spawn(identities.clone().follow()));
-    let _renewing = tls
-        .clone()
-        .map(|tls| AbortOnDropHandle::new(tokio::spawn(tls.follow())));
+    let certificates = tls.clone().into_iter().chain(member_tls.clone());
+    let _renewing = certificates
+        .map(|tls| AbortOnDropHandle::new(tokio::spawn(tls.follow())))
+        .collect::<Vec<_>>();
     let durability = config.data.directory().map(|_| config.data.durability);
     let service = Service::starting_durable(config.limits.clone(), durability);
     let lifecycle = Lifecycle::starting();
@@ -150,7 +167,7 @@ pub(crate) async fn serve(
     let under_way = TaskTracker::new();
     let _reporting = AbortOnDropHandle::new(tokio::spawn(shared.admission.clone().report()));
     let cut = CancellationToken::new();
-    let mut zenoh = ZenohFace::open(&config.zenoh, shared.clone()).await?;
+    let mut zenoh = ZenohFace::open(&config.zenoh, shared.clone(), config.cluster.is_on()).await?;
     let addresses = Addresses {
         grpc: address,
         pages: pages_at,
@@ -172,14 +189,27 @@ pub(crate) async fn serve(
             lifecycle.watch(),
         )))
     });
-    let mut serving = pin!(grpc::serve(
-        &config.grpc,
-        shared,
-        lifecycle.watch(),
-        (listener, tls),
-        under_way.clone(),
-        cut.clone(),
-    ));
+    let serve_grpc = |shared, listener| {
+        let (under_way, cut) = (under_way.clone(), cut.clone());
+        grpc::serve(
+            &config.grpc,
+            shared,
+            lifecycle.watch(),
+            listener,
+            under_way,
+            cut,
+        )
+    };
+    let serving_members = members
+        .map(|listener| serve_grpc(shared.clone(), (listener, member_tls, Callers::Members)));
+    let serving_clients = serve_grpc(shared, (listener, tls, Callers::Clients));
+    let mut serving = pin!(async {
+        tokio::try_join!(
+            serving_clients,
+            OptionFuture::from(serving_members).map(Option::transpose)
+        )
+        .map(drop)
+    });
 
     // Meanwhile connections are accepted, and calls get UNAVAILABLE.
     let opening = open_registry(
@@ -187,10 +217,17 @@ pub(crate) async fn serve(
         (config.data.clone(), config.cluster.options()),
         config.watermarks(),
     );
+    let joined = OnceCell::new();
     let live = async {
-        let registry = Arc::new(opening.await?);
+        let (registry, nats) = opening.await?;
+        let registry = Arc::new(registry);
         registry.catch_up().await;
         service.set_registry(Arc::clone(&registry));
+        if let Some((nats, own)) = nats.zip(own) {
+            let cluster = Arc::new(Cluster::join(&config.cluster, &config.tls, nats, own));
+            service.set_owners(Arc::clone(&cluster) as Arc<dyn Owners>);
+            let _ = joined.set(cluster);
+        }
         service.set_ready();
         // If the store cannot be opened, every call fails with the cause.
         if registry.failure().is_none() {
@@ -198,7 +235,7 @@ pub(crate) async fn serve(
             info!(%address, "serving");
         }
         if let Some(face) = &mut zenoh {
-            face.announce(publishes);
+            face.announce(publishes).await?;
         }
         ready(&addresses);
         let _snapshots = schedule.map(|schedule| {
@@ -215,6 +252,9 @@ pub(crate) async fn serve(
         () = shutdown => {}
     }
 
+    if let Some(cluster) = joined.get() {
+        cluster.leave().await;
+    }
     // The service refuses new calls first, so that all of them fail once the phase announces the shutdown.
     service.begin_shutdown();
     lifecycle.advance(Phase::Stopping);
@@ -228,6 +268,18 @@ async fn bind_pages(config: &HttpConfig) -> Result<Option<TcpListener>, ServerEr
     }
     let bound = TcpListener::bind(&config.listen).await;
     bound.map(Some).map_err(|source| ServerError::Pages {
+        listen: config.listen.clone(),
+        source,
+    })
+}
+
+/// The listener for the other members, if the server is in a cluster.
+async fn bind_members(config: &ClusterConfig) -> Result<Option<TcpListener>, ClusterError> {
+    if !config.is_on() {
+        return Ok(None);
+    }
+    let bound = TcpListener::bind(&config.listen).await;
+    bound.map(Some).map_err(|source| ClusterError::Listener {
         listen: config.listen.clone(),
         source,
     })
@@ -250,7 +302,7 @@ async fn serve_pages(listener: TcpListener, tls: Option<Tls>, shared: Shared, ph
 fn check_exposure(
     config: &Config,
     address: SocketAddr,
-    pages: Option<SocketAddr>,
+    (pages, members): (Option<SocketAddr>, Option<SocketAddr>),
     has_tls: bool,
 ) -> Result<(), ServerError> {
     let mut exposed = zenoh::exposed(&config.zenoh)?;
@@ -265,7 +317,12 @@ fn check_exposure(
     }
     let has_identities = config.access.identities().is_some();
     let is_allowed = config.access.insecure == ON;
-    Ok(exposure::check(&exposed, has_identities, is_allowed)?)
+    exposure::check(&exposed, has_identities, is_allowed)?;
+    if let Some(address) = members {
+        let has_certificates = config.cluster.peer_ca().is_some();
+        exposure::check_members(address, has_certificates, has_identities, is_allowed)?;
+    }
+    Ok(())
 }
 
 /// Finishes the accepted calls for at most the grace time, then cuts the rest. `serving` ends once gRPC has stopped.
@@ -333,14 +390,15 @@ async fn idle(faces: &[TaskTracker]) {
     }
 }
 
-/// Opens the log and replays it into a registry, on a blocking thread.
+/// Opens the log and replays it into a registry, on a blocking thread. Returns the connection to NATS if the journal is
+/// there.
 async fn open_registry(
     options: RegistryOptions,
     (data, cluster): (DataConfig, Option<NatsOptions>),
     watermarks: Watermarks,
-) -> Result<Registry, ServerError> {
+) -> Result<(Registry, Option<async_nats::Client>), ServerError> {
     let open = move || {
-        let log = match data.directory() {
+        let (log, nats) = match data.directory() {
             Some(directory) => {
                 let memory = watermarks.memory.as_ref().and_then(|memory| memory.limit());
                 let memory = memory.unwrap_or(u64::MAX);
@@ -351,7 +409,7 @@ async fn open_registry(
         };
         let registry = Registry::with_watermarks(log, options, watermarks);
         registry.replay()?;
-        Ok(registry)
+        Ok((registry, nats))
     };
     // The join fails only if the task panicked.
     let opened = tokio::task::spawn_blocking(open).await;
@@ -359,12 +417,15 @@ async fn open_registry(
 }
 
 /// The log over the engine of this server: the engine itself, or its points under the journal of a cluster.
-fn log_over<Engine>(local: Arc<Engine>, cluster: Option<&NatsOptions>) -> Result<Log, NatsError>
+fn log_over<Engine>(
+    local: Arc<Engine>,
+    cluster: Option<&NatsOptions>,
+) -> Result<(Log, Option<async_nats::Client>), NatsError>
 where
     Engine: Journal + PointStore + Catalogue + 'static,
 {
     match cluster {
-        None => Ok(Log::from(local)),
-        Some(options) => connect_nats(options, local),
+        None => Ok((Log::from(local), None)),
+        Some(options) => connect_nats(options, local).map(|(log, nats)| (log, Some(nats))),
     }
 }

@@ -7,7 +7,7 @@ mod details;
 
 use std::{collections::HashMap, time::Duration};
 
-pub(crate) use details::{DETAIL_DESCRIPTORS, number};
+pub(crate) use details::DETAIL_DESCRIPTORS;
 
 use tracing::error;
 use wayfold_proto::v1;
@@ -45,6 +45,8 @@ pub(crate) struct Status {
     detail: Option<Detail>,
     /// The same call may succeed after this time.
     retry_delay: Option<Duration>,
+    /// The whole status, if another server gave it.
+    given: Option<v1::Status>,
 }
 
 /// The machine-readable detail that accompanies the reason.
@@ -94,6 +96,10 @@ fn describing(error: &Error) -> Status {
             } => Some(BUSY_PAUSE),
             _ => None,
         },
+        given: match error {
+            Error::Forwarded { status } => Some(v1::Status::clone(status)),
+            _ => None,
+        },
     };
     status.detail = status.describe(error);
     status
@@ -113,6 +119,7 @@ pub(crate) fn limit(
         metadata: HashMap::new(),
         detail: None,
         retry_delay: None,
+        given: None,
     };
     status.detail = Some(status.quota(limit, value as u64));
     status
@@ -314,6 +321,7 @@ impl Status {
                 why: Denial::Unknown(_),
             }
             | Error::Unavailable { why: _ }
+            | Error::Forwarded { status: _ }
             | Error::DeadlineExceeded { doing: _ }
             | Error::SharedJournal { what: _ }
             | Error::StorageFailed { what: _ }

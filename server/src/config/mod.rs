@@ -269,12 +269,28 @@ pub struct ClusterConfig {
     pub credentials: String,
     /// The file of the authorities of NATS's certificates, or [`OFF`].
     pub ca: String,
+    /// The address on which the server listens for the other members, as `host:port`.
+    pub listen: String,
+    /// The address at which they reach it, as `host:port`, or [`OFF`] if it is the one that it listens on.
+    pub advertise: String,
+    /// The file of the authorities of the members' certificates, or [`OFF`].
+    pub peer_ca: String,
 }
 
 impl ClusterConfig {
+    /// True if the server shares its journal with others.
+    pub(crate) fn is_on(&self) -> bool {
+        self.nats != OFF
+    }
+
+    /// The file of the authorities of the members' certificates, if there is one.
+    pub(crate) fn peer_ca(&self) -> Option<&Path> {
+        file(&self.peer_ca)
+    }
+
     /// The shared journal; None if this server has its own.
     pub(crate) fn options(&self) -> Option<NatsOptions> {
-        (self.nats != OFF).then(|| NatsOptions {
+        self.is_on().then(|| NatsOptions {
             servers: self.nats.clone(),
             name: self.name.clone(),
             replicas: self.replicas,

@@ -74,10 +74,23 @@ pub(super) fn flow_of<T>(request: &tonic::Request<T>) -> Option<Arc<Flow>> {
     request.extensions().get::<Arc<Flow>>().cloned()
 }
 
+/// The header by which a member of the cluster names the identity of the caller whose call it forwards.
+pub(crate) const IDENTITY: &str = "wayfold-identity";
+
+/// The callers of a listener.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Callers {
+    /// Clients, which show a credential.
+    Clients,
+    /// Members of the cluster, which are trusted and name the identity of their caller.
+    Members,
+}
+
 /// Wraps services in [`Calls`].
 #[derive(Clone)]
 pub(super) struct CallsLayer {
     shared: Shared,
+    callers: Callers,
     /// The calls under way.
     under_way: TaskTracker,
     requests: RequestLimits,
@@ -89,10 +102,16 @@ pub(super) struct CallsLayer {
 
 impl CallsLayer {
     /// The layer of these settings, which counts its calls in `under_way`.
-    pub(super) fn new(config: &GrpcConfig, shared: Shared, under_way: TaskTracker) -> Self {
+    pub(super) fn new(
+        config: &GrpcConfig,
+        shared: Shared,
+        callers: Callers,
+        under_way: TaskTracker,
+    ) -> Self {
         let overloaded = status::overloaded(shared.admission.overloaded());
         Self {
             shared,
+            callers,
             under_way,
             requests: RequestLimits {
                 max_message_bytes: config.max_message_bytes,
@@ -164,13 +183,10 @@ where
         // same header and answers CANCELLED when it ends. Ours must never be the later one.
         let arrived = Instant::now();
         let peer = activity.as_ref().and_then(Activity::peer);
-        let certificate = activity.as_ref().and_then(Activity::certificate);
-        let caller = settings
-            .shared
-            .identities
-            .caller(token(request.headers()), certificate);
-        let verb = ("grpc", verb(rpc));
-        let origin = (&caller, traceparent(request.headers()));
+        let caller = settings.caller(request.headers(), activity.as_ref());
+        let trace = traceparent(request.headers());
+        let verb = (settings.face(), verb(rpc));
+        let origin = (&caller, trace);
         let mut record = CallRecord::begin(rpc, verb, arrived, &settings.shared.metrics, origin)
             .of_peer(peer.map(Peer::Address));
         let held = Arc::new(flow.hold());
@@ -208,6 +224,8 @@ where
             call: Call {
                 deadline,
                 caller,
+                trace: trace.map(Arc::from),
+                is_forwarded: settings.callers == Callers::Members,
                 index: Arc::clone(record.index()),
             },
             is_stream: has_stream_of_requests(rpc),
@@ -269,6 +287,27 @@ where
 }
 
 impl CallsLayer {
+    /// The name of the face in metrics.
+    fn face(&self) -> &'static str {
+        match self.callers {
+            Callers::Clients => "grpc",
+            Callers::Members => "cluster",
+        }
+    }
+
+    fn caller(&self, headers: &HeaderMap, activity: Option<&Activity>) -> Caller {
+        let identities = &self.shared.identities;
+        match self.callers {
+            Callers::Clients => {
+                identities.caller(token(headers), activity.and_then(Activity::certificate))
+            }
+            Callers::Members => {
+                let name = headers.get(IDENTITY).map(|name| name.as_bytes());
+                identities.forwarded(name.map(String::from_utf8_lossy).as_deref())
+            }
+        }
+    }
+
     /// The flow of a call: that of its connection, or that of an operator's short calls, which load does not close.
     fn flow(&self, rpc: &str, activity: Option<&Activity>) -> Arc<Flow> {
         let is_admin = rpc.starts_with("IndexService/")

@@ -10,7 +10,7 @@ use tonic::body::Body;
 use tower::{Layer, Service as _};
 
 use super::{
-    calls::{Calls, CallsLayer},
+    calls::{Callers, Calls, CallsLayer},
     point_service::TolerantPointServer,
     points,
 };
@@ -39,7 +39,7 @@ impl InProcess {
     ) -> Result<Self, TableError> {
         let shared = Shared::new(config, service, Identities::open(identities)?);
         let points = points(&config.grpc, &shared, &Lifecycle::starting().watch());
-        let layer = CallsLayer::new(&config.grpc, shared, TaskTracker::new());
+        let layer = CallsLayer::new(&config.grpc, shared, Callers::Clients, TaskTracker::new());
         Ok(Self {
             calls: layer.layer(points),
         })

@@ -29,7 +29,7 @@ use tonic_health::pb::health_server::HealthServer;
 use wayfold_proto::v1::{self, index_service_server::IndexServiceServer};
 
 use calls::CallsLayer;
-pub(crate) use calls::token;
+pub(crate) use calls::{Callers, IDENTITY, token};
 use connections::Connections;
 use health::HealthFace;
 pub use in_process::InProcess;
@@ -55,14 +55,14 @@ pub enum GrpcError {
     Listener(#[from] io::Error),
 }
 
-/// Serves `shared` on `listener` until the server begins to stop and every call that was accepted is done.
+/// Serves `shared` to `callers` on `listener` until the server begins to stop and every call that was accepted is done.
 ///
 /// `under_way` counts the running calls. `cut` fails the connections that are still open, so that this returns soon.
 pub(crate) async fn serve(
     config: &GrpcConfig,
     shared: Shared,
     phases: PhaseWatch,
-    (listener, tls): (TcpListener, Option<Tls>),
+    (listener, tls, callers): (TcpListener, Option<Tls>, Callers),
     under_way: TaskTracker,
     cut: CancellationToken,
 ) -> Result<(), GrpcError> {
@@ -90,7 +90,7 @@ pub(crate) async fn serve(
         .http2_max_pending_accept_reset_streams(Some(config.max_calls_per_connection as usize))
         .http2_keepalive_interval(keepalive)
         .http2_keepalive_timeout(Some(Duration::from_millis(config.keepalive_timeout_ms)))
-        .layer(CallsLayer::new(config, shared.clone(), under_way))
+        .layer(CallsLayer::new(config, shared.clone(), callers, under_way))
         .add_service(indices)
         .add_service(points(config, &shared, &phases))
         .add_service(health)

@@ -22,7 +22,7 @@ impl From<status::Status> for Status {
     fn from(status: status::Status) -> Self {
         // The details of a gRPC status are a google.rpc.Status, and ours is the same field for field.
         let details = Bytes::from(status.to_message().encode_to_vec());
-        let code = Code::from_i32(status::number(status.code));
+        let code = Code::from_i32(status.code.number());
         Self::with_details(code, status.message, details)
     }
 }

@@ -55,6 +55,11 @@ pub enum TlsError {
     /// One of the two is missing.
     #[error("tls.certificate and tls.key are set together, or both are \"off\"")]
     Half,
+    /// Members of a cluster show no certificates.
+    #[error(
+        "cluster.peer_ca needs tls.certificate and tls.key: the server shows them to the other members"
+    )]
+    Members,
 }
 
 /// The certificates of the server. Clones share them.
@@ -67,7 +72,15 @@ pub(crate) struct Tls {
 struct Files {
     certificate: PathBuf,
     key: PathBuf,
-    client_ca: Option<PathBuf>,
+    client_ca: Option<Authorities>,
+}
+
+/// The authorities of the certificates of clients.
+struct Authorities {
+    setting: &'static str,
+    file: PathBuf,
+    /// True if a client without a certificate is refused; otherwise it may have a token.
+    is_required: bool,
 }
 
 impl Tls {
@@ -78,16 +91,43 @@ impl Tls {
             (None, None) if config.client_ca().is_none() => return Ok(None),
             _ => return Err(TlsError::Half),
         };
+        let client_ca = config.client_ca().map(|file| Authorities {
+            setting: "tls.client_ca",
+            file: file.to_owned(),
+            is_required: false,
+        });
+        Self::of(certificate, key, client_ca).map(Some)
+    }
+
+    /// The same for the listener of a cluster: it accepts only members, whose certificates come from the authorities in
+    /// `peer_ca`.
+    pub(crate) fn of_members(config: &TlsConfig, peer_ca: &Path) -> Result<Self, TlsError> {
+        let (Some(certificate), Some(key)) = (config.certificate(), config.key()) else {
+            return Err(TlsError::Members);
+        };
+        let client_ca = Authorities {
+            setting: "cluster.peer_ca",
+            file: peer_ca.to_owned(),
+            is_required: true,
+        };
+        Self::of(certificate.into(), key.into(), Some(client_ca))
+    }
+
+    fn of(
+        certificate: PathBuf,
+        key: PathBuf,
+        client_ca: Option<Authorities>,
+    ) -> Result<Self, TlsError> {
         let files = Files {
             certificate,
             key,
-            client_ca: config.client_ca().map(Path::to_owned),
+            client_ca,
         };
         let acceptor = Arc::new(RwLock::new(files.read()?));
-        Ok(Some(Self {
+        Ok(Self {
             files: Arc::new(files),
             acceptor,
-        }))
+        })
     }
 
     /// A connection that begins with a handshake if there is TLS. `activity`, if there is one, gets the names of a client
@@ -132,7 +172,7 @@ impl Tls {
 
 impl Files {
     fn stamps(&self) -> [Stamp; 3] {
-        let client_ca = self.client_ca.as_ref().unwrap_or(&self.key);
+        let client_ca = self.client_ca.as_ref().map_or(&self.key, |it| &it.file);
         [&self.certificate, &self.key, client_ca].map(|file| Stamp::of(file))
     }
 
@@ -142,17 +182,22 @@ impl Files {
             .with_safe_default_protocol_versions()?;
         let builder = match &self.client_ca {
             None => builder.with_no_client_auth(),
-            Some(file) => {
+            Some(Authorities {
+                setting,
+                file,
+                is_required,
+            }) => {
                 let mut roots = RootCertStore::empty();
-                for root in certificates("tls.client_ca", file)? {
-                    roots.add(root).map_err(in_file("tls.client_ca", file))?;
+                for root in certificates(setting, file)? {
+                    roots.add(root).map_err(in_file(setting, file))?;
                 }
-                // A client without a certificate may have a token.
                 let verifier =
-                    WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider)
-                        .allow_unauthenticated()
-                        .build();
-                let verifier = verifier.map_err(in_file("tls.client_ca", file))?;
+                    WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider);
+                let verifier = match is_required {
+                    true => verifier,
+                    false => verifier.allow_unauthenticated(),
+                };
+                let verifier = verifier.build().map_err(in_file(setting, file))?;
                 builder.with_client_cert_verifier(verifier)
             }
         };

@@ -74,6 +74,15 @@ impl Identities {
         }
     }
 
+    /// The caller of a call that another server of the cluster forwards, by the name of its identity. Without one the
+    /// server itself calls.
+    pub(crate) fn forwarded(&self, name: Option<&str>) -> Caller {
+        match (&self.source, name) {
+            (Some(source), Some(name)) => source.table.read().of_name(name),
+            (None, _) | (_, None) => Caller::Anyone,
+        }
+    }
+
     /// Reads the file again whenever it changes. A file that is wrong changes nothing.
     pub(crate) async fn follow(self) {
         let Some(source) = self.source else {

@@ -178,6 +178,12 @@ impl Table {
         found.map_or(Caller::Unknown(Stranger::WrongCredential), Caller::known)
     }
 
+    /// The caller of this name.
+    pub(super) fn of_name(&self, name: &str) -> Caller {
+        let found = self.entries.get(name).map(|(_, identity)| identity);
+        found.map_or(Caller::Unknown(Stranger::WrongCredential), Caller::known)
+    }
+
     /// The caller whose verified client certificate is for any of these names.
     pub(super) fn of_certificate(&self, names: &[String]) -> Caller {
         let found = names.iter().find_map(|name| self.certificates.get(name));

@@ -22,6 +22,10 @@ pub struct Call {
     pub deadline: Option<Instant>,
     /// The caller.
     pub caller: Caller,
+    /// Its place in a trace, after W3C Trace Context.
+    pub trace: Option<Arc<str>>,
+    /// True if another server of the cluster forwarded it. It is not forwarded again.
+    pub is_forwarded: bool,
     /// Gets the label of the index of the call, for its metrics, once the index is found.
     pub index: Arc<OnceLock<Arc<str>>>,
 }

@@ -34,6 +34,33 @@ pub enum Code {
 }
 
 impl Code {
+    /// All of them, with their numbers in google.rpc.Code.
+    const NUMBERS: [(Code, i32); 11] = [
+        (Code::InvalidArgument, 3),
+        (Code::DeadlineExceeded, 4),
+        (Code::NotFound, 5),
+        (Code::AlreadyExists, 6),
+        (Code::PermissionDenied, 7),
+        (Code::ResourceExhausted, 8),
+        (Code::FailedPrecondition, 9),
+        (Code::Internal, 13),
+        (Code::Unavailable, 14),
+        (Code::DataLoss, 15),
+        (Code::Unauthenticated, 16),
+    ];
+
+    /// Its number.
+    pub fn number(self) -> i32 {
+        let found = Self::NUMBERS.iter().find(|(code, _)| *code == self);
+        found.map_or(0, |(_, number)| *number)
+    }
+
+    /// The code of this number; [`Code::Internal`] for one that no server of Wayfold gives.
+    pub fn of_number(number: i32) -> Self {
+        let found = Self::NUMBERS.iter().find(|(_, known)| *known == number);
+        found.map_or(Code::Internal, |(code, _)| *code)
+    }
+
     /// Its name as gRPC spells it.
     pub fn name(self) -> &'static str {
         match self {
@@ -84,6 +111,7 @@ impl Error {
                 Denial::Role { .. } | Denial::Index { .. } => Code::PermissionDenied,
             },
             Error::DeadlineExceeded { .. } => Code::DeadlineExceeded,
+            Error::Forwarded { status } => Code::of_number(status.code),
             Error::DataLoss { .. } => Code::DataLoss,
             Error::Internal { .. } => Code::Internal,
         }
@@ -130,6 +158,7 @@ impl Error {
                 Denial::Index { .. } => "INDEX_NOT_ALLOWED",
             },
             Error::DeadlineExceeded { .. } => "DEADLINE_EXCEEDED",
+            Error::Forwarded { .. } => "FORWARDED",
             Error::OperationMismatch { .. } => "OPERATION_MISMATCH",
             Error::SharedJournal { .. } => "SHARED_JOURNAL",
             Error::StorageFailed { .. } => "STORAGE_FAILED",

@@ -4,6 +4,7 @@ use std::fmt;
 
 use thiserror::Error;
 use wayfold_index::SearchError;
+use wayfold_proto::v1;
 
 use crate::{
     identity::Denial,
@@ -37,7 +38,8 @@ pub enum Unavailability {
 }
 
 /// The failure of a call. After [`Error::DeadlineExceeded`], [`Error::StorageFailed`], [`Error::DataLoss`] and
-/// [`Error::Internal`] the outcome of a mutation is unknown. A call that fails with any other error changes nothing.
+/// [`Error::Internal`] the outcome of a mutation is unknown. A call that fails with any other error changes nothing;
+/// [`Error::Forwarded`] is like the error that the owner had.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Error {
     /// Fields of the request are wrong. At least one is named; of many, the first few.
@@ -292,6 +294,12 @@ pub enum Error {
     SharedJournal {
         /// The reason and the remedy.
         what: String,
+    },
+    /// The owner of the index, another server, refused the call.
+    #[error("{}", status.message)]
+    Forwarded {
+        /// The owner's answer.
+        status: Box<v1::Status>,
     },
     /// The store cannot be written, or is reopening.
     #[error("{what}")]

@@ -50,6 +50,9 @@ impl Service {
         request: v1::InsertRequest,
     ) -> Result<v1::InsertResponse, Error> {
         let hosted = self.index(call, Role::Write, &request.index_name, &request.uid)?;
+        if let Some(answer) = self.forward(call, &hosted, &request).await {
+            return answer;
+        }
         let mut pace = call.pace(DOING);
         let claim = Claim::of("Insert", &request.operation_id, &request, &mut pace).await?;
         let insertion = Insertion::check(request, &hosted, self.limits(), &mut pace).await?;

@@ -10,6 +10,7 @@
 //! - `neighbor_spec`: number and radius of neighbours, fixed or scaled by the size of the index;
 //! - `prefetch`: the searches of an insert before its turn to write;
 //! - `staging`: rows that see the rows before them;
+//! - `forward`: mutations that another server of a cluster evaluates;
 //! - `mutation`: from an evaluated mutation to its acknowledgement;
 //! - `stored`: reads of the store on threads that may block;
 //! - `answer`: columns that never outgrow their limit;
@@ -23,6 +24,7 @@ mod check;
 mod code;
 mod error;
 mod error_map;
+mod forward;
 mod get;
 mod held_scans;
 mod indexes;
@@ -67,6 +69,7 @@ pub use call::Call;
 pub use catalog_watch::CatalogWatch;
 pub use code::Code;
 pub use error::{Error, Unavailability, Violation};
+pub use forward::{NotForwarded, Owners};
 pub use indexes::{Damaged, Listing};
 pub use limits::Limits;
 pub use restore::Restoring;
@@ -85,6 +88,8 @@ struct Inner {
     /// Set once, when the registry is open.
     registry: OnceLock<Arc<Registry>>,
     limits: Limits,
+    /// Set in a cluster.
+    owners: OnceLock<Arc<dyn Owners>>,
     /// The durability of an acknowledged mutation; None without a data directory.
     durability: Option<Durability>,
     ready: AtomicBool,
@@ -111,6 +116,7 @@ impl Service {
             inner: Arc::new(Inner {
                 registry: OnceLock::new(),
                 limits,
+                owners: OnceLock::new(),
                 durability,
                 ready: AtomicBool::new(false),
                 stopping: CancellationToken::new(),
@@ -123,6 +129,12 @@ impl Service {
     pub fn set_registry(&self, registry: Arc<Registry>) {
         // The cell returns a second registry, which is dropped.
         let _ = self.inner.registry.set(registry);
+    }
+
+    /// Sets the owners of the indices of a cluster; a second call changes nothing.
+    pub fn set_owners(&self, owners: Arc<dyn Owners>) {
+        // The cell returns the second ones.
+        let _ = self.inner.owners.set(owners);
     }
 
     /// Begins to answer calls; call it once the registry has replayed its log.

@@ -48,10 +48,17 @@ impl Service {
         revision: u64,
         latest: bool,
     ) -> Result<Arc<Published>, Error> {
+        let mut revision = revision;
         if latest {
-            let caught_up = call.bound("while waiting for the latest revision", hosted.latest());
-            let caught_up = caught_up.await?;
-            caught_up.map_err(|error| registry_error(hosted.name(), error))?;
+            match self.latest_of_owner(call, hosted).await? {
+                Some(latest) => revision = revision.max(latest),
+                None => {
+                    let caught_up =
+                        call.bound("while waiting for the latest revision", hosted.latest());
+                    let caught_up = caught_up.await?;
+                    caught_up.map_err(|error| registry_error(hosted.name(), error))?;
+                }
+            }
         }
         let published = hosted.published();
         if published.revision >= revision {

@@ -18,6 +18,9 @@ impl Service {
         request: v1::RemoveRequest,
     ) -> Result<v1::RemoveResponse, Error> {
         let hosted = self.index(call, Role::Write, &request.index_name, &request.uid)?;
+        if let Some(answer) = self.forward(call, &hosted, &request).await {
+            return answer;
+        }
         let mut pace = call.pace("while looking up the points; nothing was changed");
         let claim = Claim::of("Remove", &request.operation_id, &request, &mut pace).await?;
         check::id_count(&request.ids, self.limits())?;

@@ -29,6 +29,9 @@ impl Service {
         request: v1::OpenSessionRequest,
     ) -> Result<v1::OpenSessionResponse, Error> {
         let hosted = self.index(call, Role::Write, &request.index_name, &request.uid)?;
+        if let Some(answer) = self.forward(call, &hosted, &request).await {
+            return answer;
+        }
         let limits = self.limits();
         let mut violations = Violations::default();
         check::operation_id(&request.operation_id, &mut violations);

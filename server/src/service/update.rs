@@ -30,6 +30,9 @@ impl Service {
         request: v1::UpdateRequest,
     ) -> Result<v1::UpdateResponse, Error> {
         let hosted = self.index(call, Role::Write, &request.index_name, &request.uid)?;
+        if let Some(answer) = self.forward(call, &hosted, &request).await {
+            return answer;
+        }
         let mut pace = call.pace(DOING);
         let claim = Claim::of("Update", &request.operation_id, &request, &mut pace).await?;
         let if_revision = check_update(&request, &hosted, self.limits(), &mut pace).await?;

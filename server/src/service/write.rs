@@ -75,6 +75,9 @@ impl Service {
         mut request: v1::WriteRequest,
     ) -> Result<v1::WriteResponse, Error> {
         let hosted = self.index(call, Role::Write, &request.index_name, &request.uid)?;
+        if let Some(answer) = self.forward(call, &hosted, &request).await {
+            return answer;
+        }
         let _counted = hosted.begin_batch();
         let mut pace = call.pace(DOING);
         let mut claim = Claim::of_batch(&mut request, &mut pace).await?;

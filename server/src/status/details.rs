@@ -6,7 +6,7 @@ use tonic_types::pb;
 use wayfold_proto::v1;
 
 use super::{DOMAIN, Detail, MAX_TEXT_BYTES, Status, bounded};
-use crate::service::{Code, Violation};
+use crate::service::Violation;
 
 /// The descriptors of the details, the messages of google.rpc.
 pub(crate) const DETAIL_DESCRIPTORS: &[u8] = pb::FILE_DESCRIPTOR_SET;
@@ -14,6 +14,9 @@ pub(crate) const DETAIL_DESCRIPTORS: &[u8] = pb::FILE_DESCRIPTOR_SET;
 impl Status {
     /// The status as a message.
     pub(crate) fn to_message(&self) -> v1::Status {
+        if let Some(given) = &self.given {
+            return given.clone();
+        }
         let info = pb::ErrorInfo {
             reason: self.reason.to_owned(),
             domain: DOMAIN.to_owned(),
@@ -26,7 +29,7 @@ impl Status {
             any("RetryInfo", &pb::RetryInfo { retry_delay })
         }));
         v1::Status {
-            code: number(self.code),
+            code: self.code.number(),
             message: self.message.clone(),
             details,
         }
@@ -71,23 +74,6 @@ impl Status {
                 any("QuotaFailure", &pb::QuotaFailure { violations })
             }
         }
-    }
-}
-
-/// The code as google.rpc.Code numbers it.
-pub(crate) fn number(code: Code) -> i32 {
-    match code {
-        Code::InvalidArgument => 3,
-        Code::DeadlineExceeded => 4,
-        Code::NotFound => 5,
-        Code::AlreadyExists => 6,
-        Code::PermissionDenied => 7,
-        Code::ResourceExhausted => 8,
-        Code::FailedPrecondition => 9,
-        Code::Internal => 13,
-        Code::Unavailable => 14,
-        Code::DataLoss => 15,
-        Code::Unauthenticated => 16,
     }
 }
 

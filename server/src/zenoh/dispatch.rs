@@ -2,7 +2,10 @@
 
 use std::pin::Pin;
 
+use wayfold_proto::v1;
+
 use super::{
+    codec::invalid,
     message::{Named, SearchRequest},
     request::Request,
     verb::{IndexVerb, PointVerb, Verb},
@@ -11,6 +14,8 @@ use crate::{
     service::{Call, Error, Service},
     status,
 };
+
+const NEEDS_OPERATION_ID: &str = "several servers answer here: over Zenoh each mutation needs an operation_id, so that it takes effect once";
 
 /// Calls `verb` and returns its answer in the form of the request. `max_message_bytes` is the face's limit.
 pub(super) async fn dispatch(
@@ -28,14 +33,24 @@ pub(super) async fn dispatch(
             )
         };
     }
+    // Several servers may take one query while links change: only a mutation that takes effect once is safe then.
+    macro_rules! mutate {
+        ($verb:ident, $request:ident) => {{
+            let mutation: v1::$request = request.decode_for_index()?;
+            if service.is_shared() && mutation.operation_id.is_empty() {
+                return Err(invalid("operation_id", "REQUIRED", NEEDS_OPERATION_ID));
+            }
+            encoded(request, boxed(service.$verb(call, mutation)).await)
+        }};
+    }
     match verb {
         Verb::OfIndex(verb) => match verb {
             PointVerb::Knn => encoded(request, service.knn(call, search(request).await?).await),
             PointVerb::Query => encoded(request, service.query(call, search(request).await?).await),
-            PointVerb::Insert => answer!(insert, decode_for_index),
-            PointVerb::Update => answer!(update, decode_for_index),
-            PointVerb::Remove => answer!(remove, decode_for_index),
-            PointVerb::Session => answer!(open_session, decode_for_index),
+            PointVerb::Insert => mutate!(insert, InsertRequest),
+            PointVerb::Update => mutate!(update, UpdateRequest),
+            PointVerb::Remove => mutate!(remove, RemoveRequest),
+            PointVerb::Session => mutate!(open_session, OpenSessionRequest),
             PointVerb::Write => answer!(write, decode_for_index),
             PointVerb::Get => answer!(get, decode_for_index),
             PointVerb::Scan => answer!(scan_page, decode_for_index),

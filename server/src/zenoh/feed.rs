@@ -221,10 +221,12 @@ impl Feed {
                 // The name belongs to another index now, with its own feed.
                 return Ok(());
             }
-            if publisher
-                .matching_status()
-                .await
-                .is_ok_and(|it| it.matching())
+            // In a cluster only the owner publishes. When that changes, a subscriber may miss a mutation or get one twice.
+            if self.service.publishes(&self.uid)
+                && publisher
+                    .matching_status()
+                    .await
+                    .is_ok_and(|it| it.matching())
             {
                 let payload = self.form.write(v1::WatchResponse::NAME, &message)?;
                 self.put(publisher, payload).await;

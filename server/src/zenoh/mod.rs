@@ -57,19 +57,23 @@ pub(crate) fn max_senders(config: &ZenohConfig) -> usize {
 /// The open face.
 pub(crate) struct ZenohFace {
     session: Session,
-    queryable: Queryable<()>,
+    /// None before a server of a cluster serves.
+    queryable: Option<Queryable<()>>,
     queries: Arc<Queries>,
+    /// True if other servers under the prefix share the indices.
+    in_cluster: bool,
     announcing: Option<AbortOnDropHandle<()>>,
-    _servers: ServerWatch,
+    _servers: Option<ServerWatch>,
     _links: Option<AbortOnDropHandle<()>>,
 }
 
 impl ZenohFace {
     /// Opens the face; None if the settings turn it off. It answers queries from now on, with UNAVAILABLE until the
-    /// service serves.
+    /// service serves. In a cluster it takes none until then: the other servers answer them.
     pub(crate) async fn open(
         config: &ZenohConfig,
         shared: Shared,
+        in_cluster: bool,
     ) -> Result<Option<Self>, ZenohError> {
         if config.is_off() {
             return Ok(None);
@@ -90,13 +94,14 @@ impl ZenohFace {
             inline: Arc::new(Inline::new(Handle::current())),
             under_way: TaskTracker::new(),
         });
-        let taking = Arc::clone(&queries);
-        let queryable = session
-            .declare_queryable(format!("{}/**", config.prefix))
-            .callback(move |query| taking.take(query))
-            .await
-            .map_err(ZenohError::declare)?;
-        let servers = ServerWatch::watch(&session, &config.prefix).await?;
+        let queryable = match in_cluster {
+            true => None,
+            false => Some(take_queries(&session, &queries).await?),
+        };
+        let servers = match in_cluster {
+            true => None,
+            false => Some(ServerWatch::watch(&session, &config.prefix).await?),
+        };
         let links = connects_to.map(|endpoints| {
             let reporting = peers::report_links(session.clone(), endpoints);
             AbortOnDropHandle::new(tokio::spawn(reporting))
@@ -105,6 +110,7 @@ impl ZenohFace {
             session,
             queryable,
             queries,
+            in_cluster,
             announcing: None,
             _servers: servers,
             _links: links,
@@ -126,7 +132,10 @@ impl ZenohFace {
     }
 
     /// Begins to announce the indices, and to publish their mutations if `publishes`; the service must have them.
-    pub(crate) fn announce(&mut self, publishes: bool) {
+    pub(crate) async fn announce(&mut self, publishes: bool) -> Result<(), ZenohError> {
+        if self.queryable.is_none() {
+            self.queryable = Some(take_queries(&self.session, &self.queries).await?);
+        }
         let announcer = Announcer {
             service: self.queries.shared.service.clone(),
             session: self.session.clone(),
@@ -135,6 +144,7 @@ impl ZenohFace {
             publishes,
         };
         self.announcing = Some(AbortOnDropHandle::new(tokio::spawn(announcer.run())));
+        Ok(())
     }
 
     /// Refuses new queries, answers accepted ones, leaves callers a moment to read the answers, and closes the session.
@@ -144,19 +154,42 @@ impl ZenohFace {
     }
 
     /// The same, with another moment for the callers.
-    async fn stop_after(self, lingered: impl Future<Output = ()>) {
+    async fn stop_after(mut self, lingered: impl Future<Output = ()>) {
+        if self.in_cluster {
+            // The other servers answer from now on.
+            undeclare(self.queryable.take()).await;
+        }
         self.queries.stopping.cancel();
         drop(self.announcing);
         self.queries.under_way.close();
         self.queries.under_way.wait().await;
         // The queryable refuses those who ask meanwhile: without it they would get no reply.
         lingered.await;
-        if let Err(error) = self.queryable.undeclare().await {
-            debug!(%error, "the queryable was gone already");
-        }
+        undeclare(self.queryable).await;
         if let Err(error) = self.session.close().await {
             warn!(%error, "the Zenoh session did not close well");
         }
+    }
+}
+
+/// Takes every query under the prefix. Of several servers that declare it, Zenoh asks one.
+async fn take_queries(
+    session: &Session,
+    queries: &Arc<Queries>,
+) -> Result<Queryable<()>, ZenohError> {
+    let taking = Arc::clone(queries);
+    let queryable = session
+        .declare_queryable(format!("{}/**", queries.prefix))
+        .complete(true)
+        .callback(move |query| taking.take(query));
+    queryable.await.map_err(ZenohError::declare)
+}
+
+async fn undeclare(queryable: Option<Queryable<()>>) {
+    if let Some(queryable) = queryable
+        && let Err(error) = queryable.undeclare().await
+    {
+        debug!(%error, "the queryable was gone already");
     }
 }
 

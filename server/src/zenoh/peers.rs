@@ -11,8 +11,8 @@ use super::ZenohError;
 /// Interval of the checks for a first link.
 const CHECK_INTERVAL: Duration = Duration::from_secs(2);
 
-/// Announces this server to others under the same prefix, and watches for them. Two servers that share routers and a
-/// prefix both take every query: mutations are applied twice, and answers come from either. Both warn in their logs.
+/// Announces this server to others under the same prefix, and watches for them. Of two servers that share routers and a
+/// prefix, but no indices, either takes a query. Both warn in their logs. Servers of a cluster do not need it.
 pub(super) struct ServerWatch {
     _token: LivelinessToken,
     _others: Subscriber<()>,
@@ -39,8 +39,8 @@ impl ServerWatch {
                     warn!(
                         prefix = under,
                         other,
-                        "another server answers under this prefix: both take every query, and each insert is made \
-                         twice; set a zenoh.prefix for each server that shares routers with another"
+                        "another server answers under this prefix, and each query reaches only one of them: set a \
+                         zenoh.prefix for each server that shares routers with another, or a cluster for both"
                     );
                 }
             })

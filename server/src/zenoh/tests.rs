@@ -23,7 +23,9 @@ async fn a_client_that_asks_while_the_links_are_still_open_is_refused() {
     settings.zenoh.listen = "tcp/127.0.0.1:0".into();
     let service = Service::starting(Default::default());
     let shared = Shared::new(&settings, service, Default::default());
-    let face = ZenohFace::open(&settings.zenoh, shared).await.unwrap();
+    let face = ZenohFace::open(&settings.zenoh, shared, false)
+        .await
+        .unwrap();
     let face = face.unwrap();
     let config = format!(
         "{{ mode: 'client', connect: {{ endpoints: ['{}'] }}, scouting: {{ multicast: {{ enabled: false }} }} }}",

@@ -36,7 +36,12 @@ async fn call(
     under_way: &TaskTracker,
     answer: fn() -> Response<Body>,
 ) -> Response<Body> {
-    let layer = CallsLayer::new(&Config::default().grpc, shared.clone(), under_way.clone());
+    let layer = CallsLayer::new(
+        &Config::default().grpc,
+        shared.clone(),
+        Callers::Clients,
+        under_way.clone(),
+    );
     let request = Request::post("/wayfold.v1.PointService/Scan").body(Body::empty());
     let answer = layer.layer(Answering(answer)).call(request.unwrap()).await;
     answer.unwrap()

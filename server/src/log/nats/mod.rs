@@ -85,16 +85,17 @@ pub enum NatsError {
     },
 }
 
-/// Connects to NATS, and makes a log of its streams and of the point store and the local catalogue of `local`. Needs a
-/// runtime, and blocks.
+/// Connects to NATS, and makes a log of its streams and of the point store and the local catalogue of `local`. Returns the
+/// connection too. Needs a runtime, and blocks.
 pub fn connect<Store: PointStore + Catalogue + 'static>(
     options: &NatsOptions,
     local: Arc<Store>,
-) -> Result<Log, NatsError> {
+) -> Result<(Log, async_nats::Client), NatsError> {
     let runtime = Handle::current();
     let connection = Arc::new(runtime.block_on(Connection::open(options))?);
     let catalogue = NatsCatalogue::open(Arc::clone(&connection), runtime.clone(), local.clone());
-    Ok(Log {
+    let client = connection.context.client();
+    let log = Log {
         catalogue: Arc::new(runtime.block_on(catalogue)?),
         journal: Arc::new(NatsJournal {
             connection,
@@ -102,7 +103,8 @@ pub fn connect<Store: PointStore + Catalogue + 'static>(
             publishers: Mutex::default(),
         }),
         points: local,
-    })
+    };
+    Ok((log, client))
 }
 
 /// The journal in NATS.

@@ -1,0 +1,189 @@
+//! The connections to the other members, one each. A connection that fails is forgotten: the next call opens another, with
+//! the certificates as their files are then.
+
+use std::{
+    collections::BTreeMap,
+    error::Error,
+    fs,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
+};
+
+use bytes::{Buf, BufMut, Bytes};
+use parking_lot::Mutex;
+use prost::Message;
+use tonic::{
+    ConnectError, Status,
+    client::Grpc,
+    codec::{Codec, DecodeBuf, Decoder, EncodeBuf, Encoder},
+    transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity},
+};
+use tonic_types::StatusExt;
+use tracing::warn;
+use wayfold_proto::v1;
+
+use crate::{config::TlsConfig, service::NotForwarded};
+
+/// The time in which a member accepts a connection.
+const CONNECT_TIME: Duration = Duration::from_millis(500);
+
+/// See the module.
+pub(super) struct Channels {
+    tls: Option<Files>,
+    /// By address. A lock is held while its connection is opened.
+    open: Mutex<BTreeMap<String, Arc<Slot>>>,
+}
+
+type Slot = tokio::sync::Mutex<Option<Grpc<Channel>>>;
+
+/// The files in PEM with which members recognise each other.
+struct Files {
+    peer_ca: PathBuf,
+    certificate: PathBuf,
+    key: PathBuf,
+}
+
+impl Files {
+    fn read(&self) -> std::io::Result<ClientTlsConfig> {
+        let (certificate, key) = (fs::read(&self.certificate)?, fs::read(&self.key)?);
+        Ok(ClientTlsConfig::new()
+            .ca_certificate(Certificate::from_pem(fs::read(&self.peer_ca)?))
+            .identity(Identity::from_pem(certificate, key)))
+    }
+}
+
+impl Channels {
+    /// Connections with TLS if there are authorities of the members' certificates.
+    pub(super) fn new(peer_ca: Option<&Path>, tls: &TlsConfig) -> Self {
+        let files = |peer_ca: &Path| {
+            Some(Files {
+                peer_ca: peer_ca.to_owned(),
+                certificate: tls.certificate()?.to_owned(),
+                key: tls.key()?.to_owned(),
+            })
+        };
+        Self {
+            tls: peer_ca.and_then(files),
+            open: Mutex::default(),
+        }
+    }
+
+    /// The connection to a member.
+    pub(super) async fn get(&self, member: &str) -> Result<Grpc<Channel>, NotForwarded> {
+        let slot = Arc::clone(self.open.lock().entry(member.to_owned()).or_default());
+        let mut slot = slot.lock().await;
+        if let Some(open) = &*slot {
+            return Ok(open.clone());
+        }
+        let channel = self.connect(member).await;
+        let channel = channel.map_err(|error| {
+            warn!(member, %error, "cannot reach a server of the cluster");
+            NotForwarded::Unsent
+        })?;
+        // The owner has checked its answer against the limits.
+        let grpc = Grpc::new(channel).max_decoding_message_size(usize::MAX);
+        Ok(slot.insert(grpc).clone())
+    }
+
+    async fn connect(&self, member: &str) -> Result<Channel, Box<dyn Error + Send + Sync>> {
+        let scheme = if self.tls.is_some() { "https" } else { "http" };
+        let endpoint = Endpoint::from_shared(format!("{scheme}://{member}"))?;
+        let mut endpoint = endpoint.connect_timeout(CONNECT_TIME).tcp_nodelay(true);
+        if let Some(files) = &self.tls {
+            endpoint = endpoint.tls_config(files.read()?)?;
+        }
+        Ok(endpoint.connect().await?)
+    }
+
+    /// Forgets the connection to a member.
+    pub(super) fn forget(&self, member: &str) {
+        self.open.lock().remove(member);
+    }
+}
+
+/// The answer of a member that did not succeed.
+pub(super) fn refusal(member: &str, status: &Status) -> NotForwarded {
+    let given = v1::Status::decode(status.details());
+    if let (Some(info), Ok(given)) = (status.get_details_error_info(), given) {
+        return NotForwarded::Refused {
+            reason: info.reason,
+            status: Box::new(given),
+        };
+    }
+    let mut cause = status.source();
+    while let Some(error) = cause {
+        if error.is::<ConnectError>() {
+            return NotForwarded::Unsent;
+        }
+        cause = error.source();
+    }
+    NotForwarded::Unknown {
+        what: format!("{member}: {}", status.message()),
+    }
+}
+
+/// Messages that are encoded already.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Raw;
+
+impl Codec for Raw {
+    type Encode = Bytes;
+    type Decode = Bytes;
+    type Encoder = Self;
+    type Decoder = Self;
+
+    fn encoder(&mut self) -> Self {
+        Self
+    }
+
+    fn decoder(&mut self) -> Self {
+        Self
+    }
+}
+
+impl Encoder for Raw {
+    type Item = Bytes;
+    type Error = Status;
+
+    fn encode(&mut self, message: Bytes, buffer: &mut EncodeBuf<'_>) -> Result<(), Status> {
+        buffer.put(message);
+        Ok(())
+    }
+}
+
+impl Decoder for Raw {
+    type Item = Bytes;
+    type Error = Status;
+
+    fn decode(&mut self, buffer: &mut DecodeBuf<'_>) -> Result<Option<Bytes>, Status> {
+        Ok(Some(buffer.copy_to_bytes(buffer.remaining())))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{service, status};
+
+    #[test]
+    fn an_answer_of_a_member_comes_through_whole() {
+        let error = service::Error::IndexNotFound { name: "arm".into() };
+        let expected = status::from_error(&error);
+        let refused = refusal("a:1", &Status::from(expected.clone()));
+        let NotForwarded::Refused { reason, status } = refused else {
+            panic!("{refused:?}");
+        };
+        assert_eq!(reason, "INDEX_NOT_FOUND");
+        let forwarded = service::Error::Forwarded { status };
+        let forwarded = status::from_error(&forwarded);
+        assert_eq!(forwarded.code, expected.code);
+        assert_eq!(forwarded.to_message(), expected.to_message());
+    }
+
+    #[test]
+    fn a_lost_connection_leaves_the_outcome_unknown() {
+        let refused = refusal("a:1", &Status::unavailable("broken pipe"));
+        assert!(matches!(refused, NotForwarded::Unknown { .. }));
+    }
+}

@@ -1,0 +1,257 @@
+//! The live members. Each announces its address over NATS every half second, and counts as gone after two seconds of
+//! silence. Nothing of it is stored: no answer depends on who is believed to be live.
+
+use std::{
+    collections::BTreeMap,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use async_nats::{Client, Message, connection::State};
+use futures_util::{StreamExt, stream};
+use serde::{Deserialize, Serialize};
+use tokio::{
+    sync::watch,
+    time::{MissedTickBehavior, interval, timeout},
+};
+use tokio_util::task::AbortOnDropHandle;
+use tracing::{debug, info, warn};
+use xxhash_rust::xxh3::xxh3_64;
+
+use crate::log::Uid;
+
+/// The time between two announcements.
+const INTERVAL: Duration = Duration::from_millis(500);
+
+/// A member that has not announced itself for this long is gone.
+const LEASE: Duration = Duration::from_secs(2);
+
+/// A member's announcement.
+#[derive(Debug, Serialize, Deserialize)]
+struct Announcement {
+    /// The address at which it is reached.
+    address: String,
+    /// A name of its run.
+    run: String,
+    /// True if it is about to stop.
+    leaves: bool,
+}
+
+/// The other live members by address, with the time of their last announcement.
+type Live = BTreeMap<String, Instant>;
+
+/// See the module.
+pub(super) struct Members {
+    nats: Client,
+    subject: String,
+    own: Arc<Announcement>,
+    live: Arc<watch::Sender<Live>>,
+    /// True once the server leaves.
+    leaves: watch::Sender<bool>,
+    _following: AbortOnDropHandle<()>,
+}
+
+impl Members {
+    /// Announces the server at the address `own`, and follows the others.
+    pub(super) fn join(nats: Client, subject: String, own: String) -> Self {
+        let own = Arc::new(Announcement {
+            address: own,
+            run: Uid::unique().to_string(),
+            leaves: false,
+        });
+        let (live, leaves) = (
+            Arc::new(watch::Sender::default()),
+            watch::Sender::new(false),
+        );
+        let following = follow(
+            nats.clone(),
+            subject.clone(),
+            Arc::clone(&own),
+            Arc::clone(&live),
+            leaves.subscribe(),
+        );
+        Self {
+            nats,
+            subject,
+            own,
+            live,
+            leaves,
+            _following: AbortOnDropHandle::new(tokio::spawn(following)),
+        }
+    }
+
+    /// Announces that the server leaves.
+    pub(super) async fn leave(&self) {
+        self.leaves.send_replace(true);
+        let last = Announcement {
+            address: self.own.address.clone(),
+            run: self.own.run.clone(),
+            leaves: true,
+        };
+        announce(&self.nats, &self.subject, &last).await;
+        let _ = timeout(INTERVAL, self.nats.flush()).await;
+    }
+
+    /// The member that owns an index; None if it is this server.
+    pub(super) fn owner(&self, uid: Uid) -> Option<String> {
+        let live = self.live.borrow();
+        let own = (weight(&self.own.address, uid), &self.own.address);
+        let others = live.keys().map(|address| (weight(address, uid), address));
+        let owner = others.max().filter(|other| *other > own)?;
+        Some(owner.1.clone())
+    }
+
+    /// Waits until a member is gone.
+    pub(super) async fn departure(&self, member: &str) {
+        let mut live = self.live.subscribe();
+        // The sender lives as long as this.
+        let _ = live.wait_for(|live| !live.contains_key(member)).await;
+    }
+}
+
+/// The weight of a member for an index: the member with the greatest owns it. So only the indices of a member that comes or
+/// goes change their owner.
+fn weight(address: &str, uid: Uid) -> u64 {
+    xxh3_64(&[uid.as_bytes(), address.as_bytes()].concat())
+}
+
+/// Announces a member, unless NATS cannot be reached.
+async fn announce(nats: &Client, subject: &str, announcement: &Announcement) {
+    let Ok(text) = serde_json::to_vec(announcement) else {
+        return;
+    };
+    if nats.connection_state() != State::Connected {
+        return;
+    }
+    let published = timeout(INTERVAL, nats.publish(subject.to_owned(), text.into())).await;
+    if !matches!(published, Ok(Ok(()))) {
+        debug!("cannot announce this server to the others now");
+    }
+}
+
+/// Announces this server and notes the others, until it is dropped.
+async fn follow(
+    nats: Client,
+    subject: String,
+    own: Arc<Announcement>,
+    live: Arc<watch::Sender<Live>>,
+    leaves: watch::Receiver<bool>,
+) {
+    let mut heard = match nats.subscribe(subject.clone()).await {
+        Ok(heard) => heard.boxed(),
+        Err(error) => {
+            warn!(%error, "cannot hear of the other servers of the cluster");
+            stream::pending().boxed()
+        }
+    };
+    let mut ticks = interval(INTERVAL);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut is_warned = false;
+    loop {
+        tokio::select! {
+            _ = ticks.tick() => {
+                if !*leaves.borrow() {
+                    announce(&nats, &subject, &own).await;
+                }
+            }
+            Some(message) = heard.next() => {
+                match read(&message) {
+                    Some(other) if other.address == own.address => {
+                        if other.run != own.run && !std::mem::replace(&mut is_warned, true) {
+                            warn!(
+                                address = own.address,
+                                "another server of the cluster has the same address: give each its own with \
+                                 cluster.advertise"
+                            );
+                        }
+                    }
+                    Some(other) => note(&live, other),
+                    None => {}
+                }
+            }
+        }
+        expire(&live, Instant::now());
+    }
+}
+
+fn read(message: &Message) -> Option<Announcement> {
+    let read = serde_json::from_slice(&message.payload);
+    read.inspect_err(|error| debug!(%error, "not an announcement of a server"))
+        .ok()
+}
+
+fn note(live: &watch::Sender<Live>, member: Announcement) {
+    live.send_if_modified(|live| {
+        if member.leaves {
+            let left = live.remove(&member.address).is_some();
+            if left {
+                info!(address = member.address, "a server leaves the cluster");
+            }
+            return left;
+        }
+        let is_new = !live.contains_key(&member.address);
+        if is_new {
+            info!(address = member.address, "a server joins the cluster");
+        }
+        live.insert(member.address, Instant::now());
+        is_new
+    });
+}
+
+/// Forgets the members that have been silent for too long.
+fn expire(live: &watch::Sender<Live>, now: Instant) {
+    live.send_if_modified(|live| {
+        let before = live.len();
+        live.retain(|address, heard| {
+            let is_live = now.saturating_duration_since(*heard) < LEASE;
+            if !is_live {
+                info!(address, "a server of the cluster is silent");
+            }
+            is_live
+        });
+        live.len() < before
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn owner<'a>(members: &[&'a str], uid: Uid) -> &'a str {
+        let owner = members.iter().max_by_key(|member| weight(member, uid));
+        owner.unwrap()
+    }
+
+    #[test]
+    fn a_member_that_leaves_changes_only_the_owners_of_its_indices() {
+        let (all, rest) = (["a:1", "b:1", "c:1"], ["a:1", "c:1"]);
+        let mut owned = BTreeMap::<&str, usize>::new();
+        for _ in 0..3000 {
+            let uid = Uid::unique();
+            let (before, after) = (owner(&all, uid), owner(&rest, uid));
+            assert!(before == after || before == "b:1");
+            *owned.entry(before).or_default() += 1;
+        }
+        for (member, indices) in owned {
+            assert!((850..1150).contains(&indices), "{member}: {indices}");
+        }
+    }
+
+    #[test]
+    fn a_silent_member_is_gone_and_one_that_leaves_at_once() {
+        let live = watch::Sender::new(Live::new());
+        let said = |address: &str, leaves| Announcement {
+            address: address.into(),
+            run: String::new(),
+            leaves,
+        };
+        note(&live, said("a:1", false));
+        note(&live, said("b:1", false));
+        note(&live, said("b:1", true));
+        assert_eq!(live.borrow().keys().collect::<Vec<_>>(), ["a:1"]);
+        expire(&live, Instant::now());
+        assert_eq!(live.borrow().len(), 1);
+        expire(&live, Instant::now() + LEASE);
+        assert!(live.borrow().is_empty());
+    }
+}

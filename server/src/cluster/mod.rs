@@ -1,0 +1,145 @@
+//! The servers that share a journal know each other here: the live members, the owner of each index, and the calls from
+//! server to server.
+//!
+//! The owner of an index is chosen by rendezvous hashing over the live members. It evaluates the mutations that arrive at
+//! any member, so that writers at several servers do not refuse each other. Nothing depends on it: the journal refuses
+//! whoever is not first, and two servers that both believe to be the owner are only slower.
+
+mod channels;
+mod members;
+
+use std::{net::SocketAddr, time::Instant};
+
+use bytes::Bytes;
+use futures_util::future::BoxFuture;
+use http::{HeaderMap, HeaderValue, uri::PathAndQuery};
+use thiserror::Error;
+use tonic::{Request, metadata::MetadataMap};
+
+use self::{
+    channels::{Channels, Raw, refusal},
+    members::Members,
+};
+use crate::{
+    config::{ClusterConfig, OFF, TlsConfig},
+    grpc::IDENTITY,
+    log::Uid,
+    service::{Call, NotForwarded, Owners},
+};
+
+/// The server cannot be a member.
+#[derive(Debug, Error)]
+pub enum ClusterError {
+    /// The listener has no address.
+    #[error(
+        "cannot listen on {listen} for the other servers of the cluster: {source}\n  choose another address with \
+         cluster.listen (127.0.0.1:0 takes any free port)"
+    )]
+    Listener {
+        /// The address.
+        listen: String,
+        /// The problem.
+        source: std::io::Error,
+    },
+    /// Others cannot reach the address.
+    #[error(
+        "cluster.listen = {listen} is no address that other servers reach: name one of this server with \
+         cluster.advertise"
+    )]
+    NoAddress {
+        /// The address.
+        listen: SocketAddr,
+    },
+}
+
+/// The address at which the others reach a server that listens on `listen`.
+pub(crate) fn advertised(
+    config: &ClusterConfig,
+    listen: SocketAddr,
+) -> Result<String, ClusterError> {
+    match &*config.advertise {
+        OFF if listen.ip().is_unspecified() => Err(ClusterError::NoAddress { listen }),
+        OFF => Ok(listen.to_string()),
+        advertise => Ok(advertise.to_owned()),
+    }
+}
+
+/// This server among the members of its cluster.
+pub(crate) struct Cluster {
+    members: Members,
+    channels: Channels,
+}
+
+impl Cluster {
+    /// Joins the cluster as the server at the address `own`, until it is dropped.
+    pub(crate) fn join(
+        config: &ClusterConfig,
+        tls: &TlsConfig,
+        nats: async_nats::Client,
+        own: String,
+    ) -> Self {
+        let subject = format!("{}.members", config.name);
+        Self {
+            members: Members::join(nats, subject, own),
+            channels: Channels::new(config.peer_ca(), tls),
+        }
+    }
+
+    /// Tells the others that this server is about to stop, so that they do not forward to it any more.
+    pub(crate) async fn leave(&self) {
+        self.members.leave().await;
+    }
+
+    async fn send(
+        &self,
+        member: &str,
+        rpc: &'static str,
+        call: &Call,
+        request: Bytes,
+    ) -> Result<Bytes, NotForwarded> {
+        let mut channel = self.channels.get(member).await?;
+        let mut headers = HeaderMap::new();
+        let unsent = |_| NotForwarded::Unsent;
+        if let Some(name) = call.caller.name() {
+            headers.insert(IDENTITY, HeaderValue::from_str(name).map_err(unsent)?);
+        }
+        if let Some(trace) = &call.trace {
+            headers.insert("traceparent", HeaderValue::from_str(trace).map_err(unsent)?);
+        }
+        let metadata = MetadataMap::from_headers(headers);
+        let mut request = Request::from_parts(metadata, Default::default(), request);
+        if let Some(deadline) = call.deadline {
+            request.set_timeout(deadline.saturating_duration_since(Instant::now()));
+        }
+        let answer = channel.unary(request, PathAndQuery::from_static(rpc), Raw);
+        let answered = answer.await.map_err(|status| refusal(member, &status));
+        if let Err(NotForwarded::Unsent | NotForwarded::Unknown { .. }) = &answered {
+            self.channels.forget(member);
+        }
+        Ok(answered?.into_inner())
+    }
+}
+
+impl Owners for Cluster {
+    fn owner(&self, uid: Uid) -> Option<String> {
+        self.members.owner(uid)
+    }
+
+    fn forward<'a>(
+        &'a self,
+        owner: &'a str,
+        rpc: &'static str,
+        call: &'a Call,
+        request: Bytes,
+    ) -> BoxFuture<'a, Result<Bytes, NotForwarded>> {
+        Box::pin(async move {
+            tokio::select! {
+                answered = self.send(owner, rpc, call, request) => answered,
+                () = self.members.departure(owner) => {
+                    self.channels.forget(owner);
+                    Err(NotForwarded::Unknown { what: "it left the cluster".into() })
+                }
+            }
+        })
+    }
+}
