@@ -1,7 +1,12 @@
 //! A server from the bound listener to the last accepted call.
 
 use std::{
-    cell::OnceCell, convert::Infallible, io, net::SocketAddr, pin::pin, sync::Arc, time::Duration,
+    convert::Infallible,
+    io,
+    net::SocketAddr,
+    pin::pin,
+    sync::{Arc, OnceLock},
+    time::Duration,
 };
 
 use futures_util::{FutureExt, future::OptionFuture};
@@ -217,7 +222,7 @@ pub(crate) async fn serve(
         (config.data.clone(), config.cluster.options()),
         config.watermarks(),
     );
-    let joined = OnceCell::new();
+    let joined = OnceLock::new();
     let live = async {
         let (registry, nats) = opening.await?;
         let registry = Arc::new(registry);

@@ -146,7 +146,8 @@ async fn follow(
     };
     let mut ticks = interval(INTERVAL);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut is_warned = false;
+    // True if another server has the address of this one.
+    let (mut is_twin, mut is_warned) = (false, false);
     loop {
         tokio::select! {
             _ = ticks.tick() => {
@@ -156,19 +157,17 @@ async fn follow(
             }
             Some(message) = heard.next() => {
                 match read(&message) {
-                    Some(other) if other.address == own.address => {
-                        if other.run != own.run && !std::mem::replace(&mut is_warned, true) {
-                            warn!(
-                                address = own.address,
-                                "another server of the cluster has the same address: give each its own with \
-                                 cluster.advertise"
-                            );
-                        }
-                    }
-                    Some(other) => note(&live, other),
+                    Some(other) if other.address != own.address => note(&live, other),
+                    Some(other) => is_twin |= other.run != own.run,
                     None => {}
                 }
             }
+        }
+        if is_twin && !std::mem::replace(&mut is_warned, true) {
+            warn!(
+                address = own.address,
+                "another server of the cluster has the same address: give each its own with cluster.advertise"
+            );
         }
         expire(&live, Instant::now());
     }

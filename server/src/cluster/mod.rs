@@ -111,8 +111,13 @@ impl Cluster {
         if let Some(deadline) = call.deadline {
             request.set_timeout(deadline.saturating_duration_since(Instant::now()));
         }
-        let answer = channel.unary(request, PathAndQuery::from_static(rpc), Raw);
-        let answered = answer.await.map_err(|status| refusal(member, &status));
+        let answered = match channel.ready().await {
+            Ok(()) => {
+                let answer = channel.unary(request, PathAndQuery::from_static(rpc), Raw);
+                answer.await.map_err(|status| refusal(member, &status))
+            }
+            Err(_) => Err(NotForwarded::Unsent),
+        };
         if let Err(NotForwarded::Unsent | NotForwarded::Unknown { .. }) = &answered {
             self.channels.forget(member);
         }

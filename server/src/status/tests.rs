@@ -201,7 +201,7 @@ fn every_error_has_its_code_and_details() {
         let info: pb::ErrorInfo = decoded(&status, "ErrorInfo");
         assert_eq!((&*info.domain, &*info.reason), (DOMAIN, error.reason()));
         let message = status.to_message();
-        assert_eq!(message.code, number(code));
+        assert_eq!(message.code, code.number());
         assert_eq!(message.message, status.message);
         let kinds: BTreeSet<&str> = message
             .details

@@ -44,7 +44,7 @@ impl Machine {
             Machine::Stream(stream) => Remote::connect(stream),
             Machine::Nats(server) => {
                 let log = connect_nats(&server.options(), Arc::new(MemoryLog::new()));
-                log.unwrap().journal
+                log.unwrap().0.journal
             }
         }
     }

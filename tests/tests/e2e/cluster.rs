@@ -97,6 +97,7 @@ impl Cluster {
             .args(["--grpc", "127.0.0.1:0", "--data"])
             .arg(self.data(server))
             .env("WAYFOLD_CLUSTER__NATS", self.nats.urls())
+            .env("WAYFOLD_CLUSTER__LISTEN", "127.0.0.1:0")
             .env("WAYFOLD_INDEX__GROWING_ROWS", "32")
             // A server without a processor would shed calls.
             .env("WAYFOLD_ADMISSION__QUEUE_TARGET_MS", "60000");

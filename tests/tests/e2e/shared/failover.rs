@@ -46,6 +46,7 @@ impl Nats {
             .args(["--grpc", "127.0.0.1:0"])
             .env("WAYFOLD_DATA__DIR", "memory")
             .env("WAYFOLD_CLUSTER__NATS", format!("nats://{address}"))
+            .env("WAYFOLD_CLUSTER__LISTEN", "127.0.0.1:0")
             .env("WAYFOLD_CLUSTER__REPLICAS", "1");
         ServerProcess::ready(Process::spawn(&mut command))
     }
