@@ -1,5 +1,6 @@
 //! The live members. Each announces its address over NATS every half second, and counts as gone after two seconds of
-//! silence. Nothing of it is stored: no answer depends on who is believed to be live.
+//! silence. A member hears its own announcements too. Without them it is cut off, says so, and neither owns an index nor
+//! forwards. Nothing of this is stored: no answer depends on who is believed to be live.
 
 use std::{
     collections::BTreeMap,
@@ -9,6 +10,7 @@ use std::{
 
 use async_nats::{Client, Message, connection::State};
 use futures_util::{StreamExt, stream};
+use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use tokio::{
     sync::watch,
@@ -33,72 +35,65 @@ struct Announcement {
     address: String,
     /// A name of its run.
     run: String,
-    /// True if it is about to stop.
-    leaves: bool,
+    /// False if it is about to stop, or does not hear NATS.
+    serves: bool,
 }
 
-/// The other live members by address, with the time of their last announcement.
+/// The members that are heard, this one among them, by address, with the time of their last announcement.
 type Live = BTreeMap<String, Instant>;
 
 /// See the module.
 pub(super) struct Members {
     nats: Client,
     subject: String,
-    own: Arc<Announcement>,
+    address: String,
+    run: String,
     live: Arc<watch::Sender<Live>>,
-    /// True once the server leaves.
-    leaves: watch::Sender<bool>,
-    _following: AbortOnDropHandle<()>,
+    following: Mutex<Option<AbortOnDropHandle<()>>>,
 }
 
 impl Members {
-    /// Announces the server at the address `own`, and follows the others.
-    pub(super) fn join(nats: Client, subject: String, own: String) -> Self {
-        let own = Arc::new(Announcement {
-            address: own,
-            run: Uid::unique().to_string(),
-            leaves: false,
-        });
-        let (live, leaves) = (
+    /// Announces the server at `address`, and follows the others.
+    pub(super) fn join(nats: Client, subject: String, address: String) -> Self {
+        let (run, live) = (
+            Uid::unique().to_string(),
             Arc::new(watch::Sender::default()),
-            watch::Sender::new(false),
         );
         let following = follow(
             nats.clone(),
             subject.clone(),
-            Arc::clone(&own),
+            (address.clone(), run.clone()),
             Arc::clone(&live),
-            leaves.subscribe(),
         );
         Self {
             nats,
             subject,
-            own,
+            address,
+            run,
             live,
-            leaves,
-            _following: AbortOnDropHandle::new(tokio::spawn(following)),
+            following: Mutex::new(Some(AbortOnDropHandle::new(tokio::spawn(following)))),
         }
     }
 
-    /// Announces that the server leaves.
+    /// Announces that the server leaves, and announces it no more.
     pub(super) async fn leave(&self) {
-        self.leaves.send_replace(true);
+        drop(self.following.lock().take());
         let last = Announcement {
-            address: self.own.address.clone(),
-            run: self.own.run.clone(),
-            leaves: true,
+            address: self.address.clone(),
+            run: self.run.clone(),
+            serves: false,
         };
         announce(&self.nats, &self.subject, &last).await;
+        // Those who do not hear it find out by its silence.
         let _ = timeout(INTERVAL, self.nats.flush()).await;
     }
 
-    /// The member that owns an index; None if it is this server.
+    /// The member that owns an index; None if it is this server, or if this server is cut off.
     pub(super) fn owner(&self, uid: Uid) -> Option<String> {
         let live = self.live.borrow();
-        let own = (weight(&self.own.address, uid), &self.own.address);
-        let others = live.keys().map(|address| (weight(address, uid), address));
-        let owner = others.max().filter(|other| *other > own)?;
-        Some(owner.1.clone())
+        live.get(&self.address)?;
+        let owner = live.keys().max_by_key(|address| weight(address, uid))?;
+        (*owner != self.address).then(|| owner.clone())
     }
 
     /// Waits until a member is gone.
@@ -129,13 +124,12 @@ async fn announce(nats: &Client, subject: &str, announcement: &Announcement) {
     }
 }
 
-/// Announces this server and notes the others, until it is dropped.
+/// Announces this server, and notes what it hears, until it is dropped.
 async fn follow(
     nats: Client,
     subject: String,
-    own: Arc<Announcement>,
+    (address, run): (String, String),
     live: Arc<watch::Sender<Live>>,
-    leaves: watch::Receiver<bool>,
 ) {
     let mut heard = match nats.subscribe(subject.clone()).await {
         Ok(heard) => heard.boxed(),
@@ -144,30 +138,36 @@ async fn follow(
             stream::pending().boxed()
         }
     };
+    let mut own = Announcement {
+        address,
+        run,
+        serves: false,
+    };
     let mut ticks = interval(INTERVAL);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    // True if another server has the address of this one.
-    let (mut is_twin, mut is_warned) = (false, false);
+    let mut is_warned = false;
     loop {
         tokio::select! {
             _ = ticks.tick() => {
-                if !*leaves.borrow() {
-                    announce(&nats, &subject, &own).await;
-                }
+                own.serves = live.borrow().contains_key(&own.address);
+                announce(&nats, &subject, &own).await;
             }
             Some(message) = heard.next() => {
-                match read(&message) {
-                    Some(other) if other.address != own.address => note(&live, other),
-                    Some(other) => is_twin |= other.run != own.run,
-                    None => {}
+                if let Some(member) = read(&message) {
+                    let is_twin = member.address == own.address && member.run != own.run;
+                    if is_twin && !std::mem::replace(&mut is_warned, true) {
+                        warn!(
+                            address = own.address,
+                            "another server of the cluster has the same address: give each its own with \
+                             cluster.advertise"
+                        );
+                    }
+                    let is_own = member.run == own.run;
+                    if is_own || !is_twin {
+                        note(&live, member, is_own);
+                    }
                 }
             }
-        }
-        if is_twin && !std::mem::replace(&mut is_warned, true) {
-            warn!(
-                address = own.address,
-                "another server of the cluster has the same address: give each its own with cluster.advertise"
-            );
         }
         expire(&live, Instant::now());
     }
@@ -179,17 +179,18 @@ fn read(message: &Message) -> Option<Announcement> {
         .ok()
 }
 
-fn note(live: &watch::Sender<Live>, member: Announcement) {
+/// Notes a member. One that does not serve is gone; this server serves once it hears itself.
+fn note(live: &watch::Sender<Live>, member: Announcement, is_own: bool) {
     live.send_if_modified(|live| {
-        if member.leaves {
-            let left = live.remove(&member.address).is_some();
-            if left {
+        if !member.serves && !is_own {
+            let is_gone = live.remove(&member.address).is_some();
+            if is_gone {
                 info!(address = member.address, "a server leaves the cluster");
             }
-            return left;
+            return is_gone;
         }
         let is_new = !live.contains_key(&member.address);
-        if is_new {
+        if is_new && !is_own {
             info!(address = member.address, "a server joins the cluster");
         }
         live.insert(member.address, Instant::now());
@@ -204,7 +205,7 @@ fn expire(live: &watch::Sender<Live>, now: Instant) {
         live.retain(|address, heard| {
             let is_live = now.saturating_duration_since(*heard) < LEASE;
             if !is_live {
-                info!(address, "a server of the cluster is silent");
+                info!(address, "a server of the cluster is not heard");
             }
             is_live
         });
@@ -239,14 +240,14 @@ mod tests {
     #[test]
     fn a_silent_member_is_gone_and_one_that_leaves_at_once() {
         let live = watch::Sender::new(Live::new());
-        let said = |address: &str, leaves| Announcement {
+        let said = |address: &str, serves| Announcement {
             address: address.into(),
             run: String::new(),
-            leaves,
+            serves,
         };
-        note(&live, said("a:1", false));
-        note(&live, said("b:1", false));
-        note(&live, said("b:1", true));
+        note(&live, said("a:1", true), false);
+        note(&live, said("b:1", true), false);
+        note(&live, said("b:1", false), false);
         assert_eq!(live.borrow().keys().collect::<Vec<_>>(), ["a:1"]);
         expire(&live, Instant::now());
         assert_eq!(live.borrow().len(), 1);

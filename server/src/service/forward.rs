@@ -61,6 +61,9 @@ const REASONS_OF_OWNER: [&str; 8] = [
     "IDENTITY_REVOKED",
 ];
 
+/// The reasons of failures of the owner, after which the outcome is unknown.
+const FAILURES_OF_OWNER: [&str; 3] = ["STORAGE_FAILED", "DATA_LOSS", "INTERNAL"];
+
 /// A request that an owner may answer.
 pub(super) trait Forwardable: Message {
     type Answer: Message + Default;
@@ -132,8 +135,9 @@ impl Service {
                 Err(error) => format!("the answer of {owner} does not decode: {error}"),
             },
             Err(NotForwarded::Unsent) => return None,
-            // The owner applies no more records, or failed while it committed.
-            Err(NotForwarded::Refused { reason, status }) if reason == "DATA_LOSS" => {
+            Err(NotForwarded::Refused { reason, status })
+                if FAILURES_OF_OWNER.contains(&reason.as_str()) =>
+            {
                 status.message
             }
             Err(NotForwarded::Refused { reason, .. })

@@ -1,6 +1,6 @@
 //! A server with TLS and identities: certificates that are renewed under load, and callers with and without rights.
 
-mod authority;
+pub(crate) mod authority;
 
 use std::{
     fs,

@@ -12,6 +12,7 @@ mod cluster;
 mod crash;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod disk_failure;
+mod forwarding;
 #[cfg(target_os = "linux")]
 mod little_memory;
 mod metrics;

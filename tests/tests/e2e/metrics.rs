@@ -32,7 +32,7 @@ fn page(address: &str, path: &str, header: &str) -> (u16, String) {
 }
 
 /// The figures of `/metrics` by name and labels.
-fn figures(address: &str) -> BTreeMap<String, f64> {
+pub(crate) fn figures(address: &str) -> BTreeMap<String, f64> {
     let (status, text) = page(address, "/metrics", "");
     assert_eq!(status, 200, "{text}");
     assert!(text.ends_with("# EOF\n"), "{text}");
@@ -44,7 +44,7 @@ fn figures(address: &str) -> BTreeMap<String, f64> {
     figures.collect()
 }
 
-fn calls(face: &str, verb: &str, index: &str, outcome: &str) -> String {
+pub(crate) fn calls(face: &str, verb: &str, index: &str, outcome: &str) -> String {
     format!(
         "wayfold_call_seconds_count{{face=\"{face}\",verb=\"{verb}\",index=\"{index}\",outcome=\"{outcome}\"}}"
     )

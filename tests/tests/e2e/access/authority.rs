@@ -12,13 +12,13 @@ use wayfold::Credentials;
 use wayfold_tests::{Process, ProcessOutput};
 
 /// An authority, in a directory with its files.
-pub(super) struct Authority {
-    pub(super) issuer: CertifiedIssuer<'static, KeyPair>,
+pub(crate) struct Authority {
+    pub(crate) issuer: CertifiedIssuer<'static, KeyPair>,
     directory: PathBuf,
 }
 
 impl Authority {
-    pub(super) fn new(directory: &Path) -> Self {
+    pub(crate) fn new(directory: &Path) -> Self {
         let mut params = CertificateParams::default();
         params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
         let issuer = CertifiedIssuer::self_signed(params, KeyPair::generate().unwrap()).unwrap();
@@ -30,7 +30,7 @@ impl Authority {
     }
 
     /// Certifies a name, for 127.0.0.1 too: writes NAME.pem and NAME.key, each whole or not at all.
-    pub(super) fn certify(&self, name: &str) -> CertificateDer<'static> {
+    pub(crate) fn certify(&self, name: &str) -> CertificateDer<'static> {
         let names = [name.to_owned(), "127.0.0.1".to_owned()];
         let mut params = CertificateParams::new(names).unwrap();
         params.distinguished_name.push(DnType::CommonName, name);
@@ -44,20 +44,20 @@ impl Authority {
         certificate.der().clone()
     }
 
-    pub(super) fn file(&self, name: &str, end: &str) -> PathBuf {
+    pub(crate) fn file(&self, name: &str, end: &str) -> PathBuf {
         self.directory.join(format!("{name}.{end}"))
     }
 
-    pub(super) fn read(&self, name: &str, end: &str) -> Vec<u8> {
+    pub(crate) fn read(&self, name: &str, end: &str) -> Vec<u8> {
         fs::read(self.file(name, end)).unwrap()
     }
 
-    pub(super) fn credentials(&self) -> Credentials {
+    pub(crate) fn credentials(&self) -> Credentials {
         Credentials::new().ca_certificate(self.read("ca", "pem"))
     }
 
     /// Makes a token with the command line, and returns it; its entry joins the file of identities.
-    pub(super) fn token(&self, name: &str, role: &str, index: &str) -> String {
+    pub(crate) fn token(&self, name: &str, role: &str, index: &str) -> String {
         let token = self.file(name, "token");
         let arguments = ["token", "create", name, "--role", role, "--index", index];
         let to = ["--to", token.to_str().unwrap()];
@@ -74,7 +74,7 @@ impl Authority {
     }
 
     /// The command of a server with the certificate `server` and these identities.
-    pub(super) fn command(&self) -> Command {
+    pub(crate) fn command(&self) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
         command
             .args(["--grpc", "127.0.0.1:0", "--data", "memory"])
@@ -90,6 +90,6 @@ impl Authority {
 }
 
 /// Runs the command line.
-pub(super) fn wayfold(arguments: &[&str]) -> ProcessOutput {
+pub(crate) fn wayfold(arguments: &[&str]) -> ProcessOutput {
     Process::start(env!("CARGO_BIN_EXE_cli-process"), arguments).finish()
 }

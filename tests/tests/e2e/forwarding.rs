@@ -1,0 +1,237 @@
+//! The servers of a cluster forward mutations to the owner of the index, in the name of the caller, and do without it. The
+//! environment variable `NATS_SERVER` has the path of the program nats-server.
+
+use std::process::Command;
+
+use tempfile::TempDir;
+use tonic::{Code, Status};
+use wayfold::{Client, Credentials, Space};
+use wayfold_proto::v1::{GetRequest, InsertRequest};
+use wayfold_tests::{Process, ServerProcess, Signal, Stubs, nats::Nats, row_states};
+
+use crate::{
+    access::authority::Authority,
+    metrics::{calls, figures},
+};
+
+const JOINS: &str = "a server joins the cluster";
+
+/// Adds what makes a server a member of a cluster.
+fn join<'a>(command: &'a mut Command, nats: &Nats) -> &'a mut Command {
+    command
+        .env("WAYFOLD_CLUSTER__NATS", nats.urls())
+        .env("WAYFOLD_CLUSTER__REPLICAS", "1")
+        .env("WAYFOLD_CLUSTER__LISTEN", "127.0.0.1:0")
+}
+
+/// Three servers that have heard of each other.
+struct Cluster {
+    servers: Vec<ServerProcess>,
+    _nats: Nats,
+    _directory: TempDir,
+}
+
+impl Cluster {
+    fn start(command: impl Fn() -> Command) -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let nats = Nats::start(directory.path(), 1);
+        let start = |_| {
+            let mut command = command();
+            ServerProcess::ready(Process::spawn(join(&mut command, &nats)))
+        };
+        let mut servers: Vec<_> = (0..3).map(start).collect();
+        for server in &mut servers {
+            server.log_until(JOINS);
+            server.log_until(JOINS);
+        }
+        Self {
+            servers,
+            _nats: nats,
+            _directory: directory,
+        }
+    }
+}
+
+fn open_server() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command.args([
+        "--grpc",
+        "127.0.0.1:0",
+        "--http",
+        "127.0.0.1:0",
+        "--data",
+        "memory",
+    ]);
+    command
+}
+
+fn insert(at: f64) -> InsertRequest {
+    InsertRequest {
+        index_name: "arm".into(),
+        states: Some(row_states(&[at], 1)),
+        ..Default::default()
+    }
+}
+
+/// Creates the index at the first server, and waits until all know it.
+async fn create_everywhere(stubs: &mut [Stubs]) {
+    stubs[0].create("arm", "R1").await;
+    for other in &mut stubs[1..] {
+        let known = || GetRequest {
+            index_name: "arm".into(),
+            ..Default::default()
+        };
+        while other.points.get(known()).await.is_err() {
+            tokio::task::yield_now().await;
+        }
+    }
+}
+
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_owner_evaluates_the_mutations_of_all_servers_until_it_is_gone() {
+    const EACH: u64 = 10;
+    let mut cluster = Cluster::start(open_server);
+    let pages: Vec<_> = cluster
+        .servers
+        .iter_mut()
+        .map(ServerProcess::pages)
+        .collect();
+    let mut stubs = Vec::new();
+    for server in &cluster.servers {
+        stubs.push(Stubs::connect(server.uri()).await);
+    }
+    create_everywhere(&mut stubs).await;
+
+    for at in 0..EACH {
+        for stubs in &mut stubs {
+            stubs.points.insert(insert(at as f64)).await.unwrap();
+        }
+    }
+    let forwarded = calls("cluster", "insert", "arm", "OK");
+    let taken = |page: &String| figures(page).get(&forwarded).copied().unwrap_or_default();
+    let mut taken: Vec<f64> = pages.iter().map(taken).collect();
+    let owner = taken.iter().position(|calls| *calls > 0.0).unwrap();
+    assert_eq!(taken.remove(owner), 2.0 * EACH as f64);
+    assert_eq!(taken, [0.0, 0.0]);
+
+    // A refusal is the owner's, whole.
+    let mut refusals = Vec::new();
+    for stubs in &mut stubs {
+        let refused: Status = stubs.points.insert(insert(f64::NAN)).await.unwrap_err();
+        assert_eq!(refused.code(), Code::InvalidArgument);
+        refusals.push((refused.message().to_owned(), refused.details().to_vec()));
+    }
+    assert!(refusals.iter().all(|refusal| *refusal == refusals[0]));
+
+    // A read sees what another server acknowledged.
+    let latest = GetRequest {
+        index_name: "arm".into(),
+        latest: true,
+        ..Default::default()
+    };
+    for stubs in &mut stubs {
+        let read = stubs.points.get(latest.clone()).await.unwrap().into_inner();
+        assert!(read.revision.unwrap().number >= 3 * EACH);
+    }
+
+    let killed = cluster.servers.remove(owner);
+    stubs.remove(owner);
+    killed.stop(Signal::Kill);
+    for stubs in &mut stubs {
+        let claimed = InsertRequest {
+            operation_id: "after the owner".into(),
+            ..insert(-1.0)
+        };
+        let ids: Vec<_> = [claimed.clone(), claimed]
+            .into_iter()
+            .map(|claimed| async {
+                stubs
+                    .points
+                    .clone()
+                    .insert(claimed)
+                    .await
+                    .unwrap()
+                    .into_inner()
+            })
+            .collect();
+        let answers = futures_util::future::join_all(ids).await;
+        assert_eq!(answers[0].ids, answers[1].ids);
+    }
+    let count = stubs[0].describe("arm").await.point_count;
+    assert_eq!(count, 3 * EACH + 1);
+}
+
+/// Each server shows the others its certificate, and the owner checks the rights of the caller once more.
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_forwarded_call_has_the_identity_of_its_caller() {
+    let directory = tempfile::tempdir().unwrap();
+    let authority = Authority::new(directory.path());
+    authority.certify("server");
+    let admin = authority.token("admin", "admin", "*");
+    let writer = authority.token("writer", "write", "*");
+    let mut cluster = Cluster::start(|| {
+        let mut command = authority.command();
+        command
+            .env("WAYFOLD_LOG__FILTER", "info,wayfold_server::observe=debug")
+            .env("WAYFOLD_CLUSTER__PEER_CA", authority.file("ca", "pem"));
+        command
+    });
+    let client = |server: &ServerProcess, token: &str| {
+        let credentials: Credentials = authority.credentials().token(token.to_owned());
+        let uri = server.uri().to_owned();
+        async move {
+            Client::builder()
+                .credentials(credentials)
+                .connect(&uri)
+                .await
+                .unwrap()
+        }
+    };
+    let space: Space = "R1".parse().unwrap();
+    for server in &cluster.servers {
+        // The first creates it, and the others find it.
+        let created = client(server, &admin).await;
+        while created.create_index("arm", &space).await.is_err() {}
+    }
+    for server in &cluster.servers {
+        let index = client(server, &writer).await.index("arm").await.unwrap();
+        index.insert([[1.0]]).await.unwrap();
+    }
+    for server in &mut cluster.servers {
+        let lines = server.log_until("PointService/Insert");
+        assert!(
+            lines.last().unwrap().contains("identity=\"writer\""),
+            "{lines:?}"
+        );
+    }
+}
+
+/// Whoever reaches the listener for members could act for every identity.
+#[ignore = "needs nats-server"]
+#[test]
+fn a_server_with_identities_needs_certificates_of_its_members() {
+    let directory = tempfile::tempdir().unwrap();
+    let authority = Authority::new(directory.path());
+    authority.certify("server");
+    authority.token("admin", "admin", "*");
+    let nats = Nats::start(directory.path(), 1);
+    let mut command = authority.command();
+    let refused = Process::spawn(join(&mut command, &nats)).finish();
+    assert!(!refused.status.success());
+    assert!(
+        refused.stderr.contains("set cluster.peer_ca"),
+        "{}",
+        refused.stderr
+    );
+
+    let mut command = open_server();
+    let beyond = join(&mut command, &nats).env("WAYFOLD_CLUSTER__LISTEN", "0.0.0.0:0");
+    let refused = Process::spawn(beyond).finish();
+    assert!(
+        refused.stderr.contains("set cluster.peer_ca"),
+        "{}",
+        refused.stderr
+    );
+}
