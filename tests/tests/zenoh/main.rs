@@ -5,6 +5,7 @@
     reason = "a test says what went wrong by where it panics"
 )]
 
+mod cluster;
 mod documented;
 mod faults;
 mod feed;

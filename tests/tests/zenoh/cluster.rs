@@ -1,0 +1,86 @@
+//! Two servers of a cluster under one prefix: a query reaches one of them, and the owner of an index publishes its mutations.
+//! The environment variable `NATS_SERVER` has the path of the program nats-server.
+
+use serde_json::{Value, json};
+use wayfold_proto::v1::GetRequest;
+use wayfold_tests::{Stubs, nats::Nats};
+
+use crate::{
+    feed::{next, subscribe},
+    robot::{Robot, reason, server_with, session},
+};
+
+const MUTATIONS: u64 = 40;
+
+/// One reply to each, or the assertion in [`Robot::ask`] fails.
+async fn insert(robot: &Robot, number: u64) -> Result<Value, Value> {
+    let body = json!({ "states": [[number as f64]], "operation_id": format!("insert {number}") });
+    robot.json("arm/insert", body).await
+}
+
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn several_servers_answer_as_one() {
+    let directory = tempfile::tempdir().unwrap();
+    let nats = Nats::start(directory.path(), 1);
+    let urls = nats.urls();
+    let settings = [
+        ("WAYFOLD_CLUSTER__NATS", &*urls),
+        ("WAYFOLD_CLUSTER__REPLICAS", "1"),
+        ("WAYFOLD_CLUSTER__LISTEN", "127.0.0.1:0"),
+    ];
+    let mut servers = [(); 2].map(|()| server_with(&[], &settings));
+    for (server, _) in &mut servers {
+        server.log_until("a server joins the cluster");
+    }
+    let locators: Vec<&str> = servers.iter().map(|(_, locator)| &**locator).collect();
+    let robot = Robot {
+        session: session("peer", &[], &locators).await,
+    };
+    let space = json!({ "name": "arm", "space_text": "R1" });
+    robot.json("create", space).await.unwrap();
+    for (server, _) in &servers {
+        let mut stubs = Stubs::connect(server.uri()).await;
+        let known = || GetRequest {
+            index_name: "arm".into(),
+            ..Default::default()
+        };
+        while stubs.points.get(known()).await.is_err() {
+            tokio::task::yield_now().await;
+        }
+    }
+
+    let refused = robot.json("arm/insert", json!({ "states": [[0.0]] })).await;
+    assert_eq!(reason(&refused.unwrap_err()), (3, "REQUIRED"));
+
+    let events = subscribe(&robot).await;
+    let mut inserted = 0;
+    while events.is_empty() {
+        insert(&robot, inserted).await.unwrap();
+        inserted += 1;
+    }
+    for _ in 0..MUTATIONS {
+        insert(&robot, inserted).await.unwrap();
+        // A repetition has the first answer, whichever server it reaches.
+        insert(&robot, inserted).await.unwrap();
+        inserted += 1;
+    }
+    let mut revisions = Vec::new();
+    while revisions.last().is_none_or(|last| *last < inserted) {
+        let event = next(&events).await;
+        let numbers = event.mutations.iter().filter_map(|it| it.revision.as_ref());
+        revisions.extend(numbers.map(|revision| revision.number));
+    }
+    let first = revisions[0];
+    assert_eq!(revisions, (first..=inserted).collect::<Vec<u64>>());
+    for (server, _) in &servers {
+        let mut stubs = Stubs::connect(server.uri()).await;
+        let latest = GetRequest {
+            index_name: "arm".into(),
+            latest: true,
+            ..Default::default()
+        };
+        stubs.points.get(latest).await.unwrap();
+        assert_eq!(stubs.describe("arm").await.point_count, inserted);
+    }
+}
