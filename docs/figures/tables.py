@@ -161,16 +161,16 @@ def cluster():
     shown = {
         "insert-1": "one client inserts", "insert-64": "64 clients insert into one index", "knn-8": "8 clients ask for ten neighbours",
     }
-    places = {"cluster": "at one server", "spread": "at all three"}
+    places = {"owner": "at the owner", "other": "at another server", "spread": "at all three"}
     for case, what in shown.items():
-        lone = cases[case]["lone"]
         for place, at in places.items():
             if place in cases[case]:
                 got = cases[case][place]
-                times = [f"{digits(it['p50_ms'])} / {digits(it['p99_ms'])} ms" for it in (lone, got)]
-                rates = [f"{digits(it['rows_per_s'])}/s" for it in (lone, got)]
-                rows.append([f"{what}, {at}", *rates, ratio(got["rows_per_s"] / lone["rows_per_s"]), *times])
-    header = ["calls", "lone", "cluster", "ratio", "lone, p50 / p99", "cluster"]
+                others = [cases[case].get(name) for name in ("lone", "bare")]
+                ratios = [ratio(got["rows_per_s"] / it["rows_per_s"]) if it else "" for it in others]
+                shown_as = lambda it: f"{digits(it['rows_per_s'])}/s, {digits(it['p50_ms'])} / {digits(it['p99_ms'])} ms" if it else ""
+                rows.append([f"{what}, {at}", *map(shown_as, (got, *others)), *ratios])
+    header = ["calls; their rate, p50 / p99", "cluster", "lone server", "JetStream alone", "ratio to lone", "to JetStream"]
     return table(["cluster"], header, rows)
 
 

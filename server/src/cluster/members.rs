@@ -96,6 +96,13 @@ impl Members {
         (*owner != self.address).then(|| owner.clone())
     }
 
+    /// The number of live members, this one among them; 0 if it is cut off.
+    pub(super) fn count(&self) -> usize {
+        let live = self.live.borrow();
+        let is_heard = live.contains_key(&self.address);
+        if is_heard { live.len() } else { 0 }
+    }
+
     /// Waits until a member is gone.
     pub(super) async fn departure(&self, member: &str) {
         let mut live = self.live.subscribe();

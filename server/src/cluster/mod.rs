@@ -130,6 +130,10 @@ impl Owners for Cluster {
         self.members.owner(uid)
     }
 
+    fn members(&self) -> usize {
+        self.members.count()
+    }
+
     fn forward<'a>(
         &'a self,
         owner: &'a str,

@@ -35,7 +35,7 @@ type Index = [(&'static str, Arc<str>); 1];
 type OfIndices = (&'static str, &'static str, Vec<(Index, u64)>);
 
 /// The gauges of an index, in the order of its figures.
-const OF_INDEX: [(&str, &str); 12] = [
+const OF_INDEX: [(&str, &str); 13] = [
     ("index_points", "The points of an index"),
     ("index_revision", "The newest readable revision of an index"),
     ("index_memory_bytes", "About the memory of an index"),
@@ -68,6 +68,10 @@ const OF_INDEX: [(&str, &str); 12] = [
     (
         "index_window_bytes",
         "The bytes of these records; index.window_bytes is the most",
+    ),
+    (
+        "index_owned",
+        "1 if this server evaluates the mutations of an index, 0 if another server of the cluster does",
     ),
 ];
 
@@ -104,6 +108,9 @@ impl Collector for State {
             None,
             &[([("state", "running")], self.shared.service.merges())],
         )?;
+        let help = "The live servers of the cluster that this one hears, itself among them";
+        let members = [([("state", "live")], self.shared.service.members())];
+        gauges(&mut encoder, "cluster_members", help, None, &members)?;
         self.admission(&mut encoder)?;
         self.resources(&mut encoder)?;
         let (of_indices, missed) = self.indices();
@@ -190,6 +197,7 @@ impl State {
                 lag,
                 window.records,
                 window.bytes,
+                u64::from(self.shared.service.owns(hosted.uid_text())),
             ];
             for (gauge, figure) in gauges.iter_mut().zip(figures) {
                 gauge.2.push(([("index", Arc::clone(label))], figure));

@@ -17,6 +17,9 @@ pub trait Owners: Send + Sync {
     /// The server that evaluates the mutations of an index; None if this one does.
     fn owner(&self, uid: Uid) -> Option<String>;
 
+    /// The number of live servers that this one hears, itself among them; 0 if it is cut off.
+    fn members(&self) -> usize;
+
     /// Sends a request, encoded, to `owner`, in the name of the caller and with the deadline of `call`. Returns the encoded
     /// answer.
     fn forward<'a>(
@@ -105,8 +108,14 @@ impl Service {
         self.inner.owners.get().is_some()
     }
 
-    /// True if this server publishes the mutations of the index with this uid: it has no owner, or this is the owner.
-    pub(crate) fn publishes(&self, uid: &str) -> bool {
+    /// The live servers of the cluster, this one among them; 0 without a cluster, or if this server is cut off from it.
+    pub(crate) fn members(&self) -> u64 {
+        let owners = self.inner.owners.get();
+        owners.map_or(0, |owners| owners.members() as u64)
+    }
+
+    /// True if this server owns the index with this uid: it evaluates its mutations, and publishes them.
+    pub(crate) fn owns(&self, uid: &str) -> bool {
         let owners = self.inner.owners.get().zip(uid.parse().ok());
         owners.is_none_or(|(owners, uid)| owners.owner(uid).is_none())
     }

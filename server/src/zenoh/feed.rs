@@ -222,7 +222,7 @@ impl Feed {
                 return Ok(());
             }
             // In a cluster only the owner publishes. When that changes, a subscriber may miss a mutation or get one twice.
-            if self.service.publishes(&self.uid)
+            if self.service.owns(&self.uid)
                 && publisher
                     .matching_status()
                     .await
