@@ -24,6 +24,14 @@ impl Nats {
     /// # Panics
     /// If they do not come up.
     pub fn start(directory: &Path, count: usize) -> Self {
+        Self::start_with(directory, count, "")
+    }
+
+    /// The same with more text in the configuration of each.
+    ///
+    /// # Panics
+    /// If they do not come up.
+    pub fn start_with(directory: &Path, count: usize, more: &str) -> Self {
         let free = free_ports(2 * count);
         let (ports, routes) = free.split_at(count);
         let all: Vec<_> = routes
@@ -42,7 +50,7 @@ impl Nats {
             let text = format!(
                 "server_name: node-{node}\nlisten: \"127.0.0.1:{port}\"\n\
                  max_payload: 65536\n\
-                 jetstream {{ store_dir: {store:?}, sync_interval: always }}\n{cluster}\n"
+                 jetstream {{ store_dir: {store:?}, sync_interval: always }}\n{cluster}\n{more}\n"
             );
             fs::write(config(directory, node), text).expect("a writable directory");
         }

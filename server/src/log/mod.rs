@@ -154,6 +154,12 @@ pub trait Journal: Send + Sync {
     /// The records that the journal keeps of an index.
     fn window(&self, uid: Uid) -> Result<Window, LogError>;
 
+    /// Submits again the newest records that a journal elsewhere has lost and that this server has applied. Returns their
+    /// number. [`LogError::Damaged`] if they do not follow what the journal has. Blocks.
+    fn repair(&self, _: Uid) -> Result<u64, LogError> {
+        Ok(0)
+    }
+
     /// True if the next [`Journal::submit`] may block on the store; call it from a blocking thread then.
     fn is_busy(&self) -> bool {
         false

@@ -257,11 +257,23 @@ impl Registry {
     }
 
     /// Resumes an index whose calls failed with an unknown outcome. That is safe: its next record is refused if a
-    /// record of those calls is in the journal.
+    /// record of those calls is in the journal. A journal that has lost records gets them again first.
     async fn resume_unsettled(self: &Arc<Self>, hosted: &Arc<Hosted>) {
         let (registry, hosted) = (Arc::clone(self), Arc::clone(hosted));
+        let resume = move || {
+            match registry.host.log.journal.repair(hosted.uid()) {
+                Ok(0) => {}
+                Ok(records) => warn!(
+                    index = hosted.name(),
+                    records,
+                    "the journal had lost its newest records, and has them again from this server"
+                ),
+                Err(error) => warn!(index = hosted.name(), %error, "cannot repair the journal yet"),
+            }
+            registry.resumes(&hosted)
+        };
         // The join fails only if the task panicked; the panic hook has printed it.
-        let _ = tokio::task::spawn_blocking(move || registry.resumes(&hosted)).await;
+        let _ = tokio::task::spawn_blocking(resume).await;
     }
 
     /// Trims old records, in idle indices too.

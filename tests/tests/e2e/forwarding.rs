@@ -235,3 +235,22 @@ fn a_server_with_identities_needs_certificates_of_its_members() {
         refused.stderr
     );
 }
+
+#[ignore = "needs nats-server"]
+#[test]
+fn a_url_may_have_the_user_and_the_password_of_nats() {
+    let directory = tempfile::tempdir().unwrap();
+    let users = "authorization { user: wayfold, password: open-sesame }";
+    let nats = Nats::start_with(directory.path(), 1, users);
+    let mut command = open_server();
+    let url = nats.urls().replace("//", "//wayfold:open-sesame@");
+    join(&mut command, &nats).env("WAYFOLD_CLUSTER__NATS", url);
+    let server = ServerProcess::ready(Process::spawn(&mut command));
+    let finished = server.stop(Signal::Terminate);
+    assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+    assert!(
+        !finished.stderr.contains("open-sesame"),
+        "{}",
+        finished.stderr
+    );
+}

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use async_nats::{
-    ConnectOptions,
+    ConnectOptions, ServerAddr,
     jetstream::{
         self, Context, ErrorCode,
         context::ContextBuilder,
@@ -63,13 +63,23 @@ impl Connection {
                 .add_root_certificates(ca.clone())
                 .require_tls(true);
         }
-        let servers: Vec<_> = options.servers.split(',').map(str::trim).collect();
-        let connect = || connecting.clone().connect(servers.clone());
-        let client = patiently("connection", connect).await;
-        let client = client.map_err(|error| NatsError::Unreachable {
+        let unreachable = |error: &dyn std::error::Error| NatsError::Unreachable {
             servers: without_passwords(&options.servers),
             what: error.to_string(),
-        })?;
+        };
+        let servers = options.servers.split(',').map(|url| url.trim().parse());
+        let servers: Vec<ServerAddr> = servers
+            .collect::<Result<_, _>>()
+            .map_err(|error| unreachable(&error))?;
+        let mut users = servers
+            .iter()
+            .filter_map(|it| it.username().zip(it.password()));
+        if let Some((user, password)) = users.next() {
+            connecting = connecting.user_and_password(user.to_owned(), password.to_owned());
+        }
+        let connect = || connecting.clone().connect(servers.clone());
+        let client = patiently("connection", connect).await;
+        let client = client.map_err(|error| unreachable(&error))?;
         // A message carries headers too; they count against the limit of NATS.
         let max_payload = client.server_info().max_payload.saturating_sub(1024);
         let context = ContextBuilder::new()

@@ -36,6 +36,9 @@ use super::{
 /// The time between two attempts of a follower to read a stream.
 const RETRY_INTERVAL: Duration = Duration::from_millis(200);
 
+/// The most bytes of records that are read at a time to repair a stream.
+const REPAIR_BYTES: usize = 4 * 1024 * 1024;
+
 /// The servers of NATS, and what Wayfold keeps there.
 #[derive(Clone, Debug)]
 pub struct NatsOptions {
@@ -87,7 +90,7 @@ pub enum NatsError {
 
 /// Connects to NATS, and makes a log of its streams and of the point store and the local catalogue of `local`. Returns the
 /// connection too. Needs a runtime, and blocks.
-pub fn connect<Store: PointStore + Catalogue + 'static>(
+pub fn connect<Store: Journal + PointStore + Catalogue + 'static>(
     options: &NatsOptions,
     local: Arc<Store>,
 ) -> Result<(Log, async_nats::Client), NatsError> {
@@ -101,6 +104,7 @@ pub fn connect<Store: PointStore + Catalogue + 'static>(
             connection,
             runtime,
             publishers: Mutex::default(),
+            local: local.clone(),
         }),
         points: local,
     };
@@ -112,6 +116,8 @@ struct NatsJournal {
     connection: Arc<Connection>,
     runtime: Handle,
     publishers: Mutex<BTreeMap<Uid, Publisher>>,
+    /// The records that this server has applied, as far as it keeps them.
+    local: Arc<dyn Journal>,
 }
 
 impl Journal for NatsJournal {
@@ -152,6 +158,37 @@ impl Journal for NatsJournal {
     fn newest(&self, uid: Uid) -> Result<u64, LogError> {
         let last = self.runtime.block_on(self.connection.last(uid))?;
         Ok(last.last.revision)
+    }
+
+    /// Every record is fenced by the one before it: if NATS has answered from the past, or another server was first, nothing
+    /// is published.
+    fn repair(&self, uid: Uid) -> Result<u64, LogError> {
+        let mut tip = self.runtime.block_on(self.connection.last(uid))?.last;
+        let mut repaired = 0;
+        loop {
+            let records = self.local.read(uid, Some(tip.revision), REPAIR_BYTES)?;
+            let Some(last) = records.last().map(|last| last.tip()) else {
+                return Ok(repaired);
+            };
+            if records.first().is_some_and(|first| !first.follows(tip)) {
+                return Err(LogError::Damaged {
+                    uid,
+                    revision: tip.revision,
+                    what: "the journal has another one in its place",
+                });
+            }
+            let mut receipts = Vec::new();
+            for record in records {
+                if let Receipt::Awaited(receipt) = self.submit(uid, record)? {
+                    receipts.push(receipt);
+                }
+            }
+            for receipt in receipts {
+                self.runtime.block_on(receipt)?;
+                repaired += 1;
+            }
+            tip = last;
+        }
     }
 
     /// Keeps everything: the servers do not know yet what all of them have applied.
