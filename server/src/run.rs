@@ -229,6 +229,7 @@ pub(crate) async fn serve(
         registry.catch_up().await;
         service.set_registry(Arc::clone(&registry));
         if let Some((nats, own)) = nats.zip(own) {
+            info!(address = ?members_at, advertised = own, "joining the cluster");
             let cluster = Arc::new(Cluster::join(&config.cluster, &config.tls, nats, own));
             service.set_owners(Arc::clone(&cluster) as Arc<dyn Owners>);
             let _ = joined.set(cluster);

@@ -1,5 +1,5 @@
-//! The connections to the other members, one each. A connection that fails is forgotten: the next call opens another, with
-//! the certificates as their files are then.
+//! The connections to the other members, one each. After a failure a later call opens another one, with the certificates as
+//! their files are then.
 
 use std::{
     collections::BTreeMap,
@@ -7,12 +7,13 @@ use std::{
     fs,
     path::{Path, PathBuf},
     sync::Arc,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use bytes::{Buf, BufMut, Bytes};
 use parking_lot::Mutex;
 use prost::Message;
+use tokio::time::timeout;
 use tonic::{
     ConnectError, Status,
     client::Grpc,
@@ -28,6 +29,13 @@ use crate::{config::TlsConfig, service::NotForwarded};
 /// The time in which a member accepts a connection.
 const CONNECT_TIME: Duration = Duration::from_millis(500);
 
+/// A member that could not be reached is left alone for this long: every call would wait for it.
+const PAUSE: Duration = Duration::from_secs(2);
+
+/// A connection with calls is probed after this much silence, and is lost without an answer after as long again: a network
+/// may swallow all packets between two members that both reach NATS.
+const PROBE_TIME: Duration = Duration::from_secs(1);
+
 /// See the module.
 pub(super) struct Channels {
     tls: Option<Files>,
@@ -35,7 +43,13 @@ pub(super) struct Channels {
     open: Mutex<BTreeMap<String, Arc<Slot>>>,
 }
 
-type Slot = tokio::sync::Mutex<Option<Grpc<Channel>>>;
+type Slot = tokio::sync::Mutex<Option<Connection>>;
+
+enum Connection {
+    Open(Grpc<Channel>),
+    /// It failed, or could not be opened, at this time.
+    Failed(Instant),
+}
 
 /// The files in PEM with which members recognise each other.
 struct Files {
@@ -73,30 +87,50 @@ impl Channels {
     pub(super) async fn get(&self, member: &str) -> Result<Grpc<Channel>, NotForwarded> {
         let slot = Arc::clone(self.open.lock().entry(member.to_owned()).or_default());
         let mut slot = slot.lock().await;
-        if let Some(open) = &*slot {
-            return Ok(open.clone());
+        match &*slot {
+            Some(Connection::Open(open)) => return Ok(open.clone()),
+            Some(Connection::Failed(at)) if at.elapsed() < PAUSE => {
+                return Err(NotForwarded::Unsent);
+            }
+            Some(Connection::Failed(_)) | None => {}
         }
-        let channel = self.connect(member).await;
-        let channel = channel.map_err(|error| {
-            warn!(member, %error, "cannot reach a server of the cluster");
-            NotForwarded::Unsent
-        })?;
+        let channel = match self.connect(member).await {
+            Ok(channel) => channel,
+            Err(error) => {
+                warn!(member, %error, "cannot reach a server of the cluster");
+                *slot = Some(Connection::Failed(Instant::now()));
+                return Err(NotForwarded::Unsent);
+            }
+        };
         // The owner has checked its answer against the limits.
         let grpc = Grpc::new(channel).max_decoding_message_size(usize::MAX);
-        Ok(slot.insert(grpc).clone())
+        *slot = Some(Connection::Open(grpc.clone()));
+        Ok(grpc)
     }
 
     async fn connect(&self, member: &str) -> Result<Channel, Box<dyn Error + Send + Sync>> {
         let scheme = if self.tls.is_some() { "https" } else { "http" };
         let endpoint = Endpoint::from_shared(format!("{scheme}://{member}"))?;
-        let mut endpoint = endpoint.connect_timeout(CONNECT_TIME).tcp_nodelay(true);
+        let mut endpoint = endpoint
+            .connect_timeout(CONNECT_TIME)
+            .tcp_nodelay(true)
+            .http2_keep_alive_interval(PROBE_TIME)
+            .keep_alive_timeout(PROBE_TIME);
         if let Some(files) = &self.tls {
             endpoint = endpoint.tls_config(files.read()?)?;
         }
-        Ok(endpoint.connect().await?)
+        // The bound of the endpoint is that of TCP alone.
+        Ok(timeout(CONNECT_TIME, endpoint.connect()).await??)
     }
 
-    /// Forgets the connection to a member.
+    /// Gives up the connection to a member, and leaves the member alone for a while.
+    pub(super) fn fail(&self, member: &str) {
+        let failed = Connection::Failed(Instant::now());
+        let slot = Arc::new(Slot::new(Some(failed)));
+        self.open.lock().insert(member.to_owned(), slot);
+    }
+
+    /// Forgets a member that left.
     pub(super) fn forget(&self, member: &str) {
         self.open.lock().remove(member);
     }

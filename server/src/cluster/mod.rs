@@ -119,7 +119,7 @@ impl Cluster {
             Err(_) => Err(NotForwarded::Unsent),
         };
         if let Err(NotForwarded::Unsent | NotForwarded::Unknown { .. }) = &answered {
-            self.channels.forget(member);
+            self.channels.fail(member);
         }
         Ok(answered?.into_inner())
     }

@@ -12,6 +12,7 @@ use wayfold_tests::{Process, ServerProcess, Signal, Stubs, nats::Nats, row_state
 use crate::{
     access::authority::Authority,
     metrics::{calls, figures},
+    shared::proxy::Proxy,
 };
 
 const JOINS: &str = "a server joins the cluster";
@@ -253,4 +254,58 @@ fn a_url_may_have_the_user_and_the_password_of_nats() {
         "{}",
         finished.stderr
     );
+}
+
+/// Both servers hear NATS, and nothing comes back from one to the other.
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn servers_that_do_not_reach_each_other_go_on_alone() {
+    let directory = tempfile::tempdir().unwrap();
+    let nats = Nats::start(directory.path(), 1);
+    let mut servers = Vec::new();
+    for _ in 0..2 {
+        // It leads nowhere until the server has an address.
+        let way = Proxy::to("http://127.0.0.1:9").await;
+        let mut command = open_server();
+        let advertised = way.uri.trim_start_matches("http://").to_owned();
+        join(&mut command, &nats).env("WAYFOLD_CLUSTER__ADVERTISE", advertised);
+        let mut server = ServerProcess::ready(Process::spawn(&mut command));
+        let lines = server.log_until("joining the cluster");
+        let line = lines.last().unwrap();
+        let address = line.split("address=Some(").nth(1).unwrap();
+        let address = format!("http://{}", address.split(')').next().unwrap());
+        way.lead_to(&address);
+        servers.push((server, way, address));
+    }
+    for (server, ..) in &mut servers {
+        server.log_until(JOINS);
+    }
+    let mut stubs = Vec::new();
+    for (server, ..) in &servers {
+        stubs.push(Stubs::connect(server.uri()).await);
+    }
+    create_everywhere(&mut stubs).await;
+    for at in 0..20 {
+        if at == 10 {
+            for (_, way, address) in &servers {
+                way.hold(address);
+            }
+        }
+        for (number, stubs) in stubs.iter_mut().enumerate() {
+            let claimed = InsertRequest {
+                operation_id: format!("{at} at {number}"),
+                ..insert(at as f64)
+            };
+            stubs.points.insert(claimed).await.unwrap();
+        }
+    }
+    let latest = GetRequest {
+        index_name: "arm".into(),
+        latest: true,
+        ..Default::default()
+    };
+    for stubs in &mut stubs {
+        stubs.points.get(latest.clone()).await.unwrap();
+        assert_eq!(stubs.describe("arm").await.point_count, 40);
+    }
 }

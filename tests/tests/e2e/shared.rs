@@ -4,7 +4,7 @@
 mod failover;
 mod history;
 mod outage;
-mod proxy;
+pub(crate) mod proxy;
 mod roadmap;
 mod silent;
 

@@ -15,8 +15,8 @@ use tokio::{
 };
 
 /// A proxy between clients and a server.
-pub(super) struct Proxy {
-    pub(super) uri: String,
+pub(crate) struct Proxy {
+    pub(crate) uri: String,
     shared: Arc<ProxyState>,
 }
 
@@ -41,7 +41,7 @@ fn address(uri: &str) -> SocketAddr {
 }
 
 impl Proxy {
-    pub(super) async fn to(uri: &str) -> Proxy {
+    pub(crate) async fn to(uri: &str) -> Proxy {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let shared = Arc::new(ProxyState {
             way: watch::Sender::new(Route::To(address(uri))),
@@ -59,28 +59,28 @@ impl Proxy {
     }
 
     /// Forwards new connections to a server. Open connections stay.
-    pub(super) fn lead_to(&self, uri: &str) {
+    pub(crate) fn lead_to(&self, uri: &str) {
         self.shared.way.send_replace(Route::To(address(uri)));
     }
 
     /// Stops all data to the clients.
-    pub(super) fn hold(&self, uri: &str) {
+    pub(crate) fn hold(&self, uri: &str) {
         self.shared.way.send_replace(Route::Held(address(uri)));
     }
 
     /// Cuts all connections, and refuses new ones.
-    pub(super) fn close(&self) {
+    pub(crate) fn close(&self) {
         self.shared.way.send_replace(Route::Closed);
         self.shared.cut();
     }
 
     /// Cuts all connections after `bytes` more bytes to the clients.
-    pub(super) fn cut_after(&self, bytes: i64) {
+    pub(crate) fn cut_after(&self, bytes: i64) {
         self.shared.bytes_left.store(bytes, Ordering::Relaxed);
     }
 
     /// The number of times that connections were cut.
-    pub(super) fn cuts(&self) -> u64 {
+    pub(crate) fn cuts(&self) -> u64 {
         *self.shared.cuts.borrow()
     }
 }
