@@ -7,6 +7,7 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     sync::Arc,
+    time::Duration,
 };
 
 use async_nats::jetstream::kv;
@@ -17,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use tokio::{
     runtime::Handle,
     sync::watch,
-    time::{MissedTickBehavior, interval},
+    time::{Instant, MissedTickBehavior, interval},
 };
 use tokio_util::task::AbortOnDropHandle;
 use tracing::{debug, warn};
@@ -30,6 +31,9 @@ use crate::log::{Catalogue, Entry, LogError, Lost, Uid};
 
 /// The most deleted indices of a name that are remembered.
 const MAX_DELETED: usize = 1000;
+
+/// The time in which a bucket without a leader gets one.
+const SET_TIME: Duration = Duration::from_secs(5);
 
 /// A key's value: the index of a name, and those that had it before.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -95,24 +99,29 @@ impl NatsCatalogue {
     }
 
     /// Sets the key of a name, which has this revision (0 if it does not exist). [`LogError::NameTaken`] if another server
-    /// has changed it since.
+    /// has changed it since. It waits a moment for a bucket without a leader, as at a start of NATS.
     async fn set(&self, named: Named, revision: u64) -> Result<(), LogError> {
         let key = key(&named.name);
-        let value = serde_json::to_vec(&named).map_err(unreachable)?;
-        let update = self.bucket.update(&key, value.into(), revision);
-        let set = within(async { update.await.map_err(unreachable) }).await;
-        let now = match set {
-            Ok(now) => now,
-            // Another server was first, or the answer was lost.
-            Err(error) => match self.newest(&named.name).await? {
-                Some((found, now)) if found == named => now,
-                Some((found, now)) if now > revision => {
+        let value = Bytes::from(serde_json::to_vec(&named).map_err(unreachable)?);
+        let (until, mut attempts) = (Instant::now() + SET_TIME, interval(RETRY_INTERVAL));
+        let now = loop {
+            attempts.tick().await;
+            let update = self.bucket.update(&key, value.clone(), revision);
+            let error = match within(async { update.await.map_err(unreachable) }).await {
+                Ok(now) => break now,
+                Err(error) => error,
+            };
+            // Another server was first, or the answer was lost. A repetition takes effect once: it expects the revision.
+            match self.newest(&named.name).await {
+                Ok(Some((found, now))) if found == named => break now,
+                Ok(Some((found, now))) if now > revision => {
                     note(&self.known, found, now);
                     self.changed.send_replace(());
                     return Err(LogError::NameTaken { name: named.name });
                 }
-                _ => return Err(error),
-            },
+                _ if Instant::now() < until => {}
+                newest => return Err(newest.err().unwrap_or(error)),
+            }
         };
         note(&self.known, named, now);
         self.changed.send_replace(());
