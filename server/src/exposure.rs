@@ -30,7 +30,7 @@ pub enum ExposedError {
         /// The settings that give it.
         settings: &'static str,
     },
-    /// Those who reach the address for the members of a cluster could.
+    /// So can every process that reaches the address for the members of a cluster.
     #[error(
         "{at} takes calls of the other servers without their certificates: everyone who reaches it would act for every \
          identity\n  set cluster.peer_ca, tls.certificate and tls.key, or allow it with --insecure"

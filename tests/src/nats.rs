@@ -68,6 +68,11 @@ impl Nats {
         nats
     }
 
+    /// The settings of a server that is a member of a cluster over them.
+    pub fn member_settings(&self) -> [(&'static str, String); 3] {
+        member_settings(&self.urls(), self.nodes.len())
+    }
+
     /// Their URLs.
     pub fn urls(&self) -> String {
         let urls = self
@@ -102,6 +107,15 @@ impl Nats {
         let config = config.to_str().expect("a path in UTF-8");
         self.nodes[node] = Some(Process::start(program, &["--config", config]));
     }
+}
+
+/// The settings of a server of Wayfold that is a member of a cluster, by the names of their environment variables.
+pub fn member_settings(urls: &str, replicas: usize) -> [(&'static str, String); 3] {
+    [
+        ("WAYFOLD_CLUSTER__NATS", urls.to_owned()),
+        ("WAYFOLD_CLUSTER__REPLICAS", replicas.to_string()),
+        ("WAYFOLD_CLUSTER__LISTEN", "127.0.0.1:0".into()),
+    ]
 }
 
 fn config(directory: &Path, node: usize) -> PathBuf {

@@ -1,10 +1,11 @@
 //! The connected stubs, and the columns of their messages.
 
-use tonic::transport::Channel;
+use tonic::transport::{Channel, Endpoint};
 use wayfold_proto::v1::{
-    self, CreateIndexRequest, DeleteIndexRequest, GetIndexRequest, InsertRequest, InsertResponse,
-    Neighbors, create_index_request::SpaceForm, index_service_client::IndexServiceClient,
-    neighbor_spec, point_service_client::PointServiceClient,
+    self, CreateIndexRequest, DeleteIndexRequest, GetIndexRequest, GetRequest, InsertRequest,
+    InsertResponse, Neighbors, create_index_request::SpaceForm,
+    index_service_client::IndexServiceClient, neighbor_spec,
+    point_service_client::PointServiceClient,
 };
 
 /// Both services over one connection. Clones share it.
@@ -33,8 +34,16 @@ impl Stubs {
     /// # Panics
     /// If it is not a URI.
     pub async fn try_connect(uri: &str) -> Result<Self, tonic::transport::Error> {
-        let endpoint = Channel::from_shared(uri.to_owned()).expect("a URI");
-        let channel = endpoint.tcp_nodelay(true).connect().await?;
+        Self::open(&Channel::from_shared(uri.to_owned()).expect("a URI")).await
+    }
+
+    /// Connects to an endpoint with options of its own.
+    ///
+    /// # Errors
+    /// The error of the connection.
+    pub async fn open(endpoint: &Endpoint) -> Result<Self, tonic::transport::Error> {
+        let endpoint = endpoint.clone().tcp_nodelay(true);
+        let channel = endpoint.connect().await?;
         Ok(Self {
             indexes: IndexServiceClient::new(channel.clone()),
             points: PointServiceClient::new(channel),
@@ -53,6 +62,30 @@ impl Stubs {
         let response = self.indexes.create_index(request).await;
         let index = response.expect("an index").into_inner().index;
         index.expect("a description")
+    }
+
+    /// Waits until the server knows an index that another one has created.
+    pub async fn find(&mut self, name: &str) {
+        let request = GetIndexRequest {
+            index_name: name.to_owned(),
+        };
+        while self.indexes.get_index(request.clone()).await.is_err() {
+            tokio::task::yield_now().await;
+        }
+    }
+
+    /// The number of a revision that has every mutation that was acknowledged before the call.
+    ///
+    /// # Errors
+    /// The refusal.
+    pub async fn latest(&mut self, name: &str) -> Result<u64, tonic::Status> {
+        let request = GetRequest {
+            index_name: name.to_owned(),
+            latest: true,
+            ..Default::default()
+        };
+        let answer = self.points.get(request).await?;
+        Ok(number(&answer.into_inner().revision))
     }
 
     /// Describes an index.

@@ -123,8 +123,12 @@ impl Channels {
         Ok(timeout(CONNECT_TIME, endpoint.connect()).await??)
     }
 
-    /// Gives up the connection to a member, and leaves the member alone for a while.
-    pub(super) fn fail(&self, member: &str) {
+    /// Gives up the connection to a member that has not answered, and leaves the member alone for a while. The end of a call
+    /// whose deadline has passed says nothing about the member.
+    pub(super) fn note(&self, member: &str, why: &NotForwarded, is_late: bool) {
+        if is_late || matches!(why, NotForwarded::Refused { .. }) {
+            return;
+        }
         let failed = Connection::Failed(Instant::now());
         let slot = Arc::new(Slot::new(Some(failed)));
         self.open.lock().insert(member.to_owned(), slot);
@@ -198,7 +202,7 @@ impl Decoder for Raw {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{service, status};
+    use crate::{config::Config, service, status};
 
     #[test]
     fn an_answer_of_a_member_comes_through_whole() {
@@ -213,6 +217,23 @@ mod tests {
         let forwarded = status::from_error(&forwarded);
         assert_eq!(forwarded.code, expected.code);
         assert_eq!(forwarded.to_message(), expected.to_message());
+    }
+
+    #[tokio::test]
+    async fn only_a_member_that_does_not_answer_in_time_is_left_alone() {
+        let channels = Channels::new(None, &Config::default().tls);
+        let error = service::Error::IndexNotFound { name: "arm".into() };
+        let answer = Status::from(status::from_error(&error));
+        channels.note("a:1", &refusal("a:1", &answer), false);
+        // The end of a deadline.
+        let cut = refusal("a:1", &Status::cancelled("Timeout expired"));
+        channels.note("a:1", &cut, true);
+        assert!(channels.open.lock().is_empty());
+        channels.note("a:1", &cut, false);
+        assert!(matches!(
+            channels.get("a:1").await,
+            Err(NotForwarded::Unsent)
+        ));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The live members. Each announces its address over NATS every half second, and counts as gone after two seconds of
-//! silence. A member hears its own announcements too. Without them it is cut off, says so, and neither owns an index nor
-//! forwards. Nothing of this is stored: no answer depends on who is believed to be live.
+//! silence. A member hears its own announcements too. Without them it is cut off: it says so, owns no index for the others, and evaluates
+//! itself what reaches it. Nothing of this is stored: no answer depends on which members are believed to be live.
 
 use std::{
     collections::BTreeMap,
@@ -84,7 +84,7 @@ impl Members {
             serves: false,
         };
         announce(&self.nats, &self.subject, &last).await;
-        // Those who do not hear it find out by its silence.
+        // A member that does not hear it notices its silence.
         let _ = timeout(INTERVAL, self.nats.flush()).await;
     }
 

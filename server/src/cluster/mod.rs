@@ -2,8 +2,8 @@
 //! server to server.
 //!
 //! The owner of an index is chosen by rendezvous hashing over the live members. It evaluates the mutations that arrive at
-//! any member, so that writers at several servers do not refuse each other. Nothing depends on it: the journal refuses
-//! whoever is not first, and two servers that both believe to be the owner are only slower.
+//! any member, so that writers at several servers do not refuse each other. Nothing depends on it: the journal
+//! accepts only the first of two records, and two servers that both believe to be the owner are only slower.
 
 mod channels;
 mod members;
@@ -118,8 +118,9 @@ impl Cluster {
             }
             Err(_) => Err(NotForwarded::Unsent),
         };
-        if let Err(NotForwarded::Unsent | NotForwarded::Unknown { .. }) = &answered {
-            self.channels.fail(member);
+        let is_late = call.deadline.is_some_and(|it| it <= Instant::now());
+        if let Err(why) = &answered {
+            self.channels.note(member, why, is_late);
         }
         Ok(answered?.into_inner())
     }

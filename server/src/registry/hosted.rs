@@ -353,6 +353,15 @@ impl Hosted {
         )
     }
 
+    /// True if it is closed because the journal ends before what it has applied.
+    pub(super) fn is_ahead(&self) -> bool {
+        let state = self.state.borrow();
+        matches!(
+            state.closed,
+            Some(RegistryError::Log(LogError::JournalBehind { .. }))
+        )
+    }
+
     /// Closes the index, because its apply loop of this number has ended.
     pub(super) fn end_loop(&self, number: u64, why: RegistryError) {
         let apply_loop = self.apply_loop.lock();

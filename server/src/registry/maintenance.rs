@@ -11,7 +11,7 @@ use tokio::{
     sync::watch,
     time::{Instant, MissedTickBehavior, interval},
 };
-use tracing::{error, info, warn};
+use tracing::{debug, error, info, warn};
 
 use super::{Hosted, IndexState, Registry, RegistryError, replay};
 use crate::log::{Entry, LogError};
@@ -261,14 +261,20 @@ impl Registry {
     async fn resume_unsettled(self: &Arc<Self>, hosted: &Arc<Hosted>) {
         let (registry, hosted) = (Arc::clone(self), Arc::clone(hosted));
         let resume = move || {
-            match registry.host.log.journal.repair(hosted.uid()) {
-                Ok(0) => {}
-                Ok(records) => warn!(
-                    index = hosted.name(),
-                    records,
-                    "the journal had lost its newest records, and has them again from this server"
-                ),
-                Err(error) => warn!(index = hosted.name(), %error, "cannot repair the journal yet"),
+            let journal = &registry.host.log.journal;
+            if hosted.is_ahead() && journal.is_reachable() {
+                match journal.repair(hosted.uid()) {
+                    Ok(0) => {}
+                    Ok(records) => warn!(
+                        index = hosted.name(),
+                        records,
+                        "the journal had lost its newest records, and has them again from this server"
+                    ),
+                    // The reason was reported when the index stopped.
+                    Err(error) => {
+                        debug!(index = hosted.name(), %error, "cannot repair the journal")
+                    }
+                }
             }
             registry.resumes(&hosted)
         };

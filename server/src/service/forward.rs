@@ -1,8 +1,8 @@
 //! Mutations of an index are evaluated by its owner: the other servers of a cluster forward them, so that writers at
 //! several servers do not refuse each other.
 //!
-//! Ownership decides nothing. Whoever evaluates a mutation is fenced by the journal, and a server whose owner does not
-//! answer evaluates the mutation itself.
+//! Ownership decides nothing: the journal fences every server, and one whose owner does not answer evaluates the mutation
+//! itself.
 
 use bytes::Bytes;
 use futures_util::future::BoxFuture;

@@ -67,7 +67,7 @@ fn main() -> ExitCode {
     })
 }
 
-/// Publishes records of `clients`, each of which waits for its acknowledgement before the next.
+/// Each of `clients` publishes one record at a time, and waits for its acknowledgement before the next.
 async fn publish(context: &Context, clients: usize, time: Duration) -> Value {
     let (records, waiting) = mpsc::channel::<oneshot::Sender<()>>(clients);
     let publishing = tokio::spawn(pack(context.clone(), waiting));

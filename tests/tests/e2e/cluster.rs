@@ -11,7 +11,7 @@ use std::{
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
 use tokio::{sync::watch, task::JoinSet, time::timeout};
-use tonic::Code;
+use tonic::{Code, transport::Endpoint};
 use wayfold_proto::v1::GetRequest;
 use wayfold_tests::{
     Content, Model, Process, ServerProcess, Signal, Stubs, ledger::Entry, nats::Nats, revision,
@@ -36,6 +36,8 @@ const SEED: u64 = 5;
 const CALLS_A_SERVER: usize = 10;
 /// The time in which writing goes on after a fault; NATS alone may take ten seconds to choose another leader.
 const MAX_PAUSE: Duration = Duration::from_secs(60);
+/// The silence of a server after which a writer probes it, and after which it leaves.
+const MAX_SILENCE: Duration = Duration::from_secs(1);
 
 fn variable(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |value| value.parse().unwrap())
@@ -96,8 +98,7 @@ impl Cluster {
         command
             .args(["--grpc", "127.0.0.1:0", "--data"])
             .arg(self.data(server))
-            .env("WAYFOLD_CLUSTER__NATS", self.nats.urls())
-            .env("WAYFOLD_CLUSTER__LISTEN", "127.0.0.1:0")
+            .envs(self.nats.member_settings())
             .env("WAYFOLD_INDEX__GROWING_ROWS", "32")
             // A server without a processor would shed calls.
             .env("WAYFOLD_ADMISSION__QUEUE_TARGET_MS", "60000");
@@ -156,6 +157,13 @@ impl Cluster {
     }
 }
 
+/// Connects as a client that leaves a server which stands still.
+async fn connect(uri: &str) -> Result<Stubs, tonic::transport::Error> {
+    let endpoint = Endpoint::from_shared(uri.to_owned()).expect("a URI");
+    let endpoint = endpoint.http2_keep_alive_interval(MAX_SILENCE);
+    Stubs::open(&endpoint.keep_alive_timeout(MAX_SILENCE)).await
+}
+
 /// Writes at one server after the other, until `over`.
 async fn write(
     mut writer: Writer,
@@ -166,7 +174,7 @@ async fn write(
     let mut random = ChaCha8Rng::seed_from_u64(writer.name);
     while !*over.borrow() {
         let uri = uris.lock().unwrap().choose(&mut random).unwrap().clone();
-        let Ok(stubs) = Stubs::try_connect(&uri).await else {
+        let Ok(stubs) = connect(&uri).await else {
             tokio::task::yield_now().await;
             continue;
         };

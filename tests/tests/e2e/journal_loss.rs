@@ -1,12 +1,12 @@
-//! NATS loses records that it had acknowledged, as it is known to do: its store is set back to an earlier state. Servers that
-//! have applied them notice it and publish them again. The environment variable `NATS_SERVER` has the path of the program
+//! NATS loses records that it had acknowledged: its store is set back to an earlier state. Servers that have applied them
+//! notice it and publish them again. The environment variable `NATS_SERVER` has the path of the program
 //! nats-server.
 
 use std::{path::PathBuf, process::Command, time::Duration};
 
 use tempfile::TempDir;
 use tokio::time::timeout;
-use wayfold_proto::v1::{GetRequest, InsertRequest};
+use wayfold_proto::v1::InsertRequest;
 use wayfold_tests::{Content, Process, ServerProcess, Signal, Stubs, nats::Nats, row_states};
 
 const KEPT: u64 = 50;
@@ -25,9 +25,7 @@ impl Cluster {
         command
             .args(["--grpc", "127.0.0.1:0", "--data"])
             .arg(self.directory.path().join(format!("data-{number}")))
-            .env("WAYFOLD_CLUSTER__NATS", self.nats.urls())
-            .env("WAYFOLD_CLUSTER__REPLICAS", "1")
-            .env("WAYFOLD_CLUSTER__LISTEN", "127.0.0.1:0");
+            .envs(self.nats.member_settings());
         ServerProcess::ready(Process::spawn(&mut command))
     }
 
@@ -58,15 +56,6 @@ async fn insert(stubs: &mut Stubs, id: u64) -> Result<(), tonic::Status> {
     stubs.points.insert(request).await.map(drop)
 }
 
-async fn latest(stubs: &mut Stubs) -> Result<(), tonic::Status> {
-    let request = GetRequest {
-        index_name: "arm".into(),
-        latest: true,
-        ..Default::default()
-    };
-    stubs.points.get(request).await.map(drop)
-}
-
 /// With `restart` the servers are killed too, and know the lost records only from their data directories.
 async fn lose(restart: bool) {
     let directory = tempfile::tempdir().unwrap();
@@ -88,7 +77,7 @@ async fn lose(restart: bool) {
         }
     }
     let mut other = Stubs::connect(servers[1].uri()).await;
-    latest(&mut other).await.unwrap();
+    other.latest("arm").await.unwrap();
 
     cluster.nats.kill(0);
     if restart {
@@ -115,7 +104,7 @@ async fn lose(restart: bool) {
     let mut contents = Vec::new();
     for server in &servers {
         let mut stubs = Stubs::connect(server.uri()).await;
-        let caught_up = async { while latest(&mut stubs).await.is_err() {} };
+        let caught_up = async { while stubs.latest("arm").await.is_err() {} };
         timeout(MAX_WAIT, caught_up).await.unwrap();
         let content = Content::read(&stubs, "arm").await.unwrap();
         contents.push(content.points.keys().copied().collect::<Vec<u64>>());

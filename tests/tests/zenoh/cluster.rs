@@ -2,7 +2,6 @@
 //! The environment variable `NATS_SERVER` has the path of the program nats-server.
 
 use serde_json::{Value, json};
-use wayfold_proto::v1::GetRequest;
 use wayfold_tests::{Stubs, nats::Nats};
 
 use crate::{
@@ -23,12 +22,8 @@ async fn insert(robot: &Robot, number: u64) -> Result<Value, Value> {
 async fn several_servers_answer_as_one() {
     let directory = tempfile::tempdir().unwrap();
     let nats = Nats::start(directory.path(), 1);
-    let urls = nats.urls();
-    let settings = [
-        ("WAYFOLD_CLUSTER__NATS", &*urls),
-        ("WAYFOLD_CLUSTER__REPLICAS", "1"),
-        ("WAYFOLD_CLUSTER__LISTEN", "127.0.0.1:0"),
-    ];
+    let settings = nats.member_settings();
+    let settings = settings.each_ref().map(|it| (it.0, &*it.1));
     let mut servers = [(); 2].map(|()| server_with(&[], &settings));
     for (server, _) in &mut servers {
         server.log_until("a server joins the cluster");
@@ -40,14 +35,7 @@ async fn several_servers_answer_as_one() {
     let space = json!({ "name": "arm", "space_text": "R1" });
     robot.json("create", space).await.unwrap();
     for (server, _) in &servers {
-        let mut stubs = Stubs::connect(server.uri()).await;
-        let known = || GetRequest {
-            index_name: "arm".into(),
-            ..Default::default()
-        };
-        while stubs.points.get(known()).await.is_err() {
-            tokio::task::yield_now().await;
-        }
+        Stubs::connect(server.uri()).await.find("arm").await;
     }
 
     let refused = robot.json("arm/insert", json!({ "states": [[0.0]] })).await;
@@ -75,12 +63,7 @@ async fn several_servers_answer_as_one() {
     assert_eq!(revisions, (first..=inserted).collect::<Vec<u64>>());
     for (server, _) in &servers {
         let mut stubs = Stubs::connect(server.uri()).await;
-        let latest = GetRequest {
-            index_name: "arm".into(),
-            latest: true,
-            ..Default::default()
-        };
-        stubs.points.get(latest).await.unwrap();
+        stubs.latest("arm").await.unwrap();
         assert_eq!(stubs.describe("arm").await.point_count, inserted);
     }
 }

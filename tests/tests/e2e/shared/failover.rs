@@ -45,9 +45,7 @@ impl Nats {
         command
             .args(["--grpc", "127.0.0.1:0"])
             .env("WAYFOLD_DATA__DIR", "memory")
-            .env("WAYFOLD_CLUSTER__NATS", format!("nats://{address}"))
-            .env("WAYFOLD_CLUSTER__LISTEN", "127.0.0.1:0")
-            .env("WAYFOLD_CLUSTER__REPLICAS", "1");
+            .envs(nats::member_settings(&format!("nats://{address}"), 1));
         ServerProcess::ready(Process::spawn(&mut command))
     }
 }
