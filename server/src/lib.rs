@@ -1,7 +1,7 @@
 //! The Wayfold server: shared nearest-neighbour indices for motion planners.
 //!
 //! Dependencies point one way: `log, watermark ← registry ← identity ← service ← grpc, zenoh, http, snapshots ← run ←
-//! cli`. The [`service`] knows no transport. `grpc` and `zenoh` translate and hold no policy. The mutation [`log`] is
+//! cli`. The [`service`] knows no transport. `grpc`, `zenoh` and `http` translate and hold no policy. The mutation [`log`] is
 //! the only record of an index's past.
 
 pub mod config;
@@ -26,6 +26,7 @@ mod pages;
 mod run;
 mod snapshots;
 mod status;
+mod verbs;
 mod zenoh;
 
 pub use cli::main;

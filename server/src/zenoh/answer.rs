@@ -5,8 +5,12 @@ use tokio_util::task::task_tracker::TaskTrackerToken;
 use tracing::debug;
 use zenoh::{Wait, key_expr::KeyExpr, query::Query};
 
-use super::{codec::Form, message::Named};
-use crate::{admission::HeldBytes, status::Status};
+use super::encoding::encoding;
+use crate::{
+    admission::HeldBytes,
+    status::Status,
+    verbs::{Form, Named},
+};
 use wayfold_proto::v1;
 
 /// The replies to one query, each under its own key.
@@ -58,7 +62,7 @@ impl Response {
 
 /// Sends an answer under `key`. Blocks while the caller's link is full of unread answers, until Zenoh closes the link.
 fn reply(query: &Query, key: KeyExpr<'static>, form: Form, payload: Vec<u8>) {
-    let sent = query.reply(key, payload).encoding(form.encoding()).wait();
+    let sent = query.reply(key, payload).encoding(encoding(form)).wait();
     if let Err(error) = sent {
         debug!(key = %query.key_expr(), %error, "an answer could not be sent");
     }
@@ -68,7 +72,7 @@ fn reply(query: &Query, key: KeyExpr<'static>, form: Form, payload: Vec<u8>) {
 fn refuse(query: &Query, form: Form, status: &Status) {
     let payload = form.write(v1::Status::NAME, &status.to_message());
     let payload = payload.unwrap_or_else(|error| error.to_string().into_bytes());
-    let sent = query.reply_err(payload).encoding(form.encoding()).wait();
+    let sent = query.reply_err(payload).encoding(encoding(form)).wait();
     if let Err(error) = sent {
         debug!(%error, "a refusal could not be sent");
     }

@@ -15,8 +15,11 @@ use zenoh::{
     pubsub::Publisher, qos::CongestionControl,
 };
 
-use super::{codec::Form, message::Named};
-use crate::service::{Call, CatalogWatch, Code, Error, Service, Unavailability};
+use super::encoding::encoding;
+use crate::{
+    service::{Call, CatalogWatch, Code, Error, Service, Unavailability},
+    verbs::{Form, Named},
+};
 
 /// The pause before an index whose log could not be read is read again.
 const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
@@ -156,7 +159,7 @@ impl Announcer {
         let publisher = self
             .session
             .declare_publisher(key)
-            .encoding(form.encoding())
+            .encoding(encoding(form))
             .congestion_control(CongestionControl::Drop);
         publisher.await.map_err(|error| error.to_string())
     }

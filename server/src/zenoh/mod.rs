@@ -1,24 +1,20 @@
 //! The Zenoh face: translates queries to calls of the service and back, publishes mutations as `Watch` reports them,
 //! and holds no policy of its own.
 //!
-//! `<prefix>/<index>/<verb>` and `<prefix>/<verb>` (`verb`) take queries; the prefix is `wayfold/v1` unless set. A
-//! query (`request`) has a selector with parameters and a payload in Protocol Buffers or JSON (`codec`), and gets one
-//! reply (`queries`, `inline`, `dispatch`, `answer`). A query with a wildcard (`wildcard`) reaches only descriptions of
-//! indices. `feed` announces `<index>/events` and `<index>/@alive`.
+//! `<prefix>/<index>/<verb>` and `<prefix>/<verb>` take queries; the prefix is `wayfold/v1` unless set. A query has a
+//! selector with parameters and a payload in Protocol Buffers or JSON (`crate::verbs`), and gets one reply (`queries`,
+//! `inline`, `answer`). A query with a wildcard (`wildcard`) reaches only descriptions of indices. `feed` announces
+//! `<index>/events` and `<index>/@alive`.
 
 mod answer;
-mod codec;
-mod dispatch;
+mod encoding;
 mod feed;
 mod flows;
 mod inline;
 mod links;
-mod message;
 mod peers;
 mod queries;
-mod request;
 mod session;
-mod verb;
 mod wildcard;
 
 use std::{sync::Arc, time::Duration};

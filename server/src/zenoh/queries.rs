@@ -21,12 +21,9 @@ use zenoh::{
 
 use super::{
     answer::{Replies, Response},
-    codec::Form,
-    dispatch::dispatch,
+    encoding,
     flows::Flows,
     inline::{self, Inline},
-    request::Request,
-    verb::Target,
     wildcard,
 };
 use crate::{
@@ -36,6 +33,7 @@ use crate::{
     observe::{CallRecord, Ending, IndexLabel, Peer, Times},
     service::{Error, Unavailability},
     status::{self, Status},
+    verbs::{Form, Request, Target, dispatch},
 };
 
 const MAX_MESSAGE_BYTES: &str = "zenoh.max_message_bytes";
@@ -75,7 +73,7 @@ impl Queries {
     /// Accepts or refuses a query, on a thread of Zenoh's.
     pub(super) fn take(self: &Arc<Self>, mut query: Query) {
         let arrived = Instant::now();
-        let form = Form::of(query.encoding());
+        let form = encoding::form(query.encoding());
         // Taken before the check for the stop: `stop` waits for every token.
         let under_way = self.under_way.token();
         if self.stopping.is_cancelled() {
@@ -155,7 +153,7 @@ impl Queries {
     /// True for a search whose request is small enough to parse in no time.
     fn is_short(&self, query: &Query) -> bool {
         let bytes = query.payload().map_or(0, |payload| payload.len());
-        let target = Target::of(&self.prefix, query.key_expr());
+        let target = Target::of(&self.prefix, query.key_expr().as_str());
         bytes <= inline::MAX_BYTES && target.is_ok_and(|target| target.verb.is_search())
     }
 
@@ -170,7 +168,7 @@ impl Queries {
             under_way,
         } = accepted;
         let answer_in = *form.as_ref().unwrap_or(&Form::Json);
-        let target = Target::of(&self.prefix, query.key_expr());
+        let target = Target::of(&self.prefix, query.key_expr().as_str());
         let rpc = match &target {
             Ok(target) => target.verb.name(),
             Err(_) => "other",
@@ -260,7 +258,9 @@ impl Queries {
         let form = form?;
         let key: &keyexpr = query.key_expr();
         let index = target.as_ref().map_or("", |target| target.index);
-        let (request, mut call) = Request::of(query, form, index, arrived)?;
+        let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
+        let named = query.parameters().iter();
+        let (request, mut call) = Request::of(form, index, named, payload, arrived)?;
         let default = || arrived.checked_add(self.default_timeout);
         call.deadline = call.deadline.or_else(default);
         call.caller = caller;

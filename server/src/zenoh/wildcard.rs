@@ -3,14 +3,11 @@
 use wayfold_proto::v1;
 use zenoh::key_expr::{KeyExpr, OwnedKeyExpr, keyexpr};
 
-use super::{
-    answer::Replies,
-    codec::{Form, invalid},
-    message::Named,
-};
+use super::answer::Replies;
 use crate::{
     service::{Call, Error, Service},
     status,
+    verbs::{Form, Named, invalid},
 };
 
 /// Indices described at a time.

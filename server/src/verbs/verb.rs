@@ -1,13 +1,11 @@
-//! The verbs of the Zenoh face, and their keys.
-
-use zenoh::key_expr::keyexpr;
+//! The verbs, and their keys.
 
 use super::codec::invalid;
 use crate::service::Error;
 
 /// A verb of one index: `<prefix>/<index>/<verb>`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum PointVerb {
+pub(crate) enum PointVerb {
     Knn,
     Query,
     Insert,
@@ -23,7 +21,7 @@ pub(super) enum PointVerb {
 
 /// A verb of the server: `<prefix>/<verb>`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum IndexVerb {
+pub(crate) enum IndexVerb {
     Server,
     Create,
     List,
@@ -32,13 +30,13 @@ pub(super) enum IndexVerb {
 
 /// A verb.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Verb {
+pub(crate) enum Verb {
     OfIndex(PointVerb),
     OfServer(IndexVerb),
 }
 
 impl PointVerb {
-    pub(super) const ALL: [(&str, Self); 11] = [
+    pub(crate) const ALL: [(&str, Self); 11] = [
         ("knn", Self::Knn),
         ("query", Self::Query),
         ("insert", Self::Insert),
@@ -54,7 +52,7 @@ impl PointVerb {
 }
 
 impl IndexVerb {
-    pub(super) const ALL: [(&str, Self); 4] = [
+    pub(crate) const ALL: [(&str, Self); 4] = [
         ("server", Self::Server),
         ("create", Self::Create),
         ("list", Self::List),
@@ -64,7 +62,7 @@ impl IndexVerb {
 
 impl Verb {
     /// True if it may change something. It needs a payload then, so that a key alone changes nothing.
-    pub(super) fn is_mutation(self) -> bool {
+    pub(crate) fn is_mutation(self) -> bool {
         match self {
             Verb::OfIndex(verb) => match verb {
                 PointVerb::Insert
@@ -87,12 +85,12 @@ impl Verb {
     }
 
     /// True if it searches for neighbours.
-    pub(super) fn is_search(self) -> bool {
+    pub(crate) fn is_search(self) -> bool {
         matches!(self, Verb::OfIndex(PointVerb::Knn | PointVerb::Query))
     }
 
     /// Its name in the key.
-    pub(super) fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         let name = match self {
             Verb::OfIndex(verb) => PointVerb::ALL.iter().find(|(_, v)| *v == verb).map(|v| v.0),
             Verb::OfServer(verb) => IndexVerb::ALL.iter().find(|(_, v)| *v == verb).map(|v| v.0),
@@ -103,16 +101,16 @@ impl Verb {
 
 /// A parsed key without wildcards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Target<'a> {
+pub(crate) struct Target<'a> {
     /// The index; empty for a verb of the server.
-    pub(super) index: &'a str,
-    pub(super) verb: Verb,
+    pub(crate) index: &'a str,
+    pub(crate) verb: Verb,
 }
 
 impl<'a> Target<'a> {
     /// Parses a key under `prefix`.
-    pub(super) fn of(prefix: &str, key: &'a keyexpr) -> Result<Self, Error> {
-        let rest = key.as_str().strip_prefix(prefix).unwrap_or_default();
+    pub(crate) fn of(prefix: &str, key: &'a str) -> Result<Self, Error> {
+        let rest = key.strip_prefix(prefix).unwrap_or_default();
         let rest = rest.strip_prefix('/').unwrap_or_default();
         let known = |(index, verb): (&'a str, &str)| {
             let found = PointVerb::ALL.iter().find(|(name, _)| *name == verb)?;
@@ -129,7 +127,7 @@ impl<'a> Target<'a> {
     }
 }
 
-fn unknown(prefix: &str, key: &keyexpr) -> Error {
+fn unknown(prefix: &str, key: &str) -> Error {
     let names = |all: &[&str]| all.join(", ");
     let text = format!(
         "no verb has the key {key}: under {prefix}/INDEX/ there are {}, and under {prefix}/ {}",
@@ -146,7 +144,7 @@ mod tests {
     #[test]
     fn keys_are_taken_apart() {
         let key = |text: &'static str| {
-            let target = Target::of("wayfold/v1", keyexpr::new(text).unwrap());
+            let target = Target::of("wayfold/v1", text);
             target.map(|target| (target.index, target.verb)).ok()
         };
         let knn = Verb::OfIndex(PointVerb::Knn);

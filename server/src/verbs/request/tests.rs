@@ -11,7 +11,7 @@ use crate::{
     log::MemoryLog,
     registry::{Registry, RegistryOptions},
     service::{Code, Limits, Service},
-    zenoh::{dispatch::dispatch, verb::Target},
+    verbs::{Target, dispatch},
 };
 
 #[path = "../../../tests/extremes/mod.rs"]
@@ -71,7 +71,7 @@ async fn two_points() -> (Service, String) {
 
 async fn assert_answered(service: &Service, key: &str, request: &Request<'_>) {
     let key = format!("wayfold/v1/{key}");
-    let target = Target::of("wayfold/v1", key.as_str().try_into().unwrap()).unwrap();
+    let target = Target::of("wayfold/v1", &key).unwrap();
     let call = Call {
         deadline: Some(Instant::now() + Duration::from_secs(3600)),
         ..Call::default()

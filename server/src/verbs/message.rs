@@ -1,4 +1,4 @@
-//! The requests and answers of this face, by name, and the index field of requests.
+//! The requests and answers, by name, and the index field of requests.
 
 use prost::Message;
 use wayfold_proto::v1;
@@ -6,19 +6,19 @@ use wayfold_proto::v1;
 use crate::observe;
 
 /// A message with its name in `wayfold.v1`.
-pub(super) trait Named: Message + Default {
+pub(crate) trait Named: Message + Default {
     /// Its name.
     const NAME: &'static str;
 }
 
 /// A request to the index in the key.
-pub(super) trait IndexRequest: Named + observe::Request {
+pub(crate) trait IndexRequest: Named + observe::Request {
     /// Its field for the index.
     fn index_mut(&mut self) -> &mut String;
 }
 
 /// A request for neighbours.
-pub(super) trait SearchRequest: IndexRequest {
+pub(crate) trait SearchRequest: IndexRequest {
     /// The columns requested of each neighbour.
     fn include(&self) -> Option<v1::Include>;
 }

@@ -18,7 +18,7 @@ use crate::{
 const NEEDS_OPERATION_ID: &str = "several servers answer here: over Zenoh each mutation needs an operation_id, so that it takes effect once";
 
 /// Calls `verb` and returns its answer in the form of the request. `max_message_bytes` is the face's limit.
-pub(super) async fn dispatch(
+pub(crate) async fn dispatch(
     service: &Service,
     call: &Call,
     verb: Verb,
@@ -72,8 +72,8 @@ pub(super) async fn dispatch(
     }
 }
 
-/// Decodes a request for neighbours. One with payloads may read a disk: it yields first, which moves it off Zenoh's
-/// thread.
+/// Decodes a request for neighbours. One with payloads may read a disk: it yields first, which moves it off the
+/// thread that reads a link of Zenoh.
 async fn search<R: SearchRequest>(request: &Request<'_>) -> Result<R, Error> {
     let request: R = request.decode_for_index()?;
     if request.include().is_some_and(|include| include.payloads) {

@@ -1,4 +1,4 @@
-//! Encodes messages for Zenoh in Protocol Buffers, or in JSON for people.
+//! Encodes messages in Protocol Buffers, or in JSON for people.
 //!
 //! JSON has the fields of the messages under their own names, in plain numbers, with these differences. States are
 //! rows, `[[0.1, 0.2], [0.3, 0.4]]`, or one row, `[0.1, 0.2]`. The neighbours of each state are a row (`"ids": [[3, 7],
@@ -14,7 +14,6 @@ mod write;
 
 use prost::Message;
 use prost_reflect::DynamicMessage;
-use zenoh::bytes::Encoding;
 
 use crate::service::{Error, Violation};
 
@@ -28,38 +27,6 @@ pub(crate) enum Form {
 }
 
 impl Form {
-    /// The form that an encoding names; an unnamed one is JSON.
-    pub(crate) fn of(encoding: Option<&Encoding>) -> Result<Self, Error> {
-        let Some(encoding) = encoding else {
-            return Ok(Form::Json);
-        };
-        if *encoding == Encoding::APPLICATION_PROTOBUF {
-            return Ok(Form::Protobuf);
-        }
-        let text = encoding.to_string();
-        // A schema may follow the name.
-        let name = text.split(';').next().unwrap_or_default();
-        match name {
-            "application/protobuf" => Ok(Form::Protobuf),
-            "application/json" | "text/json" | "text/plain" | "zenoh/string" | "zenoh/bytes" => {
-                Ok(Form::Json)
-            }
-            _ => Err(invalid(
-                "encoding",
-                "UNKNOWN_ENCODING",
-                format!("{text:?} is neither application/protobuf nor application/json"),
-            )),
-        }
-    }
-
-    /// The encoding that names this form.
-    pub(crate) fn encoding(self) -> Encoding {
-        match self {
-            Form::Protobuf => Encoding::APPLICATION_PROTOBUF,
-            Form::Json => Encoding::APPLICATION_JSON,
-        }
-    }
-
     /// Decodes a request, `type_name` of `wayfold.v1`, and adds the selector's parameters.
     pub(crate) fn read<M: Message + Default>(
         self,
@@ -111,7 +78,7 @@ fn malformed(problem: impl std::fmt::Display) -> Error {
 }
 
 /// The refusal of a query with one wrong part.
-pub(super) fn invalid(
+pub(crate) fn invalid(
     field: impl Into<String>,
     reason: &'static str,
     description: impl Into<String>,

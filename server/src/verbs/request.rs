@@ -1,11 +1,9 @@
-//! A query's key, parameters, payload and encoding as one request.
+//! The index, parameters, payload and form of one request.
 
 use std::{
     borrow::Cow,
     time::{Duration, Instant},
 };
-
-use zenoh::query::Query;
 
 use super::{
     codec::{Form, invalid},
@@ -23,10 +21,10 @@ const TIMEOUT: &str = "timeout_ms";
 /// A larger message is encoded and decoded as blocking work. Well above the bytes answered on Zenoh's own threads.
 const MAX_INLINE_BYTES: usize = 64 * 1024;
 
-/// A parsed query.
-pub(super) struct Request<'a> {
+/// See the module.
+pub(crate) struct Request<'a> {
     /// The form of the request and of its answer.
-    pub(super) form: Form,
+    pub(crate) form: Form,
     /// The index that the key names.
     index: &'a str,
     parameters: Vec<(&'a str, &'a str)>,
@@ -34,16 +32,17 @@ pub(super) struct Request<'a> {
 }
 
 impl<'a> Request<'a> {
-    /// Parses a query for `index` that arrived at `arrived`.
-    pub(super) fn of(
-        query: &'a Query,
+    /// A request for `index` that arrived at `arrived`, and its call with the deadline that a parameter sets.
+    pub(crate) fn of(
         form: Form,
         index: &'a str,
+        named: impl IntoIterator<Item = (&'a str, &'a str)>,
+        payload: Cow<'a, [u8]>,
         arrived: Instant,
     ) -> Result<(Self, Call), Error> {
         let mut deadline = None;
         let mut parameters = Vec::new();
-        for (name, value) in query.parameters().iter() {
+        for (name, value) in named {
             if name == TIMEOUT {
                 let read = read_timeout(value, arrived)?;
                 if deadline.is_some_and(|before| before != read) {
@@ -56,12 +55,11 @@ impl<'a> Request<'a> {
                 parameters.push((name, value));
             }
         }
-        let payload = query.payload().map(|payload| payload.to_bytes());
         let request = Self {
             form,
             index,
             parameters,
-            payload: payload.unwrap_or_default(),
+            payload,
         };
         let deadline = deadline.flatten();
         let call = Call {
@@ -72,7 +70,7 @@ impl<'a> Request<'a> {
     }
 
     /// Refuses a mutation without a payload.
-    pub(super) fn check(&self, verb: Verb) -> Result<(), Error> {
+    pub(crate) fn check(&self, verb: Verb) -> Result<(), Error> {
         if verb.is_mutation() && self.payload.is_empty() {
             let text = format!("{} needs a payload, at least {{}}", verb.name());
             return Err(invalid("payload", "REQUIRED", text));
@@ -81,7 +79,7 @@ impl<'a> Request<'a> {
     }
 
     /// Decodes the request for the index that the key names.
-    pub(super) fn decode_for_index<R: IndexRequest>(&self) -> Result<R, Error> {
+    pub(crate) fn decode_for_index<R: IndexRequest>(&self) -> Result<R, Error> {
         let mut request: R = self.decode()?;
         let index = request.index_mut();
         if index.is_empty() {
@@ -95,14 +93,14 @@ impl<'a> Request<'a> {
     }
 
     /// Decodes the request if the key names no index.
-    pub(super) fn decode<R: Named>(&self) -> Result<R, Error> {
+    pub(crate) fn decode<R: Named>(&self) -> Result<R, Error> {
         let read = || self.form.read(R::NAME, &self.payload, &self.parameters);
         let parameters = self.parameters.iter().map(|(_, value)| value.len());
         at_length(self.payload.len() + parameters.sum::<usize>(), read)
     }
 
     /// Encodes an answer in the form of the request.
-    pub(super) fn encode<M: Named>(&self, answer: &M) -> Result<Vec<u8>, Error> {
+    pub(crate) fn encode<M: Named>(&self, answer: &M) -> Result<Vec<u8>, Error> {
         let write = || self.form.write(M::NAME, answer);
         at_length(answer.encoded_len(), write)
     }

@@ -296,26 +296,6 @@ fn parameters_say_what_the_message_does_not() {
 }
 
 #[test]
-fn the_encoding_names_the_form() {
-    for (name, form) in [
-        ("application/protobuf", Some(Form::Protobuf)),
-        (
-            "application/protobuf;wayfold.v1.KnnRequest",
-            Some(Form::Protobuf),
-        ),
-        ("application/json", Some(Form::Json)),
-        ("text/json", Some(Form::Json)),
-        ("zenoh/string", Some(Form::Json)),
-        ("zenoh/bytes", Some(Form::Json)),
-        ("image/png", None),
-        ("application/protobuffer", None),
-    ] {
-        assert_eq!(Form::of(Some(&Encoding::from(name))).ok(), form, "{name}");
-    }
-    assert_eq!(Form::of(None).ok(), Some(Form::Json));
-}
-
-#[test]
 fn details_of_errors_are_written_out() {
     let error = invalid("k", "TOO_SMALL", "0");
     let status = crate::status::from_error(&error).to_message();

@@ -10,8 +10,8 @@ use crate::{
     log::MemoryLog,
     registry::{Registry, RegistryOptions},
     service::{Limits, Service},
-    zenoh::{
-        dispatch::dispatch,
+    verbs::{
+        dispatch,
         verb::{IndexVerb, PointVerb},
     },
 };

@@ -1,0 +1,16 @@
+//! The verbs of the service by name, for faces without generated stubs: Zenoh and the operators' listener.
+//!
+//! A key (`verb`) names an index and a verb. A request (`request`) has parameters and a payload in Protocol Buffers or
+//! JSON (`codec`), and is translated to a call of the service and back (`dispatch`). No policy is here.
+
+mod codec;
+mod dispatch;
+mod message;
+mod request;
+mod verb;
+
+pub(crate) use codec::{Form, invalid};
+pub(crate) use dispatch::dispatch;
+pub(crate) use message::Named;
+pub(crate) use request::Request;
+pub(crate) use verb::Target;
