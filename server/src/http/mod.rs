@@ -1,8 +1,12 @@
-//! The listener for operators: `/metrics`, and the probes `/healthz` and `/readyz`.
+//! The listener for operators: what a page or a program reads, `/metrics`, and the probes `/healthz` and `/readyz`.
 //!
-//! Probes answer everyone. Everything else needs an identity where the server has identities, as a bearer token.
+//! Probes answer everyone. Everything else needs an identity where the server has identities, as a
+//! bearer token. `api` and `points` are what the page reads; `guard` keeps pages of others away from them.
 
+mod api;
 mod bounded;
+mod guard;
+mod points;
 mod state;
 
 use std::{fmt, future::pending, io, sync::Arc, time::Duration};
@@ -11,8 +15,9 @@ use axum::{
     Router,
     extract::State as Of,
     http::{HeaderMap, StatusCode, header},
+    middleware::from_fn_with_state,
     response::{IntoResponse, Response},
-    routing::get,
+    routing::{get, post},
     serve::Listener,
 };
 use tokio::{net::TcpListener, sync::Semaphore, task::spawn_blocking, time::timeout};
@@ -23,7 +28,9 @@ use crate::{
     identity::Role,
     lifecycle::{Phase, PhaseWatch},
 };
+use api::Api;
 use bounded::Bounded;
+use guard::Guard;
 pub(crate) use state::State;
 
 /// The media type of OpenMetrics.
@@ -44,17 +51,29 @@ pub(crate) struct Pages {
 
 /// Serves the pages on `listener`, over TLS if there is any, until it is dropped.
 pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages) -> io::Result<()> {
-    let routes = Router::new()
-        .route("/metrics", get(metrics))
-        .route("/healthz", get(async || "alive\n"))
-        .route("/readyz", get(ready))
-        .with_state(Arc::new(pages));
+    let routes = routes(pages, tls.is_some());
     let secured = Secured {
         listener,
         tls,
         places: Arc::new(Semaphore::new(MAX_CONNECTIONS)),
     };
     axum::serve(secured, routes).await
+}
+
+fn routes(pages: Pages, has_tls: bool) -> Router {
+    let guard = Guard { has_tls };
+    let api = Router::new()
+        .route("/api/v1/{verb}", post(api::answer))
+        .route("/api/v1/{index}/{verb}", post(api::answer))
+        .route("/api/v1/{index}/points", get(points::points))
+        .layer(from_fn_with_state(guard, guard::own_origin))
+        .with_state(Arc::new(Api::new(pages.shared.clone())));
+    Router::new()
+        .route("/metrics", get(metrics))
+        .route("/healthz", get(async || "alive\n"))
+        .route("/readyz", get(ready))
+        .with_state(Arc::new(pages))
+        .merge(api)
 }
 
 async fn metrics(Of(pages): Of<Arc<Pages>>, headers: HeaderMap) -> Response {
@@ -120,3 +139,6 @@ impl Listener for Secured {
         self.listener.local_addr()
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -90,6 +90,11 @@ impl Scan {
         Some(part)
     }
 
+    /// The coordinates of a row.
+    pub(crate) fn coordinates(&self) -> usize {
+        self.hosted.space().coordinates()
+    }
+
     /// True if there are no further parts.
     pub(super) fn is_done(&self) -> bool {
         self.done

@@ -1,0 +1,257 @@
+//! The verbs that read, in JSON: `POST /api/v1/INDEX/VERB` and `POST /api/v1/VERB` take the messages that Zenoh takes.
+//!
+//! Nothing is changed here: a page of another origin that finds a way to this listener finds nothing to write with.
+
+use std::{
+    panic::AssertUnwindSafe,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use axum::{
+    body::{Body, to_bytes},
+    extract::{Request as HttpRequest, State as Of},
+    http::{HeaderMap, StatusCode, header},
+    response::{IntoResponse, Response},
+};
+use bytes::Bytes;
+use futures_util::FutureExt;
+use http_body_util::{BodyExt, Full};
+use tokio::sync::Semaphore;
+use tracing::Instrument;
+use wayfold_proto::v1;
+
+use crate::{
+    admission::{CALL_BYTES, CallTurns, Flow, HeldBytes},
+    faces::Shared,
+    grpc::token,
+    identity::Denial,
+    observe::{CallRecord, Ending, Times},
+    service::{Call, Code, Error},
+    status::{self, Status},
+    verbs::{Form, Named, Request, Target, dispatch, invalid},
+};
+
+/// The keys begin with it.
+pub(super) const PREFIX: &str = "/api/v1";
+
+/// The most bytes of a request. The page asks for the neighbours of one state at a time.
+const MAX_REQUEST_BYTES: usize = 1024 * 1024;
+
+/// The time of a call.
+const MAX_TIME: Duration = Duration::from_secs(10);
+
+/// The most streams at a time. They leave connections for probes and scrapes.
+pub(super) const MAX_STREAMS: usize = 16;
+
+/// What the calls of this listener share.
+pub(super) struct Api {
+    pub(super) shared: Shared,
+    /// All of them take the turns and the memory of one connection: whoever looks slows nobody who plans.
+    flow: Arc<Flow>,
+    pub(super) streams: Arc<Semaphore>,
+}
+
+/// A call that was admitted.
+pub(super) struct Admitted {
+    pub(super) call: Call,
+    pub(super) record: CallRecord,
+    pub(super) held: HeldBytes,
+    pub(super) turns: CallTurns,
+}
+
+impl Api {
+    pub(super) fn new(shared: Shared) -> Self {
+        Self {
+            flow: shared.admission.open(),
+            streams: Arc::new(Semaphore::new(MAX_STREAMS)),
+            shared,
+        }
+    }
+
+    /// Admits a call that arrived now. `is_stream` lets it last.
+    pub(super) fn admit(
+        &self,
+        verb: &'static str,
+        headers: &HeaderMap,
+        is_stream: bool,
+    ) -> Result<Admitted, Box<Status>> {
+        let arrived = Instant::now();
+        let caller = self.shared.identities.caller(token(headers), None);
+        let trace = headers.get("traceparent").and_then(|it| it.to_str().ok());
+        let mut record = CallRecord::begin(
+            format!("Http/{verb}"),
+            ("http", verb),
+            arrived,
+            &self.shared.metrics,
+            (&caller, trace),
+        );
+        let held = self.flow.hold();
+        let mut turns = match is_stream {
+            true => self.flow.turns_of_stream(),
+            false => self.flow.turns(),
+        };
+        let refused = match caller.check() {
+            Err(why) => Some(status::from_error(&Error::Denied {
+                why: Denial::Unknown(why),
+            })),
+            Ok(()) if !held.take(CALL_BYTES) => Some(status::too_many_bytes(self.flow.max_bytes())),
+            Ok(()) => turns.ask().err().map(status::overloaded),
+        };
+        if let Some(status) = refused {
+            record.end(Ending::Failed(status.code));
+            return Err(status.into());
+        }
+        let call = Call {
+            deadline: match is_stream {
+                true => None,
+                false => arrived.checked_add(MAX_TIME),
+            },
+            caller,
+            trace: trace.map(Arc::from),
+            is_forwarded: false,
+            index: Arc::clone(record.index()),
+        };
+        Ok(Admitted {
+            call,
+            record,
+            held,
+            turns,
+        })
+    }
+}
+
+/// Answers a verb.
+pub(super) async fn answer(Of(api): Of<Arc<Api>>, request: HttpRequest) -> Response {
+    let (parts, body) = request.into_parts();
+    let target = Target::of(PREFIX, parts.uri.path());
+    let verb = target.as_ref().map_or("other", |it| it.verb.name());
+    let admitted = match api.admit(verb, &parts.headers, false) {
+        Ok(admitted) => admitted,
+        Err(status) => return refusal(&status),
+    };
+    let Admitted {
+        call,
+        mut record,
+        held,
+        mut turns,
+    } = admitted;
+    let arrived = Instant::now();
+    let span = record.span().clone();
+    let mut received = Duration::ZERO;
+    let answering = async {
+        turns.give_up();
+        let body = receive(body, &held).await?;
+        received = arrived.elapsed();
+        let working = ask(&api.shared, &call, target, &body);
+        turns.run(working).await.map_err(status::overloaded)?
+    };
+    let in_time = tokio::time::timeout(MAX_TIME, AssertUnwindSafe(answering).catch_unwind());
+    let answered = match in_time.instrument(span).await {
+        Ok(Ok(answered)) => answered,
+        Ok(Err(_panic)) => Err(status::from_error(&Error::Internal {
+            what: format!("Http/{verb} panicked"),
+        })),
+        Err(_) => Err(status::from_error(&Error::DeadlineExceeded {
+            doing: "before the call was done",
+        })),
+    };
+    let (queued, computed) = turns.times();
+    let times = Times {
+        received,
+        queued,
+        computed,
+        answered: arrived.elapsed(),
+    };
+    record.took(times, &api.shared.slow_calls);
+    match answered {
+        Ok(answer) => {
+            record.end(Ending::Ok);
+            held.take_anyway(answer.len());
+            // The bytes are held until the answer is written.
+            let body = Full::new(Bytes::from(answer)).map_frame(move |frame| {
+                let _ = &held;
+                frame
+            });
+            (
+                [(header::CONTENT_TYPE, "application/json")],
+                Body::new(body),
+            )
+                .into_response()
+        }
+        Err(status) => {
+            record.end(Ending::Failed(status.code));
+            refusal(&status)
+        }
+    }
+}
+
+async fn receive(body: Body, held: &HeldBytes) -> Result<Bytes, Status> {
+    let body = to_bytes(body, MAX_REQUEST_BYTES).await.map_err(|error| {
+        let text = format!("it cannot be read, or exceeds {MAX_REQUEST_BYTES} bytes: {error}");
+        status::from_error(&invalid("body", "TOO_LARGE", text))
+    })?;
+    match held.take(body.len()) {
+        true => Ok(body),
+        false => Err(status::too_many_bytes(held.flow().max_bytes())),
+    }
+}
+
+async fn ask(
+    shared: &Shared,
+    call: &Call,
+    target: Result<Target<'_>, Error>,
+    body: &[u8],
+) -> Result<Vec<u8>, Status> {
+    let answered = async {
+        let target = target?;
+        if target.verb.is_mutation() {
+            let text = format!(
+                "{} changes the server: use gRPC, Zenoh or the command line",
+                target.verb.name()
+            );
+            return Err(invalid("key", "READ_ONLY", text));
+        }
+        let arrived = Instant::now();
+        let (request, _) = Request::of(Form::Json, target.index, [], body.into(), arrived)?;
+        dispatch(
+            &shared.service,
+            call,
+            target.verb,
+            &request,
+            MAX_REQUEST_BYTES,
+        )
+        .await
+    };
+    answered.await.map_err(|error| status::from_error(&error))
+}
+
+/// A refusal, with its status as JSON.
+pub(super) fn refusal(status: &Status) -> Response {
+    let text = Form::Json.write(v1::Status::NAME, &status.to_message());
+    let text = text.unwrap_or_else(|error| error.to_string().into_bytes());
+    let code = http_code(status.code);
+    let mut response = (code, [(header::CONTENT_TYPE, "application/json")], text).into_response();
+    if code == StatusCode::UNAUTHORIZED {
+        let challenge = header::HeaderValue::from_static("Bearer");
+        response
+            .headers_mut()
+            .insert(header::WWW_AUTHENTICATE, challenge);
+    }
+    response
+}
+
+/// The status of HTTP for a code, as in google/rpc/code.proto.
+fn http_code(code: Code) -> StatusCode {
+    match code {
+        Code::InvalidArgument | Code::FailedPrecondition => StatusCode::BAD_REQUEST,
+        Code::NotFound => StatusCode::NOT_FOUND,
+        Code::AlreadyExists => StatusCode::CONFLICT,
+        Code::ResourceExhausted => StatusCode::TOO_MANY_REQUESTS,
+        Code::Unavailable => StatusCode::SERVICE_UNAVAILABLE,
+        Code::DeadlineExceeded => StatusCode::GATEWAY_TIMEOUT,
+        Code::Unauthenticated => StatusCode::UNAUTHORIZED,
+        Code::PermissionDenied => StatusCode::FORBIDDEN,
+        Code::DataLoss | Code::Internal => StatusCode::INTERNAL_SERVER_ERROR,
+    }
+}

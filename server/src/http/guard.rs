@@ -1,0 +1,88 @@
+//! Keeps pages of other origins away from the data: a browser would carry their requests to this listener.
+
+use std::net::IpAddr;
+
+use axum::{
+    extract::{Request, State as Of},
+    http::{HeaderMap, StatusCode, header},
+    middleware::Next,
+    response::{IntoResponse, Response},
+};
+
+const REFUSED: &str = "the host of the request may belong to another site: open the page by its address, as localhost, or over TLS\n";
+
+/// What the listener is reached by.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Guard {
+    /// With TLS the certificate shows that the name is the server's.
+    pub(super) has_tls: bool,
+}
+
+/// Answers requests of the server's own page and of programs. A page of another origin shows itself by `Sec-Fetch-Site`; one
+/// whose name was pointed at this machine (DNS rebinding), by a `Host` that is neither an address nor localhost.
+pub(super) async fn own_origin(Of(guard): Of<Guard>, request: Request, next: Next) -> Response {
+    match guard.admits(request.headers()) {
+        true => next.run(request).await,
+        false => (StatusCode::FORBIDDEN, REFUSED).into_response(),
+    }
+}
+
+impl Guard {
+    fn admits(self, headers: &HeaderMap) -> bool {
+        let site = headers.get("sec-fetch-site").map(|site| site.as_bytes());
+        if !matches!(site, None | Some(b"same-origin" | b"none")) {
+            return false;
+        }
+        let host = headers.get(header::HOST).and_then(|it| it.to_str().ok());
+        self.has_tls || host.is_some_and(is_this_machine)
+    }
+}
+
+/// True for an address or localhost, with a port or without.
+fn is_this_machine(host: &str) -> bool {
+    let name = match host.strip_prefix('[') {
+        Some(rest) => rest.split(']').next().unwrap_or_default(),
+        None => host.split(':').next().unwrap_or_default(),
+    };
+    name.eq_ignore_ascii_case("localhost") || name.parse::<IpAddr>().is_ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn admits(has_tls: bool, host: &str, site: Option<&str>) -> bool {
+        let mut headers = HeaderMap::new();
+        headers.insert(header::HOST, host.parse().unwrap());
+        if let Some(site) = site {
+            headers.insert("sec-fetch-site", site.parse().unwrap());
+        }
+        Guard { has_tls }.admits(&headers)
+    }
+
+    #[test]
+    fn a_page_of_another_origin_is_refused() {
+        for host in [
+            "127.0.0.1:8080",
+            "localhost:8080",
+            "LOCALHOST",
+            "[::1]:8080",
+            "10.1.2.3",
+        ] {
+            assert!(admits(false, host, None), "{host}");
+            assert!(admits(false, host, Some("same-origin")), "{host}");
+            assert!(!admits(false, host, Some("cross-site")), "{host}");
+            assert!(!admits(true, host, Some("same-site")), "{host}");
+        }
+        for host in [
+            "evil.example:8080",
+            "localhost.evil.example",
+            "127.0.0.1.evil.example",
+            "",
+        ] {
+            assert!(!admits(false, host, None), "{host}");
+        }
+        assert!(admits(true, "robot.example:8080", None));
+        assert!(!Guard { has_tls: false }.admits(&HeaderMap::new()));
+    }
+}

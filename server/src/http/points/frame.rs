@@ -1,0 +1,90 @@
+//! Frames of columns.
+
+use bytes::Bytes;
+use serde_json::{Value, json};
+use wayfold_proto::v1;
+use xxhash_rust::xxh3::xxh3_64;
+
+/// The part of the points that is sent: those whose hashed id is at most this number. So a point that comes later is in
+/// the sample or not by the same rule, and its removal too.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Share(u64);
+
+impl Share {
+    pub(super) const ALL: Self = Self(u64::MAX);
+
+    /// The share of `count` points of which about `max` are sent.
+    pub(super) fn of(max: u64, count: u64) -> Self {
+        match max < count {
+            true => Self((max as f64 / count as f64 * u64::MAX as f64) as u64),
+            false => Self::ALL,
+        }
+    }
+
+    pub(super) fn fraction(self) -> f64 {
+        self.0 as f64 / u64::MAX as f64
+    }
+
+    fn has(self, id: u64) -> bool {
+        self == Self::ALL || xxh3_64(&id.to_le_bytes()) <= self.0
+    }
+}
+
+/// Frames, one after the other.
+#[derive(Debug, Default)]
+pub(super) struct Frames(Vec<u8>);
+
+impl Frames {
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    pub(super) fn finish(self) -> Bytes {
+        self.0.into()
+    }
+
+    /// Adds a frame. Heads and bodies are far below 4 GiB: an answer of the service is.
+    pub(super) fn push(&mut self, head: &Value, body: &[u8]) {
+        let mut head = head.to_string().into_bytes();
+        head.resize(head.len().next_multiple_of(8), b' ');
+        let padded = body.len().next_multiple_of(8);
+        self.0.extend((head.len() as u32).to_le_bytes());
+        self.0.extend((padded as u32).to_le_bytes());
+        self.0.extend(head);
+        self.0.extend(body);
+        self.0.resize(self.0.len() + padded - body.len(), 0);
+    }
+
+    /// Adds the points of the share.
+    pub(super) fn push_points(&mut self, points: &v1::Points, share: Share) {
+        let rows: Vec<usize> = (0..points.ids.len())
+            .filter(|row| share.has(points.ids[*row]))
+            .collect();
+        if rows.is_empty() {
+            return;
+        }
+        let coordinates = points.states.as_ref().map_or(&[][..], |it| &it.coordinates);
+        let width = coordinates.len() / points.ids.len();
+        let mut body = Vec::with_capacity(rows.len() * (24 + 4 * width));
+        for column in [&points.ids, &points.revisions, &points.tags] {
+            let numbers = rows.iter().map(|row| column.get(*row).copied());
+            body.extend(numbers.flat_map(|number| number.unwrap_or_default().to_le_bytes()));
+        }
+        for row in &rows {
+            let row = &coordinates[row * width..(row + 1) * width];
+            body.extend(row.iter().flat_map(|it| (*it as f32).to_le_bytes()));
+        }
+        self.push(&json!({ "kind": "points", "count": rows.len() }), &body);
+    }
+
+    /// Adds the removed ids of the share.
+    pub(super) fn push_removed(&mut self, ids: &[u64], revision: u64, share: Share) {
+        let ids: Vec<u64> = ids.iter().copied().filter(|id| share.has(*id)).collect();
+        if ids.is_empty() {
+            return;
+        }
+        let body: Vec<u8> = ids.iter().flat_map(|id| id.to_le_bytes()).collect();
+        let head = json!({ "kind": "removed", "count": ids.len(), "revision": revision });
+        self.push(&head, &body);
+    }
+}

@@ -1,0 +1,329 @@
+//! What the page reads, over the routes of the listener.
+
+use std::{fs, sync::Arc};
+
+use axum::{
+    body::{Body, to_bytes},
+    http::{Request, StatusCode, header},
+    response::Response,
+};
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+use tower::Service as _;
+use wayfold_proto::v1;
+
+use super::*;
+use crate::{
+    config::Config,
+    identity::Identities,
+    lifecycle::Lifecycle,
+    log::MemoryLog,
+    registry::{Registry, RegistryOptions},
+    service::{Call, Limits, Service},
+};
+
+const POINTS: u64 = 10;
+
+/// A service with `arm`, whose points 0 to 9 have their ids as states, revision 1 + id, and 100 + id as tags.
+async fn service() -> Service {
+    let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
+    let service = Service::new(registry, Limits::default());
+    service.set_ready();
+    let call = Call::default();
+    let request = v1::CreateIndexRequest {
+        name: "arm".into(),
+        space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R2".into())),
+    };
+    service.create_index(&call, request).await.unwrap();
+    for id in 0..POINTS {
+        insert(&service, id).await;
+    }
+    service
+}
+
+async fn insert(service: &Service, id: u64) {
+    let request = v1::InsertRequest {
+        index_name: "arm".into(),
+        ids: vec![id],
+        tags: vec![100 + id],
+        states: Some(v1::States {
+            row_count: 1,
+            coordinates: vec![id as f64, 0.5],
+        }),
+        ..Default::default()
+    };
+    service.insert(&Call::default(), request).await.unwrap();
+}
+
+async fn remove(service: &Service, id: u64) {
+    let request = v1::RemoveRequest {
+        index_name: "arm".into(),
+        ids: vec![id],
+        ..Default::default()
+    };
+    service.remove(&Call::default(), request).await.unwrap();
+}
+
+fn router(service: &Service, identities: Identities) -> Router {
+    let shared = Shared::new(&Config::default(), service.clone(), identities);
+    let phases = Lifecycle::starting().watch();
+    routes(Pages { shared, phases }, false)
+}
+
+async fn ask(router: &mut Router, request: axum::http::request::Builder, body: &str) -> Response {
+    let request = request.header(header::HOST, "127.0.0.1:8080");
+    let request: Request<Body> = request.body(body.to_owned().into()).unwrap();
+    router.call(request).await.unwrap()
+}
+
+async fn post(router: &mut Router, key: &str, body: Value) -> (StatusCode, Value) {
+    let request = Request::post(format!("/api/v1/{key}"));
+    let answer = ask(router, request, &body.to_string()).await;
+    let status = answer.status();
+    let bytes = to_bytes(answer.into_body(), usize::MAX).await.unwrap();
+    (status, serde_json::from_slice(&bytes).unwrap())
+}
+
+/// The heads of frames, with the ids and the first coordinates of points.
+fn frames(mut bytes: &[u8]) -> Vec<(Value, Vec<u64>, Vec<f32>)> {
+    let mut frames = Vec::new();
+    while let Some((lengths, rest)) = bytes.split_first_chunk::<8>() {
+        let length = |at: usize| u32::from_le_bytes(lengths[at..at + 4].try_into().unwrap());
+        let (head, rest) = rest.split_at(length(0) as usize);
+        let (body, rest) = rest.split_at(length(4) as usize);
+        bytes = rest;
+        assert_eq!((head.len() % 8, body.len() % 8), (0, 0));
+        let head: Value = serde_json::from_slice(head).unwrap();
+        let count = head["count"].as_u64().unwrap_or(0) as usize;
+        let numbers = body
+            .chunks_exact(8)
+            .map(|it| u64::from_le_bytes(it.try_into().unwrap()));
+        let ids: Vec<u64> = numbers.clone().take(count).collect();
+        let mut coordinates = Vec::new();
+        if head["kind"] == "points" {
+            let columns: Vec<u64> = numbers.take(3 * count).collect();
+            for (row, id) in ids.iter().enumerate() {
+                assert_eq!(columns[count + row], id + 1, "the revision of {id}");
+                assert_eq!(columns[2 * count + row], id + 100, "the tag of {id}");
+            }
+            let floats = body[24 * count..].chunks_exact(4);
+            let floats = floats.map(|it| f32::from_le_bytes(it.try_into().unwrap()));
+            coordinates = floats.take(2 * count).collect();
+        }
+        frames.push((head, ids, coordinates));
+    }
+    frames
+}
+
+async fn all_frames(router: &mut Router, query: &str) -> Vec<(Value, Vec<u64>, Vec<f32>)> {
+    let request = Request::get(format!("/api/v1/arm/points?{query}"));
+    let answer = ask(router, request, "").await;
+    assert_eq!(answer.status(), StatusCode::OK);
+    frames(&to_bytes(answer.into_body(), usize::MAX).await.unwrap())
+}
+
+#[tokio::test]
+async fn verbs_that_read_answer_as_over_zenoh() {
+    let mut router = router(&service().await, Identities::default());
+    let asked = json!({ "states": [[3.2, 0.5]], "k": 2 });
+    let (status, answer) = post(&mut router, "arm/knn", asked).await;
+    assert_eq!(status, StatusCode::OK);
+    assert_eq!(answer["ids"], json!([[3, 4]]));
+    let (_, listed) = post(&mut router, "list", json!({})).await;
+    assert_eq!(listed["indexes"][0]["space_text"], "R2");
+
+    for (key, body, expected, reason) in [
+        (
+            "arm/knn",
+            json!({ "states": [[1.0]], "k": 2 }),
+            400,
+            "WIDTH",
+        ),
+        (
+            "leg/knn",
+            json!({ "states": [[1.0]], "k": 2 }),
+            404,
+            "INDEX_NOT_FOUND",
+        ),
+        (
+            "arm/insert",
+            json!({ "states": [[1.0, 2.0]] }),
+            400,
+            "READ_ONLY",
+        ),
+        ("delete", json!({ "index_name": "arm" }), 400, "READ_ONLY"),
+        ("arm/fly", json!({}), 400, "UNKNOWN_KEY"),
+    ] {
+        let (status, refused) = post(&mut router, key, body).await;
+        assert_eq!(status.as_u16(), expected, "{key} {refused}");
+        assert_eq!(refused["details"][0]["reason"], reason, "{key} {refused}");
+    }
+}
+
+#[tokio::test]
+async fn all_points_are_sent_once_with_their_columns() {
+    let service = service().await;
+    let mut router = router(&service, Identities::default());
+    let frames = all_frames(&mut router, "").await;
+    let kinds: Vec<&Value> = frames.iter().map(|(head, ..)| &head["kind"]).collect();
+    assert_eq!(kinds, ["begin", "points", "at"]);
+    assert_eq!(frames[0].0["coordinates"], 2);
+    assert_eq!(frames[0].0["points"], POINTS);
+    assert_eq!(frames[0].0["share"], 1.0);
+    assert_eq!(frames[1].1, (0..POINTS).collect::<Vec<_>>());
+    assert_eq!(frames[1].2[6..8], [3.0, 0.5]);
+    assert_eq!(frames[2].0["revision"], POINTS);
+}
+
+#[tokio::test]
+async fn a_stream_goes_on_after_the_revision_of_its_caller() {
+    let service = service().await;
+    let mut router = router(&service, Identities::default());
+    let begun = all_frames(&mut router, "").await;
+    let uid = begun[0].0["uid"].as_str().unwrap();
+    remove(&service, 3).await;
+    let request = Request::get(format!(
+        "/api/v1/arm/points?follow=true&after={uid}:{}",
+        POINTS - 1
+    ));
+    let mut body = ask(&mut router, request, "")
+        .await
+        .into_body()
+        .into_data_stream();
+    let mut seen = Vec::new();
+    while seen
+        .last()
+        .is_none_or(|(head, ..): &(Value, _, _)| head["revision"] != POINTS + 1)
+    {
+        let next = futures_util::StreamExt::next(&mut body)
+            .await
+            .unwrap()
+            .unwrap();
+        seen.extend(frames(&next));
+    }
+    let kinds: Vec<&Value> = seen.iter().map(|(head, ..)| &head["kind"]).collect();
+    assert_eq!(kinds, ["at", "points", "removed", "at"]);
+    assert_eq!((&seen[1].1, &seen[2].1), (&vec![POINTS - 1], &vec![3]));
+
+    // Another uid begins anew.
+    let request =
+        Request::get("/api/v1/arm/points?follow=true&after=00000000-0000-0000-0000-000000000000:7");
+    let mut body = ask(&mut router, request, "")
+        .await
+        .into_body()
+        .into_data_stream();
+    let next = futures_util::StreamExt::next(&mut body)
+        .await
+        .unwrap()
+        .unwrap();
+    assert_eq!(
+        frames(&next)[0].0,
+        json!({ "kind": "reset", "reason": "UID_CHANGED" })
+    );
+    let next = futures_util::StreamExt::next(&mut body)
+        .await
+        .unwrap()
+        .unwrap();
+    assert_eq!(frames(&next)[0].0["kind"], "begin");
+}
+
+/// A sample has about as many points as asked for, and a wrong parameter is refused with its name.
+#[tokio::test]
+async fn more_points_than_asked_for_are_sampled() {
+    let service = service().await;
+    for id in POINTS..1000 {
+        insert(&service, id).await;
+    }
+    let mut router = router(&service, Identities::default());
+    let frames = all_frames(&mut router, "max=200").await;
+    let sent: usize = frames
+        .iter()
+        .map(|(_, ids, coordinates)| coordinates.len().min(ids.len()))
+        .sum();
+    assert!((120..280).contains(&sent), "{sent}");
+    assert_eq!(frames[0].0["points"], 1000);
+    assert!((frames[0].0["share"].as_f64().unwrap() - 0.2).abs() < 1e-9);
+    for query in [
+        "max=0",
+        "max=x",
+        "follow=yes",
+        "after=7",
+        "after=x:y",
+        "k=3",
+    ] {
+        let request = Request::get(format!("/api/v1/arm/points?{query}"));
+        let refused = ask(&mut router, request, "").await;
+        assert_eq!(refused.status(), StatusCode::BAD_REQUEST, "{query}");
+    }
+}
+
+#[tokio::test]
+async fn strangers_and_wrong_roles_see_nothing() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let digest = Sha256::digest("secret");
+    let digest: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+    let text = format!(
+        "[[identity]]\nname = \"leg\"\nrole = \"read\"\nindexes = [\"leg\"]\ntoken_sha256 = \"{digest}\"\n"
+    );
+    fs::write(file.path(), text).unwrap();
+    let identities = Identities::open(Some(file.path())).unwrap();
+    let mut router = router(&service().await, identities);
+    for (token, expected) in [
+        (None, StatusCode::UNAUTHORIZED),
+        (Some("wrong"), StatusCode::UNAUTHORIZED),
+        (Some("secret"), StatusCode::FORBIDDEN),
+    ] {
+        for (request, body) in [
+            (
+                Request::post("/api/v1/arm/knn"),
+                r#"{"states": [[1.0, 2.0]], "k": 1}"#,
+            ),
+            (Request::post("/api/v1/arm/info"), ""),
+            (Request::get("/api/v1/arm/points"), ""),
+        ] {
+            let request = match token {
+                Some(token) => request.header(header::AUTHORIZATION, format!("Bearer {token}")),
+                None => request,
+            };
+            let refused = ask(&mut router, request, body).await;
+            assert_eq!(refused.status(), expected, "{token:?}");
+        }
+    }
+    let listing = Request::post("/api/v1/list").header(header::AUTHORIZATION, "Bearer secret");
+    let listed = ask(&mut router, listing, "").await;
+    let listed = to_bytes(listed.into_body(), usize::MAX).await.unwrap();
+    assert!(!String::from_utf8_lossy(&listed).contains("arm"));
+}
+
+#[tokio::test]
+async fn another_origin_reads_nothing_and_probes_answer_everyone() {
+    let mut router = router(&service().await, Identities::default());
+    let request = Request::post("/api/v1/list").header("sec-fetch-site", "cross-site");
+    assert_eq!(
+        ask(&mut router, request, "").await.status(),
+        StatusCode::FORBIDDEN
+    );
+    let request: Request<Body> = Request::post("/api/v1/list")
+        .header(header::HOST, "evil.example")
+        .body(Body::empty())
+        .unwrap();
+    assert_eq!(
+        router.call(request).await.unwrap().status(),
+        StatusCode::FORBIDDEN
+    );
+    for (path, expected) in [
+        ("/healthz", StatusCode::OK),
+        ("/metrics", StatusCode::OK),
+        ("/readyz", StatusCode::SERVICE_UNAVAILABLE),
+    ] {
+        let request: Request<Body> = Request::get(path)
+            .header(header::HOST, "server:8080")
+            .body(Body::empty())
+            .unwrap();
+        assert_eq!(
+            router.call(request).await.unwrap().status(),
+            expected,
+            "{path}"
+        );
+    }
+}
