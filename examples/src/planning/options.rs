@@ -27,6 +27,9 @@ pub struct Options {
     /// The address of a running server; by default the planner starts one
     #[arg(long, value_name = "URI")]
     pub server: Option<String>,
+    /// Leaves the trees of several workers on that server, to look at them
+    #[arg(long, requires = "server", requires = "workers")]
+    pub keep: bool,
     /// Builds the same two trees with this many processes instead, on one server
     #[arg(long, value_parser = at_least_one, group = "several")]
     pub workers: Option<usize>,

@@ -69,8 +69,10 @@ pub async fn build(
     let name = format!("rigid-{}", uuid::Uuid::new_v4());
     let index = client.create_index(&name, scene.space()).await?;
     let built = build_in(scene, uri, server, &index, options, seed).await;
-    // If the server is gone, its indices are gone too.
-    let _ = client.delete_index(&name).await;
+    if !options.keep {
+        // If the server is gone, its indices are gone too.
+        let _ = client.delete_index(&name).await;
+    }
     built
 }
 

@@ -51,6 +51,9 @@ pub struct Options {
     /// The address of a running server; by default the planner starts one
     #[arg(long, value_name = "URI")]
     pub server: Option<String>,
+    /// Leaves the roadmap on that server, to look at it
+    #[arg(long, requires = "server")]
+    pub keep: bool,
     /// Kills one worker when it has half its share
     #[arg(long, conflicts_with_all = ["restart", "scaling"])]
     pub kill: bool,

@@ -34,14 +34,16 @@ fn text(addresses: &Addresses, directory: Option<&Path>, client: &str) -> String
     let zenoh: String = zenoh
         .map(|locator| format!("listening on {locator}\n"))
         .collect();
-    let pages = addresses.pages.map(|at| {
+    let (mut metrics, mut page) = (String::new(), String::new());
+    if let Some(at) = addresses.pages {
         let scheme = match addresses.has_tls && !at.ip().is_loopback() {
             true => "https",
             false => "http",
         };
-        format!("metrics at {scheme}://{at}/metrics\n")
-    });
-    let pages = pages.unwrap_or_default();
+        metrics = format!("metrics at {scheme}://{at}/metrics\n");
+        let at = reachable(at);
+        page = format!("The indices as they grow, in a browser: {scheme}://{at}/\n");
+    }
     let storage = match directory {
         Some(directory) => format!("Indices are kept in {}.", directory.display()),
         None => {
@@ -64,13 +66,14 @@ fn text(addresses: &Addresses, directory: Option<&Path>, client: &str) -> String
     }
     format!(
         "listening on {scheme}://{address}\n\
-         {zenoh}{pages}\
+         {zenoh}{metrics}\
          \n\
          {storage} Next, in another terminal:\n\
          \x20 {client} create arm --space 'R3*SO3:0.15'\n\
          \x20 echo '0.1,0.2,0.3,0,0,0,1' | {client} insert arm -\n\
          \x20 {client} knn arm --state 0,0,0,0,0,0,1 -k 1\n\
          \x20 {client} --help\n\
+         {page}\
          A state of R3*SO3 is a row of x, y, z and a unit quaternion x, y, z, w. Settings: wayfold-server --help\n"
     )
 }
@@ -123,6 +126,17 @@ mod tests {
             ]
         );
         assert!(text.contains("\n  wayfold create arm "));
+    }
+
+    #[test]
+    fn the_page_is_named_by_an_address_of_this_machine() {
+        let addresses = Addresses {
+            pages: Some("0.0.0.0:8080".parse().unwrap()),
+            ..at("127.0.0.1:50051", &[])
+        };
+        let text = text(&addresses, None, "wayfold");
+        assert!(text.contains("\nmetrics at http://0.0.0.0:8080/metrics\n"));
+        assert!(text.contains(" in a browser: http://127.0.0.1:8080/\n"));
     }
 
     #[test]

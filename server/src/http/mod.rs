@@ -1,11 +1,12 @@
-//! The listener for operators: what a page or a program reads, `/metrics`, and the probes `/healthz` and `/readyz`.
+//! The listener for operators: the page to look at, `/metrics`, and the probes `/healthz` and `/readyz`.
 //!
-//! Probes answer everyone. Everything else needs an identity where the server has identities, as a
+//! Probes and the files of the page answer everyone. Everything else needs an identity where the server has identities, as a
 //! bearer token. `api` and `points` are what the page reads; `guard` keeps pages of others away from them.
 
 mod api;
 mod bounded;
 mod guard;
+mod page;
 mod points;
 mod state;
 
@@ -74,6 +75,7 @@ fn routes(pages: Pages, has_tls: bool) -> Router {
         .route("/readyz", get(ready))
         .with_state(Arc::new(pages))
         .merge(api)
+        .merge(page::routes())
 }
 
 async fn metrics(Of(pages): Of<Arc<Pages>>, headers: HeaderMap) -> Response {

@@ -36,13 +36,6 @@ const DEFAULT_MAX: u64 = 1_000_000;
 /// The pause after a message of a watch: a picture needs no more, and each costs the server a little.
 const PAUSE: Duration = Duration::from_millis(100);
 
-const INCLUDE: v1::Include = v1::Include {
-    states: true,
-    tags: true,
-    revisions: true,
-    payloads: false,
-};
-
 /// The parameters of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Asked {
@@ -51,6 +44,8 @@ struct Asked {
     max: u64,
     /// True to send the mutations too.
     follow: bool,
+    /// True to send the edges too, for indices whose payloads are ids.
+    edges: bool,
     /// The revision that the caller has, to send only what came after it.
     after: Option<v1::Revision>,
 }
@@ -61,6 +56,7 @@ impl Asked {
             index,
             max: DEFAULT_MAX,
             follow: false,
+            edges: false,
             after: None,
         };
         for pair in query.split('&').filter(|pair| !pair.is_empty()) {
@@ -80,10 +76,14 @@ impl Asked {
                         .filter(|max| *max > 0)
                         .ok_or_else(|| malformed("no number of points from 1"))?;
                 }
-                "follow" => {
-                    asked.follow = value
+                "follow" | "edges" => {
+                    let value = value
                         .parse()
                         .map_err(|_| malformed("neither true nor false"))?;
+                    match name {
+                        "follow" => asked.follow = value,
+                        _ => asked.edges = value,
+                    }
                 }
                 "after" => {
                     let (uid, number) = value
@@ -97,12 +97,22 @@ impl Asked {
                     });
                 }
                 _ => {
-                    let text = "there are max, follow and after";
+                    let text = "there are max, follow, edges and after";
                     return Err(invalid(name, "UNKNOWN_PARAMETER", text));
                 }
             }
         }
         Ok(asked)
+    }
+
+    /// The columns that are read.
+    fn include(&self) -> v1::Include {
+        v1::Include {
+            states: true,
+            tags: true,
+            revisions: true,
+            payloads: self.edges,
+        }
     }
 }
 
@@ -238,7 +248,7 @@ impl PointStream {
     async fn scan(&mut self) -> Result<Source, Status> {
         let request = v1::ScanRequest {
             index_name: self.asked.index.clone(),
-            include: Some(INCLUDE),
+            include: Some(self.asked.include()),
             ..Default::default()
         };
         let Admitted { call, turns, .. } = &mut self.admitted;
@@ -250,7 +260,7 @@ impl PointStream {
         let request = v1::WatchRequest {
             index_name: self.asked.index.clone(),
             after_revision: Some(after),
-            include: Some(INCLUDE),
+            include: Some(self.asked.include()),
             ..Default::default()
         };
         let Admitted { call, turns, .. } = &mut self.admitted;
@@ -292,6 +302,7 @@ impl PointStream {
             }
         };
         frames.push_points(&points, self.share);
+        frames.push_edges(&points, self.share);
         Ok((Source::Scan(scan, Some(read)), frames))
     }
 
@@ -312,6 +323,7 @@ impl PointStream {
             let number = mutation.revision.as_ref().map_or(0, |it| it.number);
             if let Some(stored) = &mutation.stored {
                 frames.push_points(stored, self.share);
+                frames.push_edges(stored, self.share);
             }
             frames.push_removed(&mutation.removed_ids, number, self.share);
             if !mutation.continued {

@@ -46,6 +46,13 @@ async fn insert(service: &Service, id: u64) {
         index_name: "arm".into(),
         ids: vec![id],
         tags: vec![100 + id],
+        // The ids of its two neighbours on a ring of ten.
+        payloads: vec![
+            [(id + 1) % 10, (id + 9) % 10]
+                .map(u64::to_le_bytes)
+                .concat()
+                .into(),
+        ],
         states: Some(v1::States {
             row_count: 1,
             coordinates: vec![id as f64, 0.5],
@@ -98,7 +105,8 @@ fn frames(mut bytes: &[u8]) -> Vec<(Value, Vec<u64>, Vec<f32>)> {
         let numbers = body
             .chunks_exact(8)
             .map(|it| u64::from_le_bytes(it.try_into().unwrap()));
-        let ids: Vec<u64> = numbers.clone().take(count).collect();
+        let columns = if head["kind"] == "edges" { 2 } else { 1 };
+        let ids: Vec<u64> = numbers.clone().take(columns * count).collect();
         let mut coordinates = Vec::new();
         if head["kind"] == "points" {
             let columns: Vec<u64> = numbers.take(3 * count).collect();
@@ -173,6 +181,18 @@ async fn all_points_are_sent_once_with_their_columns() {
     assert_eq!(frames[1].1, (0..POINTS).collect::<Vec<_>>());
     assert_eq!(frames[1].2[6..8], [3.0, 0.5]);
     assert_eq!(frames[2].0["revision"], POINTS);
+}
+
+#[tokio::test]
+async fn edges_are_sent_to_those_who_ask_for_them() {
+    let mut router = router(&service().await, Identities::default());
+    let frames = all_frames(&mut router, "edges=true").await;
+    let kinds: Vec<&Value> = frames.iter().map(|(head, ..)| &head["kind"]).collect();
+    assert_eq!(kinds, ["begin", "points", "edges", "at"]);
+    assert_eq!(frames[2].0["count"], 2 * POINTS);
+    let from = (0..POINTS).flat_map(|id| [id; 2]);
+    let to = (0..POINTS).flat_map(|id| [(id + 1) % 10, (id + 9) % 10]);
+    assert_eq!(frames[2].1, from.chain(to).collect::<Vec<u64>>());
 }
 
 #[tokio::test]
@@ -326,4 +346,9 @@ async fn another_origin_reads_nothing_and_probes_answer_everyone() {
             "{path}"
         );
     }
+    let page = ask(&mut router, Request::get("/"), "").await;
+    let policy = page.headers()[header::CONTENT_SECURITY_POLICY]
+        .to_str()
+        .unwrap();
+    assert!(policy.starts_with("default-src 'none'"), "{policy}");
 }

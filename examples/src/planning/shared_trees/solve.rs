@@ -95,7 +95,9 @@ pub async fn solve(
     let jobs: Vec<Job> = (0..workers).map(job).collect();
     let crew = processes::run(&jobs, Incident::None);
     let read = read(&store).await;
-    store.delete(&client).await;
+    if !options.keep {
+        store.delete(&client).await;
+    }
     let (crew, (shared, path)) = (crew?, read?);
     Ok(SharedSolution {
         source,

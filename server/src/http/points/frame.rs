@@ -77,6 +77,25 @@ impl Frames {
         self.push(&json!({ "kind": "points", "count": rows.len() }), &body);
     }
 
+    /// Adds the edges of the points of the share: their payloads are the ids at the other ends, eight bytes each. A payload of
+    /// another form has none.
+    pub(super) fn push_edges(&mut self, points: &v1::Points, share: Share) {
+        let (mut from, mut to) = (Vec::new(), Vec::new());
+        for (id, payload) in points.ids.iter().zip(&points.payloads) {
+            let (others, rest) = payload.as_chunks::<8>();
+            if rest.is_empty() && share.has(*id) {
+                from.extend(others.iter().flat_map(|_| id.to_le_bytes()));
+                to.extend(others.as_flattened());
+            }
+        }
+        if from.is_empty() {
+            return;
+        }
+        let head = json!({ "kind": "edges", "count": from.len() / 8 });
+        from.append(&mut to);
+        self.push(&head, &from);
+    }
+
     /// Adds the removed ids of the share.
     pub(super) fn push_removed(&mut self, ids: &[u64], revision: u64, share: Share) {
         let ids: Vec<u64> = ids.iter().copied().filter(|id| share.has(*id)).collect();

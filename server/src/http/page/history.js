@@ -1,0 +1,115 @@
+// The last five minutes of the server's samples, and what they say about rates and latencies.
+
+const KEPT_MS = 5 * 60_000;
+const RECENT_MS = 60_000;
+
+/** Samples of the overview with their times of arrival. */
+export class History {
+  #samples = [];
+
+  /** Takes a sample. A server that restarted counts from 0 again, so what came before is forgotten. */
+  add(sample, now) {
+    const calls = new Map(sample.calls.map((call) => [keyOf(call), { ...call, count: Number(call.count) }]));
+    const points = new Map(sample.indices.map((index) => [index.name, Number(index.points)]));
+    const last = this.#samples.at(-1);
+    if (last && [...last.calls].some(([key, call]) => (calls.get(key)?.count ?? 0) < call.count)) this.#samples = [];
+    const lags = new Map(sample.indices.map((index) => [index.name, Number(index.lag)]));
+    this.#samples.push({ at: now, calls, points, lags, bounds: sample.bounds });
+    const oldest = now - KEPT_MS;
+    while (this.#samples.length > 2 && this.#samples[0].at < oldest) this.#samples.shift();
+  }
+
+  /** True if the index had a lag in each of the last ten samples: a lag of a moment is nothing to tell. */
+  isLagging(index) {
+    const last = this.#samples.slice(-10);
+    return last.length === 10 && last.every((sample) => (sample.lags.get(index) ?? 0) > 0);
+  }
+
+  /** New points a second over the last minute; negative if points were removed. */
+  pointRate(index) {
+    const [from, to] = this.#recent();
+    if (!from || !to.points.has(index) || !from.points.has(index)) return 0;
+    return (to.points.get(index) - from.points.get(index)) / seconds(from, to);
+  }
+
+  /** The calls that `accept` holds for, over the last minute: a second, and the two percentiles in seconds. */
+  calls(accept) {
+    const [from, to] = this.#recent();
+    return from ? between(from, to, accept) : { rate: 0, p50: null, p99: null };
+  }
+
+  /** The kinds of calls of the last minute, the most frequent first. */
+  kinds() {
+    const [, to] = this.#recent();
+    if (!to) return [];
+    const kinds = [...to.calls].map(([key, call]) => ({ ...call, key, ...this.calls((other) => keyOf(other) === key) }));
+    return kinds.filter((kind) => kind.rate > 0).sort((a, b) => b.rate - a.rate);
+  }
+
+  /** The points of a curve over the last five minutes: one number for each pair of samples that `value` is given. */
+  curve(value) {
+    const numbers = [];
+    for (let i = 1; i < this.#samples.length; i++) {
+      numbers.push({ at: this.#samples[i].at, value: value(this.#samples[i - 1], this.#samples[i]) });
+    }
+    return numbers;
+  }
+
+  /** The curve of new points a second of an index. */
+  pointCurve(index) {
+    const known = (sample) => sample.points.get(index);
+    return this.curve((from, to) => Math.max(0, ((known(to) ?? 0) - (known(from) ?? known(to) ?? 0)) / seconds(from, to)));
+  }
+
+  /** The curve of calls a second. */
+  callCurve(accept) {
+    return this.curve((from, to) => between(from, to, accept).rate);
+  }
+
+  #recent() {
+    const to = this.#samples.at(-1);
+    const from = this.#samples.find((sample) => sample.at >= to.at - RECENT_MS);
+    return from && from !== to ? [from, to] : [undefined, to];
+  }
+}
+
+function keyOf({ face, verb, index, outcome }) {
+  return [face, verb, index, outcome].join("\n");
+}
+
+function seconds(from, to) {
+  return Math.max((to.at - from.at) / 1000, 1e-3);
+}
+
+/** The calls between two samples. */
+function between(from, to, accept) {
+  let count = 0;
+  const buckets = new Array(to.bounds.length + 1).fill(0);
+  for (const [key, call] of to.calls) {
+    if (!accept(call)) continue;
+    const before = from.calls.get(key);
+    count += call.count - (before?.count ?? 0);
+    call.buckets.forEach((number, i) => (buckets[i] += Number(number) - Number(before?.buckets[i] ?? 0)));
+  }
+  return {
+    rate: count / seconds(from, to),
+    p50: percentile(buckets, to.bounds, 0.5),
+    p99: percentile(buckets, to.bounds, 0.99),
+  };
+}
+
+/** The percentile of a histogram, interpolated within its bucket; null without calls, infinite in the last bucket. */
+export function percentile(buckets, bounds, share) {
+  const all = buckets.reduce((sum, number) => sum + number, 0);
+  if (all <= 0) return null;
+  let left = share * all;
+  for (let i = 0; i < buckets.length; i++) {
+    if (buckets[i] >= left && buckets[i] > 0) {
+      if (i === bounds.length) return Infinity;
+      const low = i === 0 ? 0 : bounds[i - 1];
+      return low + (left / buckets[i]) * (bounds[i] - low);
+    }
+    left -= buckets[i];
+  }
+  return Infinity;
+}

@@ -1,0 +1,143 @@
+// The page of one or several indices: it joins the picture, the settings, the probe and the slider.
+
+import { byId, setText } from "./dom.js";
+import { count, counted } from "./format.js";
+import { Layer } from "./layer.js";
+import { listen, newest } from "./overview_feed.js";
+import { categories, onThemeChange } from "./palette.js";
+import { Picture } from "./picture.js";
+import { Probe } from "./probe.js";
+import { Timeline } from "./timeline.js";
+import { ViewPanel } from "./view_panel.js";
+
+// The parts listen to the elements of the page, which stay. So they are made once and serve all pages of indices.
+let parts;
+
+/** The page while it is shown. */
+export class IndexPage {
+  #layers = [];
+
+  constructor() {
+    byId("index").hidden = false;
+    parts ??= makeParts();
+    parts.page = this;
+    this.stop = listen(() => this.#update());
+  }
+
+  /** Shows these indices. Those that are shown already keep their points. */
+  show(names) {
+    const kept = this.#layers.filter((layer) => names.includes(layer.name));
+    for (const layer of this.#layers) if (!kept.includes(layer)) layer.close();
+    this.#layers = kept;
+    for (const name of names) if (!kept.some((layer) => layer.name === name)) this.#layers.push(this.#open(name));
+    document.title = `${names.join(", ")} · Wayfold`;
+    setText(byId("place"), names.join(", "));
+    this.spaceKnown();
+  }
+
+  close() {
+    this.stop();
+    for (const layer of this.#layers) layer.close();
+    this.#layers = [];
+    parts.picture?.setLayers([]);
+    parts.picture?.setMarks(null);
+    parts.page = null;
+    byId("index").hidden = true;
+  }
+
+  /** The layers of the picture. Indices whose rows differ cannot share one: those like the first are drawn. */
+  get drawn() {
+    const known = this.#layers.filter((layer) => layer.space);
+    return known.filter((layer) => layer.space.names.join() === known[0].space.names.join());
+  }
+
+  get layers() {
+    return this.#layers;
+  }
+
+  /** The layers changed, or the space of one is known now. */
+  spaceKnown() {
+    const { drawn } = this;
+    this.recolor();
+    parts.picture?.setLayers(drawn);
+    parts.view.setLayers(this.#layers, drawn);
+    if (drawn.length > 0) parts.view.setSpace(drawn[0].space);
+    parts.probe.setLayers(drawn);
+    this.changed();
+  }
+
+  /** Gives the layers the colours of the present theme. */
+  recolor() {
+    const colors = categories();
+    for (const layer of this.#layers) layer.color = colors[layer.number % colors.length];
+  }
+
+  /** Points came. */
+  changed() {
+    parts.timeline.update();
+    parts.picture?.pacer.request();
+    if (this.drawn.some((layer) => layer.isComplete) && this.drawn.every((layer) => layer.cloud.length === 0)) this.#showEmpty();
+    else byId("empty").hidden = true;
+  }
+
+  /** Another revision is shown, or another number of points. */
+  describe(revision) {
+    const layers = this.drawn.filter(({ cloud }) => cloud.edges);
+    const edges = layers.reduce((sum, { cloud }) => sum + cloud.edges.countAt(revision, cloud), 0);
+    const about = [...layers.map(sampleOf), edges > 0 && counted(edges, "edge")];
+    setText(byId("sampled"), about.filter(Boolean).join(" · "));
+  }
+
+  /** After each frame. */
+  drawnFrame() {
+    const layers = this.drawn;
+    if (document.documentElement.dataset.ready || !layers.some(({ cloud, isComplete }) => cloud.length > 0 || isComplete)) return;
+    performance.mark("first-picture");
+    document.documentElement.dataset.ready = "1";
+  }
+
+  #open(name) {
+    const used = this.#layers.map((layer) => layer.number);
+    let number = 0;
+    while (used.includes(number)) number += 1;
+    return new Layer(name, number, { changed: () => this.changed(), spaceKnown: () => this.spaceKnown() });
+  }
+
+  #update() {
+    parts.view.setLayers(this.#layers, this.drawn);
+  }
+
+  #showEmpty() {
+    const { name, space } = this.drawn[0];
+    const empty = byId("empty");
+    empty.hidden = false;
+    const state = space.factors.map(({ kind, size }) => (kind === "SO3" ? "0,0,0,1" : Array(size).fill("0").join())).join();
+    setText(empty, `This index has no points yet. They appear here as they come, for example by: echo ${state} | wayfold insert ${name} -`);
+  }
+}
+
+/** What to say about an index of which only a part is in the picture. */
+function sampleOf({ name, cloud }) {
+  if (cloud.length === undefined || !(cloud.share < 1)) return "";
+  const all = Number(newest?.indices.find((index) => index.name === name)?.points ?? cloud.total);
+  // Between two samples of the overview the picture may be ahead of it.
+  return `shows ${count(cloud.alive)} of ${count(Math.max(all, cloud.alive))} points, sampled evenly`;
+}
+
+function makeParts() {
+  const made = { page: null };
+  const clicked = (hit) => hit && made.probe.probePoint(hit.layer, hit.slot);
+  try {
+    made.picture = new Picture(clicked);
+    made.picture.onDrawn = () => made.page?.drawnFrame();
+  } catch (error) {
+    // Without WebGL2 the probe and the tables still work.
+    setText(byId("empty"), error.message);
+    byId("empty").hidden = false;
+  }
+  made.timeline = new Timeline(() => made.page?.drawn ?? [], made.picture, () => made.page?.describe(made.timeline.revision));
+  made.view = new ViewPanel(made.picture);
+  made.probe = new Probe(made.picture, made.view);
+  onThemeChange(() => made.page?.spaceKnown());
+  return made;
+}

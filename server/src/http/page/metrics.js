@@ -1,0 +1,121 @@
+// The overview of a server that has no stream for it: put together from its metrics and its list of indices.
+
+import { Refusal, callServer, request } from "./api.js";
+
+const DAMAGE_ADVICE =
+  "The other indices go on. Delete this one and restore it from a snapshot: wayfold delete, then wayfold restore.";
+
+/** One sample of the overview. An identity of some indices may not read the metrics, and gets no rates of calls. */
+export async function sample() {
+  const [server, list, text] = await Promise.all([callServer("server", {}), listAll(), metricsText()]);
+  const metrics = parse(text);
+  const { calls, bounds } = callsOf(metrics);
+  return {
+    server: {
+      version: server.version,
+      durability: server.durability,
+      state: stateOf(metrics),
+      memory: resource(metrics, "memory"),
+      disk: resource(metrics, "disk"),
+      members: find(metrics, "wayfold_cluster_members", { state: "live" }) ?? 0,
+    },
+    indices: [...list.indexes.map((index) => indexOf(index, metrics)), ...list.damaged.map(damagedOf)],
+    calls,
+    bounds,
+  };
+}
+
+/** All pages of the list. */
+async function listAll() {
+  const all = { indexes: [], damaged: [] };
+  let page_token = "";
+  do {
+    const page = await callServer("list", { page_size: 1000, page_token });
+    all.indexes.push(...page.indexes);
+    all.damaged.push(...page.damaged);
+    page_token = page.next_page_token;
+  } while (page_token);
+  return all;
+}
+
+async function metricsText() {
+  try {
+    return await (await request("metrics")).text();
+  } catch (error) {
+    if (error instanceof Refusal && error.status === 403) return "";
+    throw error;
+  }
+}
+
+/** The lines of a text of metrics: by name, each with its labels and its number. */
+export function parse(text) {
+  const metrics = new Map();
+  for (const [, name, labels, number] of text.matchAll(/^(\w+)(?:\{(.*)\})? (\S+)$/gm)) {
+    const found = Object.fromEntries([...(labels ?? "").matchAll(/(\w+)="((?:[^"\\]|\\.)*)"/g)].map(([, key, value]) => [key, value]));
+    if (!metrics.has(name)) metrics.set(name, []);
+    metrics.get(name).push({ labels: found, number: Number(number) });
+  }
+  return metrics;
+}
+
+function find(metrics, name, labels) {
+  return metrics.get(name)?.find((line) => Object.entries(labels).every(([key, value]) => line.labels[key] === value))?.number;
+}
+
+function stateOf(metrics) {
+  if (!metrics.has("wayfold_ready")) return "answering";
+  const states = metrics.get("wayfold_ready").filter(({ number }) => number === 1);
+  return states.map(({ labels }) => labels.state).join(", ") || "not ready";
+}
+
+function resource(metrics, name) {
+  const [used, high, limit] = ["used", "high", "limit"].map((of) => find(metrics, "wayfold_resource_bytes", { resource: name, of }));
+  return used === undefined || limit === undefined ? null : { used, high: high ?? limit, limit };
+}
+
+function indexOf(index, metrics) {
+  const figure = (name) => find(metrics, `wayfold_index_${name}`, { index: index.name }) ?? 0;
+  return {
+    name: index.name,
+    uid: index.revision.uid,
+    space: index.space_text,
+    coordinates: index.coordinate_count,
+    dimension: index.dimension,
+    points: index.point_count,
+    revision: index.revision.number,
+    memory_bytes: index.memory_bytes,
+    records_in_flight: figure("records_in_flight"),
+    followers: figure("followers"),
+    lag: figure("follower_lag"),
+    sessions: figure("sessions"),
+    // Only servers of a cluster tell this.
+    owned: (find(metrics, "wayfold_index_owned", { index: index.name }) ?? 1) === 1,
+    problem: null,
+  };
+}
+
+function damagedOf({ name, uid, error }) {
+  const none = { space: "", coordinates: 0, dimension: 0, points: 0, revision: 0, memory_bytes: 0, records_in_flight: 0 };
+  const problem = { what: error.message, advice: DAMAGE_ADVICE };
+  return { name, uid, ...none, followers: 0, lag: 0, sessions: 0, owned: true, problem };
+}
+
+/** The calls, whose buckets in the text count everything up to their bound. */
+function callsOf(metrics) {
+  const calls = new Map();
+  const keyOf = ({ face, verb, index, outcome }) => [face, verb, index, outcome].join("\n");
+  for (const { labels, number } of metrics.get("wayfold_call_seconds_bucket") ?? []) {
+    const { face, verb, index, outcome, le } = labels;
+    const call = calls.get(keyOf(labels)) ?? { face, verb, index, outcome, ups: [] };
+    call.ups.push({ bound: le === "+Inf" ? Infinity : Number(le), number });
+    calls.set(keyOf(labels), call);
+  }
+  let bounds = [];
+  const made = [...calls.values()].map(({ ups, ...call }) => {
+    ups.sort((a, b) => a.bound - b.bound);
+    bounds = ups.slice(0, -1).map(({ bound }) => bound);
+    const buckets = ups.map(({ number }, i) => number - (ups[i - 1]?.number ?? 0));
+    return { ...call, count: ups.at(-1).number, buckets };
+  });
+  return { calls: made, bounds };
+}

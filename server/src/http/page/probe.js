@@ -1,0 +1,169 @@
+// The probe: a state whose neighbours the server is asked for.
+
+import { call } from "./api.js";
+import { showAnswer } from "./answer.js";
+import { byId, element, setText } from "./dom.js";
+import { digits } from "./format.js";
+
+// The fields of a request and those of the form. A name that begins with another one stands before it.
+const FIELDS = {
+  "filter.tag_value": "probe-value",
+  filter: "probe-mask",
+  k: "probe-k",
+  radius: "probe-radius",
+  epsilon: "probe-epsilon",
+  states: "probe-state",
+};
+
+/** The form of the probe. */
+export class Probe {
+  #layers = [];
+  // The number of searches so far: a late answer of an older one is dropped.
+  #searches = 0;
+
+  constructor(picture, view) {
+    this.picture = picture;
+    this.view = view;
+    byId("probe").addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.run();
+    });
+    // Enter sends a state, as it does in the other fields.
+    byId("probe-state").addEventListener("keydown", (event) => {
+      if (event.key !== "Enter" || event.shiftKey) return;
+      event.preventDefault();
+      this.run();
+    });
+    byId("probe-clear").addEventListener("click", () => this.clear());
+    byId("look-closer").addEventListener("click", () => picture?.lookAtProbe());
+    byId("look-at-all").addEventListener("click", () => picture?.lookAtAll());
+    byId("neighbors").addEventListener("pointerover", (event) => picture?.setHighlight(event.target.closest("tr")?.sectionRowIndex ?? -1));
+    byId("neighbors").addEventListener("pointerleave", () => picture?.setHighlight(-1));
+    byId("probe-index").addEventListener("change", () => this.#showNames());
+  }
+
+  /** The indices that can be asked. */
+  setLayers(layers) {
+    const select = byId("probe-index");
+    const chosen = select.value;
+    this.#layers = layers;
+    select.replaceChildren(...layers.map(({ name }) => element("option", { value: name, text: name })));
+    if (layers.some(({ name }) => name === chosen)) select.value = chosen;
+    else this.clear();
+    const isOne = layers.length < 2;
+    select.hidden = isOne;
+    document.querySelector("label[for=probe-index]").hidden = isOne;
+    this.#showNames();
+  }
+
+  /** Probes a stored point of the picture. The picture has rounded coordinates, so the exact ones are asked for. */
+  async probePoint(layer, slot) {
+    byId("probe-index").value = layer.name;
+    const id = layer.cloud.idOf(slot);
+    let state = [...layer.cloud.stateOf(slot)];
+    try {
+      const { points } = await call(layer.name, "get", { ids: [id], include: { states: true } });
+      state = points.states[0];
+    } catch {
+      // The point may be gone, or older than the slider shows: its rounded state is still a state.
+    }
+    byId("probe-state").value = state.join(", ");
+    await this.run();
+  }
+
+  /** Sends the search that the form has. */
+  async run() {
+    const search = ++this.#searches;
+    this.#fail("");
+    const layer = this.#layers.find(({ name }) => name === byId("probe-index").value);
+    if (!layer) return;
+    const asked = readForm(layer.space, (field, problem) => this.#fail(problem, field));
+    if (!asked) return;
+    byId("probe-run").disabled = true;
+    try {
+      const answer = await call(layer.name, asked.k === undefined ? "query" : "knn", bodyOf(asked));
+      if (search !== this.#searches) return;
+      const states = answer.states?.[0] ?? [];
+      const labels = (answer.distances[0] ?? []).map((distance) => digits(Number(distance)));
+      this.picture?.setMarks(asked.state, states, labels);
+      this.view.setProbed(asked.state);
+      showAnswer({ ...asked, index: layer.name }, answer);
+    } catch (error) {
+      if (search !== this.#searches) return;
+      const field = Object.keys(FIELDS).find((name) => error.field?.startsWith(name) || error.message.startsWith(name));
+      this.#fail(error instanceof TypeError ? "The server is not connected. Try again when it is." : error.message, field);
+    } finally {
+      byId("probe-run").disabled = false;
+    }
+  }
+
+  /** Takes the probe and its answer away. */
+  clear() {
+    this.#searches += 1;
+    this.#fail("");
+    byId("answer").hidden = true;
+    this.picture?.setMarks(null);
+    this.view.setProbed(null);
+  }
+
+  #fail(problem, field) {
+    setText(byId("probe-error"), problem);
+    for (const [name, id] of Object.entries(FIELDS)) {
+      if (problem && name === field) byId(id).setAttribute("aria-invalid", "true");
+      else byId(id).removeAttribute("aria-invalid");
+    }
+  }
+
+  #showNames() {
+    const layer = this.#layers.find(({ name }) => name === byId("probe-index").value);
+    if (!layer) return;
+    const { factors, names } = layer.space;
+    setText(byId("probe-names"), names.join(", "));
+    byId("probe-state").placeholder = factors.flatMap(({ kind, size }) => (kind === "SO3" ? [0, 0, 0, 1] : Array(size).fill(0))).join(", ");
+  }
+}
+
+/** The search in the form; undefined after `fail` was told which field holds no number. The server checks the rest. */
+function readForm(space, fail) {
+  const typed = byId("probe-state").value.trim() || byId("probe-state").placeholder;
+  const state = [];
+  for (const [i, text] of typed.split(/[\s,;]+/).filter(Boolean).entries()) {
+    const number = numberOf(text);
+    if (number === undefined) return void fail("states", `states[0].coords[${i}]: "${text}" is no number (${space.names[i] ?? "one too many"})`);
+    state.push(number);
+  }
+  const asked = { state };
+  for (const name of ["k", "radius", "epsilon"]) {
+    const text = byId(FIELDS[name]).value.trim();
+    if (text === "") continue;
+    asked[name] = numberOf(text);
+    if (asked[name] === undefined) return void fail(name, `${name}: "${text}" is no number`);
+  }
+  const [mask, value] = ["probe-mask", "probe-value"].map((id) => integerOf(byId(id).value.trim() || "0"));
+  if (mask === undefined || value === undefined) return void fail("filter", "filter: a tag is a whole number, decimal or after 0x");
+  if (mask !== 0n || value !== 0n) asked.tag = { mask, value };
+  if (asked.k === undefined && asked.radius === undefined) return void fail("k", "k: give k, a radius, or both");
+  return asked;
+}
+
+function numberOf(text) {
+  if (/^[+-]?(inf|infinity)$/i.test(text)) return text.startsWith("-") ? -Infinity : Infinity;
+  if (/^nan$/i.test(text)) return NaN;
+  const number = Number(text);
+  return Number.isNaN(number) ? undefined : number;
+}
+
+function integerOf(text) {
+  return /^(0x[0-9a-f]+|\d+)$/i.test(text) ? BigInt(text) : undefined;
+}
+
+/** The body of the request. Numbers that JSON cannot hold are texts. */
+function bodyOf({ state, k, radius, epsilon, tag }) {
+  const json = (number) => (Number.isFinite(number) ? number : String(number));
+  const body = { states: [state.map(json)], include: { states: true, tags: true } };
+  if (k !== undefined) body.k = json(k);
+  if (radius !== undefined) body.radius = json(radius);
+  if (epsilon !== undefined) body.epsilon = json(epsilon);
+  if (tag) body.filter = { tag_mask: String(tag.mask), tag_value: String(tag.value) };
+  return body;
+}

@@ -1,0 +1,104 @@
+// The slider over the revisions, and the replay of how the points came.
+
+import { ALIVE } from "./cloud.js";
+import { byId, setText } from "./dom.js";
+import { count, counted } from "./format.js";
+
+const REPLAY_MS = 10_000;
+
+/** The slider. At its right end it follows the newest revision. */
+export class Timeline {
+  #isLive = true;
+  #replay = 0;
+
+  /** `layers()` are those of the picture. `shown` is called when another revision is shown. */
+  constructor(layers, picture, shown) {
+    this.shown = shown;
+    this.layers = layers;
+    this.picture = picture;
+    this.slider = byId("slider");
+    this.slider.addEventListener("input", () => {
+      this.#stop();
+      this.#goTo(Number(this.slider.value));
+    });
+    byId("play").addEventListener("click", () => (this.#replay ? this.#stop() : this.#play()));
+    byId("live").addEventListener("click", () => {
+      this.#stop();
+      this.#goTo(this.newest);
+    });
+  }
+
+  /** The newest revision of any index in the picture. */
+  get newest() {
+    return Math.max(0, ...this.#clouds().map((cloud) => cloud.newest));
+  }
+
+  /** The revision that the picture shows. */
+  get revision() {
+    return this.#isLive ? this.newest : Number(this.slider.value);
+  }
+
+  /** Brings the slider up to date with the points. */
+  update() {
+    const { newest, slider } = this;
+    // Before this revision the page has forgotten removed points, so a picture of it would be wrong.
+    slider.min = Math.max(0, ...this.#clouds().map((cloud) => cloud.oldest));
+    slider.max = newest;
+    if (this.#isLive) slider.value = newest;
+    this.#show();
+  }
+
+  #clouds() {
+    return this.layers().map((layer) => layer.cloud).filter((cloud) => cloud.length !== undefined);
+  }
+
+  #goTo(revision) {
+    this.#isLive = revision >= this.newest;
+    this.slider.value = revision;
+    if (this.picture) {
+      this.picture.revision = this.#isLive ? ALIVE - 1 : revision;
+      this.picture.pacer.request(true);
+    }
+    this.#show();
+  }
+
+  #show() {
+    const { revision } = this;
+    const points = this.#clouds().reduce((sum, cloud) => sum + cloud.countAt(revision), 0);
+    const words = `revision ${count(revision)}: ${counted(points, "point")}`;
+    setText(byId("revision"), words);
+    setText(byId("count"), counted(points, "point"));
+    this.slider.setAttribute("aria-valuetext", words);
+    this.shown();
+    byId("live").setAttribute("aria-pressed", String(this.#isLive));
+  }
+
+  #play() {
+    const from = this.#isLive ? Number(this.slider.min) : Number(this.slider.value);
+    const whole = Math.max(this.newest - Number(this.slider.min), 1);
+    const began = performance.now();
+    this.#label("⏸", "Pause");
+    const step = (now) => {
+      const revision = Math.floor(from + (whole * Math.max(now - began, 0)) / REPLAY_MS);
+      if (revision >= this.newest) {
+        this.#stop();
+        this.#goTo(this.newest);
+        return;
+      }
+      this.#replay = requestAnimationFrame(step);
+      this.#goTo(revision);
+    };
+    this.#replay = requestAnimationFrame(step);
+  }
+
+  #stop() {
+    cancelAnimationFrame(this.#replay);
+    this.#replay = 0;
+    this.#label("▶", "Replay how the points came");
+  }
+
+  #label(sign, words) {
+    setText(byId("play"), sign);
+    byId("play").setAttribute("aria-label", words);
+  }
+}

@@ -1,0 +1,182 @@
+// The settings of the picture: which indices, which axes, which colours.
+
+import { byId, element, keyed, setText } from "./dom.js";
+import { digits, short } from "./format.js";
+import { distanceTo } from "./metric.js";
+import { newest } from "./overview_feed.js";
+import { categories, rampPicture } from "./palette.js";
+import { custom, projectionsOf } from "./projections.js";
+import { COLOR_MODE } from "./shaders.js";
+
+const CUSTOM = "custom";
+
+/** The settings. They act on the picture at once. */
+export class ViewPanel {
+  #space = null;
+  #projections = [];
+  #probed = null;
+  #isSizeChosen = false;
+  #drawn = [];
+
+  constructor(picture) {
+    this.picture = picture;
+    byId("axes-preset").addEventListener("change", () => this.#chooseAxes());
+    byId("axes-custom").addEventListener("change", () => this.#chooseAxes());
+    byId("color-by").addEventListener("change", () => this.#chooseColor());
+    byId("tag-bits").addEventListener("change", () => this.#chooseColor());
+    byId("point-size").addEventListener("input", () => {
+      this.#isSizeChosen = true;
+      this.#setSize(Number(byId("point-size").value));
+    });
+    byId("edges").addEventListener("change", () => {
+      if (!this.picture) return;
+      this.picture.hasEdges = byId("edges").checked;
+      this.picture.pacer.request(true);
+    });
+    this.#showTagBits();
+  }
+
+  /** Lists all indices with a check mark at those that are shown. */
+  setLayers(layers, drawn) {
+    this.#drawn = drawn;
+    const known = newest?.indices.map((index) => index.name) ?? [];
+    const shown = layers.map((layer) => layer.name);
+    const rows = [...shown, ...known.filter((name) => !shown.includes(name)).sort()].map((name) => {
+      const layer = layers.find((one) => one.name === name);
+      const index = newest?.indices.find((one) => one.name === name);
+      const isOther = layer?.space && !drawn.includes(layer);
+      const about = isOther ? `another space, ${layer.space.text}` : [index?.space, index && `${short(Number(index.points))} points`].filter(Boolean).join(" · ");
+      return { name, layer, about, isOther };
+    });
+    keyed(byId("layers"), rows, (row) => row.name, (row) => this.#makeRow(row.name), updateRow);
+    const hasEdges = drawn.some(({ cloud }) => cloud.edges?.length > 0);
+    for (const part of [byId("edges"), document.querySelector("label[for=edges]")]) part.hidden = !hasEdges;
+    if (!this.#isSizeChosen) this.#setSize(sizeFor(drawn));
+    this.#showLegend();
+  }
+
+  /** Offers the projections of a space. The present choice stays if the space has it too. */
+  setSpace(space) {
+    if (this.#space?.text === space.text) return;
+    this.#space = space;
+    this.#probed = null;
+    this.#projections = projectionsOf(space);
+    const select = byId("axes-preset");
+    const options = this.#projections.map(({ id, label }) => element("option", { value: id, text: label }));
+    if (space.coordinates > 1) options.push(element("option", { value: CUSTOM, text: "choose coordinates…" }));
+    select.replaceChildren(...options);
+    const choices = () => [element("option", { value: -1, text: "none" }), ...space.names.map((name, i) => element("option", { value: i, text: name }))];
+    const axes = ["first", "second", "third"].map((which, axis) => {
+      const choice = element("select", { "aria-label": `Coordinate of the ${which} axis` }, ...choices());
+      choice.value = axis < space.coordinates ? axis : -1;
+      return choice;
+    });
+    byId("axes-custom").replaceChildren(byId("axes-custom").querySelector("legend"), ...axes);
+    this.#chooseAxes();
+    this.#chooseColor();
+  }
+
+  /** The state that the probe asked about, for the colours by distance; null without one. */
+  setProbed(state) {
+    this.#probed = state;
+    if (byId("color-by").value === "distance") this.#chooseColor();
+  }
+
+  #makeRow(name) {
+    const box = element("input", { type: "checkbox" });
+    box.addEventListener("change", () => {
+      const shown = [...byId("layers").children].filter((row) => row.querySelector("input").checked).map((row) => row.dataset.key);
+      // A picture of nothing is of no use: the last index stays.
+      if (shown.length === 0) box.checked = true;
+      else location.hash = `#/${shown.join(",")}`;
+    });
+    return element("li", {}, element("label", {}, box, element("span", { class: "key" }), element("span", { class: "layer-name", text: name })), element("span", { class: "layer-about" }));
+  }
+
+  #chooseAxes() {
+    const chosen = byId("axes-preset").value;
+    byId("axes-custom").hidden = chosen !== CUSTOM;
+    const coordinates = [...byId("axes-custom").querySelectorAll("select")].map((select) => Number(select.value));
+    const projection = chosen === CUSTOM ? custom(this.#space, ...coordinates) : this.#projections.find(({ id }) => id === chosen);
+    this.picture?.setProjection(projection);
+  }
+
+  #chooseColor() {
+    const by = byId("color-by").value;
+    const mask = (1 << Number(byId("tag-bits").value)) - 1;
+    const none = () => () => 0;
+    const colorings = {
+      index: { mode: COLOR_MODE.flat, colorOf: none },
+      age: { mode: COLOR_MODE.age, colorOf: none },
+      tag: { mode: COLOR_MODE.category, colorOf: ({ tags }) => (slot) => tags[2 * slot] & mask },
+      distance: this.#byDistance(),
+    };
+    this.picture?.setColoring(colorings[by]);
+    this.#showTagBits();
+    this.#showLegend();
+  }
+
+  #showTagBits() {
+    const isHidden = byId("color-by").value !== "tag";
+    byId("tag-bits").hidden = isHidden;
+    document.querySelector("label[for=tag-bits]").hidden = isHidden;
+  }
+
+  // The scale ends at the farthest point that is here when the colour is chosen; later points beyond it look like it.
+  #byDistance() {
+    if (!this.#probed) return { mode: COLOR_MODE.flat, colorOf: () => () => 0 };
+    const distance = distanceTo(this.#space, this.#probed);
+    let most = 0;
+    for (const { cloud } of this.#drawn) {
+      for (let slot = 0; slot < cloud.length; slot++) most = Math.max(most, distance(cloud.rows, slot * cloud.coordinates));
+    }
+    this.mostDistance = most;
+    const scale = most > 0 ? 65535 / most : 0;
+    // The near points are bright: the ramp runs from far to near.
+    return {
+      mode: COLOR_MODE.ramp,
+      colorOf: ({ rows, coordinates }) => (slot) => Math.max(0, 65535 - distance(rows, slot * coordinates) * scale),
+    };
+  }
+
+  #setSize(size) {
+    byId("point-size").value = size;
+    if (!this.picture || this.picture.pointSize === size) return;
+    this.picture.pointSize = size;
+    this.picture.pacer.request(true);
+  }
+
+  #showLegend() {
+    const by = byId("color-by").value;
+    const row = (color, text) => {
+      const swatch = element("span", { class: "key" });
+      swatch.style.background = color;
+      return element("li", {}, swatch, text);
+    };
+    const scale = (from, to) => element("li", { class: "scale" }, element("span", { text: from }), rampPicture(), element("span", { text: to }));
+    let rows = [];
+    if (by === "index" && this.#drawn.length > 1) rows = this.#drawn.map(({ color, name }) => row(color, name));
+    if (by === "age") rows = [scale("old", "new")];
+    if (by === "tag") {
+      const bits = Number(byId("tag-bits").value);
+      rows = Array.from({ length: 1 << bits }, (_, tag) => row(categories()[tag], tag.toString(2).padStart(bits, "0")));
+    }
+    if (by === "distance") rows = this.#probed ? [scale(`far, ${digits(this.mostDistance)}`, "near, 0")] : [element("li", { text: "probe a point first" })];
+    byId("legend").replaceChildren(...rows);
+  }
+}
+
+function updateRow(row, { layer, about, isOther }) {
+  const key = row.querySelector(".key");
+  row.querySelector("input").checked = Boolean(layer);
+  key.style.background = layer && !isOther ? layer.color : "";
+  row.classList.toggle("other", Boolean(isOther));
+  setText(row.querySelector(".layer-about"), about);
+}
+
+/** A size at which the number of points can be told apart. */
+function sizeFor(layers) {
+  const points = layers.reduce((sum, { cloud }) => sum + (cloud.length ?? 0), 0);
+  const steps = [[500, 8], [5_000, 6], [30_000, 4], [150_000, 3], [400_000, 2]];
+  return steps.find(([most]) => points <= most)?.[1] ?? 1.5;
+}
