@@ -2,45 +2,36 @@
 
 // More edges hide the picture, and each takes 8 bytes here and in the graphics processor.
 const MAX_EDGES = 3_000_000;
+const NONE = -1;
 
-/** Edges that grow. */
+/** Edges that grow. A point tells all of its edges at once, and does so again when their number changes. */
 export class Edges {
-  /** Pairs of slots, of which the first `length` pairs count. */
+  /** Pairs of slots, of which the first `length` pairs count. An edge that is gone has twice the same slot. */
   pairs = new Uint32Array(0);
   length = 0;
-  /** Counts how often pairs moved: what was built from them has to be built again. */
+  /** Counts how often pairs changed: what was built from them has to be built again. */
   generation = 0;
+  // The edges that a slot told are a list: the first of a slot, and the next of an edge.
+  #first = new Int32Array(0);
+  #next = new Int32Array(0);
   // Edges whose other end has not come yet: the slot, and the id of that end.
   #waiting = [];
-  // Per slot, 1 if it has told its edges.
-  #told = new Uint8Array(0);
 
   /** Takes an `edges` frame: the ids of one end, then those of the other. `slots` finds the slot of an id. */
   append({ count }, body, slots) {
     const ids = new Uint32Array(body, 0, 4 * count);
-    const again = new Set();
-    const from = new Int32Array(count);
-    for (let i = 0; i < count; i++) {
-      from[i] = slots.get(ids[2 * i], ids[2 * i + 1]);
-      if (from[i] >= 0 && this.#told[from[i]]) again.add(from[i]);
+    // The edges of a point follow each other.
+    for (let from = 0, to = 0; from < count; from = to) {
+      const [low, high] = [ids[2 * from], ids[2 * from + 1]];
+      const slot = slots.get(low, high);
+      const others = [];
+      for (; to < count && ids[2 * to] === low && ids[2 * to + 1] === high; to++) {
+        others.push([ids[2 * (count + to)], ids[2 * (count + to) + 1]]);
+      }
+      if (slot < 0) continue;
+      this.#dropOthers(slot, others, slots);
+      for (const [otherLow, otherHigh] of others) this.#join(slot, otherLow, otherHigh, slots);
     }
-    // A point that tells its edges again has only those.
-    if (again.size > 0) this.#keep((a) => !again.has(a));
-    for (let i = 0; i < count; i++) {
-      if (from[i] < 0) continue;
-      this.#mark(from[i]);
-      const at = 2 * (count + i);
-      this.#join(from[i], ids[at], ids[at + 1], slots);
-    }
-  }
-
-  /** The number of edges whose ends were both there at a revision. */
-  countAt(revision, { born, died }) {
-    const { pairs, length } = this;
-    const isThere = (slot) => born[slot] <= revision && revision < died[slot];
-    let count = 0;
-    for (let i = 0; i < length; i++) count += isThere(pairs[2 * i]) && isThere(pairs[2 * i + 1]) ? 1 : 0;
-    return count;
   }
 
   /** Joins the edges whose other end has come meanwhile. */
@@ -50,53 +41,79 @@ export class Edges {
     for (const [slot, low, high] of waiting) this.#join(slot, low, high, slots);
   }
 
+  /** The number of edges whose ends were both there at a revision. */
+  countAt(revision, { born, died }) {
+    const { pairs, length } = this;
+    const isThere = (slot) => born[slot] <= revision && revision < died[slot];
+    let count = 0;
+    for (let i = 0; i < length; i++) {
+      const [a, b] = [pairs[2 * i], pairs[2 * i + 1]];
+      count += a !== b && isThere(a) && isThere(b) ? 1 : 0;
+    }
+    return count;
+  }
+
   /** Renames the slots after some were given up, for which `moved` has −1. */
   rename(moved) {
-    this.#keep((a, b) => moved[a] >= 0 && moved[b] >= 0);
-    for (let i = 0; i < 2 * this.length; i++) this.pairs[i] = moved[this.pairs[i]];
+    const { pairs, length } = this;
     this.#waiting = this.#waiting.filter(([slot]) => moved[slot] >= 0).map(([slot, ...id]) => [moved[slot], ...id]);
-    this.#told = new Uint8Array(moved.length);
-    for (let i = 0; i < this.length; i++) this.#told[this.pairs[2 * i]] = 1;
+    this.#first = new Int32Array(0);
+    this.length = 0;
+    this.generation += 1;
+    for (let i = 0; i < length; i++) {
+      const [a, b] = [moved[pairs[2 * i]], moved[pairs[2 * i + 1]]];
+      if (a >= 0 && b >= 0 && a !== b) this.#add(a, b);
+    }
+  }
+
+  // Takes away the edges that a point told earlier and does not tell now.
+  #dropOthers(slot, others, slots) {
+    if (slot >= this.#first.length || this.#first[slot] === NONE) return;
+    const told = new Set(others.map(([low, high]) => slots.get(low, high)));
+    for (let edge = this.#first[slot]; edge !== NONE; edge = this.#next[edge]) {
+      const other = this.pairs[2 * edge + 1];
+      if (told.has(other) || other === slot) continue;
+      this.pairs[2 * edge + 1] = slot;
+      this.generation += 1;
+    }
   }
 
   #join(slot, low, high, slots) {
     const other = slots.get(low, high);
-    if (this.length >= MAX_EDGES) return;
     if (other < 0) {
       if (this.#waiting.length < MAX_EDGES) this.#waiting.push([slot, low, high]);
       return;
     }
-    if (2 * this.length === this.pairs.length) {
-      const larger = new Uint32Array(Math.max(4096, 2 * this.pairs.length));
-      larger.set(this.pairs);
-      this.pairs = larger;
+    if (other === slot || this.length >= MAX_EDGES || this.#has(slot, other)) return;
+    this.#add(slot, other);
+  }
+
+  #has(slot, other) {
+    if (slot >= this.#first.length) return false;
+    for (let edge = this.#first[slot]; edge !== NONE; edge = this.#next[edge]) {
+      if (this.pairs[2 * edge + 1] === other) return true;
     }
-    this.pairs[2 * this.length] = slot;
-    this.pairs[2 * this.length + 1] = other;
+    return false;
+  }
+
+  #add(slot, other) {
+    const edge = this.length;
+    this.pairs = grown(this.pairs, 2 * edge + 2, 0);
+    this.#next = grown(this.#next, edge + 1, NONE);
+    this.#first = grown(this.#first, slot + 1, NONE);
+    this.pairs[2 * edge] = slot;
+    this.pairs[2 * edge + 1] = other;
+    this.#next[edge] = this.#first[slot];
+    this.#first[slot] = edge;
     this.length += 1;
   }
+}
 
-  #mark(slot) {
-    if (slot >= this.#told.length) {
-      const larger = new Uint8Array(Math.max(slot + 1, 4096, 2 * this.#told.length));
-      larger.set(this.#told);
-      this.#told = larger;
-    }
-    this.#told[slot] = 1;
-  }
-
-  #keep(isKept) {
-    const { pairs } = this;
-    let to = 0;
-    for (let i = 0; i < this.length; i++) {
-      if (!isKept(pairs[2 * i], pairs[2 * i + 1])) continue;
-      pairs[2 * to] = pairs[2 * i];
-      pairs[2 * to + 1] = pairs[2 * i + 1];
-      to += 1;
-    }
-    this.length = to;
-    this.generation += 1;
-  }
+function grown(column, least, filler) {
+  if (least <= column.length) return column;
+  const larger = new column.constructor(Math.max(least, 4096, 2 * column.length)).fill(filler);
+  larger.set(column);
+  return larger;
 }
 
 /** The pairs [from, to) that can be drawn as a straight line: not those that cross the seam of an angle. */
@@ -106,7 +123,7 @@ export function drawable({ pairs }, from, to, { halves }, wraps) {
   for (let i = from; i < to; i++) {
     const [a, b] = [pairs[2 * i], pairs[2 * i + 1]];
     const isAcross = wraps.some((isWrapped, axis) => isWrapped && Math.abs(halves[8 * a + axis] - halves[8 * b + axis]) > 32768);
-    if (isAcross) continue;
+    if (a === b || isAcross) continue;
     kept[length] = a;
     kept[length + 1] = b;
     length += 2;

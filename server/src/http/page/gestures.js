@@ -54,7 +54,7 @@ export function listen(target, camera, { moved, clicked, reset }) {
   target.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const step = event.shiftKey ? 0.05 : KEY_TURN;
-    const turn = (yaw, pitch) => (event.shiftKey ? camera.pan(yaw > 0 ? step : yaw < 0 ? -step : 0, pitch > 0 ? -step : pitch < 0 ? step : 0) : camera.turn(yaw, pitch));
+    const turn = (right, down) => (event.shiftKey ? camera.pan(right, -down) : camera.turn(right, down));
     const keys = {
       ArrowLeft: () => turn(-step, 0),
       ArrowRight: () => turn(step, 0),

@@ -13,8 +13,11 @@ export class History {
     const points = new Map(sample.indices.map((index) => [index.name, Number(index.points)]));
     const last = this.#samples.at(-1);
     if (last && [...last.calls].some(([key, call]) => (calls.get(key)?.count ?? 0) < call.count)) this.#samples = [];
+    // A curve of five minutes is drawn for each index each second, so its sums are made once.
+    const counts = new Map();
+    for (const { index, count } of calls.values()) counts.set(index, (counts.get(index) ?? 0) + count);
     const lags = new Map(sample.indices.map((index) => [index.name, Number(index.lag)]));
-    this.#samples.push({ at: now, calls, points, lags, bounds: sample.bounds });
+    this.#samples.push({ at: now, calls, counts, points, lags, bounds: sample.bounds });
     const oldest = now - KEPT_MS;
     while (this.#samples.length > 2 && this.#samples[0].at < oldest) this.#samples.shift();
   }
@@ -27,8 +30,10 @@ export class History {
 
   /** New points a second over the last minute; negative if points were removed. */
   pointRate(index) {
-    const [from, to] = this.#recent();
-    if (!from || !to.points.has(index) || !from.points.has(index)) return 0;
+    const [recent, to] = this.#recent();
+    // An index may be younger than a minute.
+    const from = recent && this.#samples.find((sample) => sample.at >= recent.at && sample.points.has(index));
+    if (!from || from === to || !to.points.has(index)) return 0;
     return (to.points.get(index) - from.points.get(index)) / seconds(from, to);
   }
 
@@ -61,9 +66,10 @@ export class History {
     return this.curve((from, to) => Math.max(0, ((known(to) ?? 0) - (known(from) ?? known(to) ?? 0)) / seconds(from, to)));
   }
 
-  /** The curve of calls a second. */
-  callCurve(accept) {
-    return this.curve((from, to) => between(from, to, accept).rate);
+  /** The curve of calls a second of an index. */
+  callCurve(index) {
+    const known = (sample) => sample.counts.get(index) ?? 0;
+    return this.curve((from, to) => (known(to) - known(from)) / seconds(from, to));
   }
 
   #recent() {

@@ -10,12 +10,16 @@ import { Probe } from "./probe.js";
 import { Timeline } from "./timeline.js";
 import { ViewPanel } from "./view_panel.js";
 
+// The numbers of a growing index change this often at most.
+const SHOWN_MS = 100;
+
 // The parts listen to the elements of the page, which stay. So they are made once and serve all pages of indices.
 let parts;
 
 /** The page while it is shown. */
 export class IndexPage {
   #layers = [];
+  #timer = 0;
 
   constructor() {
     byId("index").hidden = false;
@@ -72,8 +76,14 @@ export class IndexPage {
     for (const layer of this.#layers) layer.color = colors[layer.number % colors.length];
   }
 
-  /** Points came. */
+  /** Points came. A planner may send a thousand frames a second, so what follows from them is done less often. */
   changed() {
+    if (this.#timer === 0) this.#timer = setTimeout(() => this.#show(), SHOWN_MS);
+  }
+
+  #show() {
+    this.#timer = 0;
+    if (parts.page !== this) return;
     parts.timeline.update();
     parts.picture?.pacer.request();
     if (this.drawn.some((layer) => layer.isComplete) && this.drawn.every((layer) => layer.cloud.length === 0)) this.#showEmpty();

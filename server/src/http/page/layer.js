@@ -33,8 +33,6 @@ export class Layer {
       begin: () => (reader = new FrameReader((head, body) => this.#take(head, body))),
       receive: (bytes) => reader.push(bytes),
       state: (state, problem) => this.#report(state, problem),
-      // An index that nobody writes sends nothing.
-      silence: false,
     });
   }
 

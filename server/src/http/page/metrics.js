@@ -1,12 +1,12 @@
-// The overview of a server that has no stream for it: put together from its metrics and its list of indices.
+// One look at the server: its metrics, which operators scrape, its list of indices, and what it says about itself.
 
 import { Refusal, callServer, request } from "./api.js";
 
 const DAMAGE_ADVICE =
   "The other indices go on. Delete this one and restore it from a snapshot: wayfold delete, then wayfold restore.";
 
-/** One sample of the overview. An identity of some indices may not read the metrics, and gets no rates of calls. */
-export async function sample() {
+/** What the overview shows of one moment. An identity of some indices may not read the metrics, and gets no rates of calls. */
+export async function lookAtServer() {
   const [server, list, text] = await Promise.all([callServer("server", {}), listAll(), metricsText()]);
   const metrics = parse(text);
   const { calls, bounds } = callsOf(metrics);

@@ -35,11 +35,13 @@ function update(sample) {
 function tilesOf({ server, indices }) {
   const points = indices.reduce((sum, index) => sum + Number(index.points), 0);
   const calls = history.calls(() => true);
+  // Each percentile stays on one line.
+  const percentiles = [`p50 ${duration(calls.p50)},`, `p99 ${duration(calls.p99)}`].map((text) => text.replaceAll(" ", "\u00a0")).join(" ");
   const tiles = [
     { name: "Server", value: server.state, more: `version ${server.version}`, words: true },
     { name: "Durability", value: server.durability, more: DURABILITY[server.durability] ?? "", words: true },
     { name: "Points", value: short(points), more: `in ${indices.length} ${indices.length === 1 ? "index" : "indices"}` },
-    { name: "Calls a second", value: rate(calls.rate), more: [`p50 ${duration(calls.p50)},`, `p99 ${duration(calls.p99)}`].map((part) => part.replaceAll(" ", "\u00a0")).join(" ") },
+    { name: "Calls a second", value: rate(calls.rate), more: percentiles },
   ];
   if (server.memory) tiles.push(usage("Memory", server.memory));
   if (server.disk) tiles.push(usage("Disk", server.disk));
@@ -139,7 +141,7 @@ function updateRow(row, { index, problem, isAdvice }) {
   texts.forEach((text, i) => setText(cells[i].firstElementChild, text));
   const now = performance.now();
   draw(cells[1].lastElementChild, history.pointCurve(index.name), now);
-  draw(cells[2].lastElementChild, history.callCurve(ofIndex), now);
+  draw(cells[2].lastElementChild, history.callCurve(index.name), now);
 }
 
 function updateCalls() {

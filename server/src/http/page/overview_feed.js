@@ -3,7 +3,7 @@
 import { Refusal } from "./api.js";
 import { report } from "./connection.js";
 import { History } from "./history.js";
-import { sample } from "./metrics.js";
+import { lookAtServer } from "./metrics.js";
 
 const PAUSE_MS = 1000;
 
@@ -27,7 +27,7 @@ export async function start() {
   for (;;) {
     try {
       // A page that nobody sees need not look.
-      if (!document.hidden) take(await sample());
+      if (!document.hidden) take(await lookAtServer());
       report("overview", "live");
     } catch (error) {
       if (error instanceof Refusal) report("overview", "refused", error.message);

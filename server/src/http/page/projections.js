@@ -14,24 +14,29 @@ export function projectionsOf(space) {
   const found = [];
   const add = (id, label, projection) => found.push({ id, label, ...projection });
   vectors.forEach((vector, i) => {
-    if (vector.size === 3) add(`r3-${i}`, `position${numbered(vectors, i)}`, straight(space, vector.at, vector.at + 1, vector.at + 2));
+    const position = `position${numbered(vectors, i)}`;
+    const { at } = vector;
+    if (vector.size === 3) add(`r3-${i}`, position, straight(space, at, at + 1, at + 2));
     const angle = angles[Math.min(i, angles.length - 1)];
     if (vector.size === 2 && angle) {
-      add(`r2-angle-${i}`, `position${numbered(vectors, i)}, angle upwards`, straight(space, vector.at, vector.at + 1, angle.at));
-      add(`r2-ring-${i}`, `position${numbered(vectors, i)}, angle around a ring`, ring(space, vector.at, vector.at + 1, angle));
+      add(`r2-angle-${i}`, `${position}, angle upwards`, straight(space, at, at + 1, angle.at));
+      add(`r2-ring-${i}`, `${position}, angle around a ring`, ring(space, at, at + 1, angle));
     }
-    if (vector.size <= 2) add(`flat-${i}`, `position${numbered(vectors, i)}, flat`, straight(space, vector.at, vector.size > 1 ? vector.at + 1 : -1, -1));
+    if (vector.size === 2) add(`flat-${i}`, `${position}, flat`, straight(space, at, at + 1, -1));
   });
   if (vectors.length === 2 && vectors.every((vector) => vector.size === 2)) {
     add("two", "both positions", straight(space, vectors[0].at, vectors[0].at + 1, vectors[1].at));
   }
-  if (angles.length > 1) add("torus", "two angles on a torus", torus(space, angles[0], angles[1]));
   if (angles.length > 2) add("angles", "three angles", straight(space, angles[0].at, angles[1].at, angles[2].at));
+  if (angles.length > 1) add("torus", "two angles on a torus", torus(space, angles[0], angles[1]));
   if (angles.length > 0) add("circle", "angle on a circle", circle(space, angles[0]));
-  rotations.forEach((rotation, i) => add(`so3-${i}`, `rotation${numbered(rotations, i)}, as a vector`, ball(rotation, numbered(rotations, i))));
-  if (names.length > 3 || found.length === 0) {
+  rotations.forEach((rotation, i) => {
+    const which = numbered(rotations, i);
+    add(`so3-${i}`, `rotation${which}, as a vector`, ball(rotation, which));
+  });
+  if (names.length > 3 || found.length === 0 || vectors.some(({ size }) => size === 1)) {
     const [x, y, z] = [0, 1, 2].map((i) => (i < names.length ? i : -1));
-    add("first", "first three coordinates", straight(space, x, y, z));
+    add("first", names.length > 3 ? "first three coordinates" : "coordinates", straight(space, x, y, z));
   }
   return found;
 }

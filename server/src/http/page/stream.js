@@ -6,21 +6,19 @@ const FIRST_PAUSE_MS = 250;
 const MAX_PAUSE_MS = 5000;
 // A connection that lasted this long was good: the pauses begin from the first again.
 const GOOD_MS = 5000;
-// A stream from which nothing comes for this long is taken for dead: the overview sends a line each second.
-const SILENCE_MS = 15_000;
 
 /**
  * Reads `path()` and hands its bytes to `receive`, until `stop` of the result is called. `state` hears "connecting",
- * "live", "retrying" and "refused", the last with the server's words and the status of HTTP. `begin` is called before the first bytes of each
- * connection. `silence` is false for streams that may rightly be quiet.
+ * "live", "retrying" and "refused", the last with the server's words. `begin` is called before the first bytes of each
+ * connection.
  */
-export function follow(path, { begin, receive, state, silence = true }) {
+export function follow(path, listener) {
   const controller = new AbortController();
-  run(path, { begin, receive, state, silence }, controller.signal);
+  run(path, listener, controller.signal);
   return { stop: () => controller.abort() };
 }
 
-async function run(path, { begin, receive, state, silence }, stopped) {
+async function run(path, { begin, receive, state }, stopped) {
   let pause = FIRST_PAUSE_MS;
   state("connecting");
   while (!stopped.aborted) {
@@ -35,35 +33,27 @@ async function run(path, { begin, receive, state, silence }, stopped) {
       begin();
       const reader = response.body.getReader();
       for (;;) {
-        const { done, value } = await unlessSilent(reader, silence, abort);
+        const { done, value } = await reader.read();
         if (done) break;
         receive(value);
         state("live");
       }
     } catch (error) {
       if (stopped.aborted) return;
+      // A TypeError is a lost connection.
       if (error instanceof Refusal) refusal = error;
       else if (!(error instanceof TypeError) && error.name !== "AbortError") console.warn(error);
     } finally {
       stopped.removeEventListener("abort", abort);
+      // A stream that `receive` gave up is ended too.
       attempt.abort();
     }
     if (stopped.aborted) return;
-    if (refusal) state("refused", refusal.message, refusal.status);
+    if (refusal) state("refused", refusal.message);
     else state("retrying");
     if (performance.now() - connectedAt > GOOD_MS) pause = FIRST_PAUSE_MS;
     await sleep(pause);
     pause = Math.min(2 * pause, MAX_PAUSE_MS);
-  }
-}
-
-async function unlessSilent(reader, silence, abort) {
-  if (!silence) return reader.read();
-  const timer = setTimeout(abort, SILENCE_MS);
-  try {
-    return await reader.read();
-  } finally {
-    clearTimeout(timer);
   }
 }
 

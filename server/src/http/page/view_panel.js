@@ -9,6 +9,8 @@ import { custom, projectionsOf } from "./projections.js";
 import { COLOR_MODE } from "./shaders.js";
 
 const CUSTOM = "custom";
+// More edges hide the points behind them, so they are shown only when they are asked for.
+const MAX_CLEAR_EDGES = 100_000;
 
 /** The settings. They act on the picture at once. */
 export class ViewPanel {
@@ -16,6 +18,7 @@ export class ViewPanel {
   #projections = [];
   #probed = null;
   #isSizeChosen = false;
+  #areEdgesChosen = false;
   #drawn = [];
 
   constructor(picture) {
@@ -29,9 +32,8 @@ export class ViewPanel {
       this.#setSize(Number(byId("point-size").value));
     });
     byId("edges").addEventListener("change", () => {
-      if (!this.picture) return;
-      this.picture.hasEdges = byId("edges").checked;
-      this.picture.pacer.request(true);
+      this.#areEdgesChosen = true;
+      this.#setEdges(byId("edges").checked);
     });
     this.#showTagBits();
   }
@@ -45,12 +47,14 @@ export class ViewPanel {
       const layer = layers.find((one) => one.name === name);
       const index = newest?.indices.find((one) => one.name === name);
       const isOther = layer?.space && !drawn.includes(layer);
-      const about = isOther ? `another space, ${layer.space.text}` : [index?.space, index && `${short(Number(index.points))} points`].filter(Boolean).join(" · ");
+      const size = index && `${short(Number(index.points))} points`;
+      const about = isOther ? `another space, ${layer.space.text}` : [index?.space, size].filter(Boolean).join(" · ");
       return { name, layer, about, isOther };
     });
     keyed(byId("layers"), rows, (row) => row.name, (row) => this.#makeRow(row.name), updateRow);
-    const hasEdges = drawn.some(({ cloud }) => cloud.edges?.length > 0);
-    for (const part of [byId("edges"), document.querySelector("label[for=edges]")]) part.hidden = !hasEdges;
+    const edges = drawn.reduce((sum, { cloud }) => sum + (cloud.edges?.length ?? 0), 0);
+    for (const part of [byId("edges"), document.querySelector("label[for=edges]")]) part.hidden = edges === 0;
+    if (!this.#areEdgesChosen) this.#setEdges(edges <= MAX_CLEAR_EDGES);
     if (!this.#isSizeChosen) this.#setSize(sizeFor(drawn));
     this.#showLegend();
   }
@@ -65,7 +69,8 @@ export class ViewPanel {
     const options = this.#projections.map(({ id, label }) => element("option", { value: id, text: label }));
     if (space.coordinates > 1) options.push(element("option", { value: CUSTOM, text: "choose coordinates…" }));
     select.replaceChildren(...options);
-    const choices = () => [element("option", { value: -1, text: "none" }), ...space.names.map((name, i) => element("option", { value: i, text: name }))];
+    const named = (name, value) => element("option", { value, text: name });
+    const choices = () => [named("none", -1), ...space.names.map(named)];
     const axes = ["first", "second", "third"].map((which, axis) => {
       const choice = element("select", { "aria-label": `Coordinate of the ${which} axis` }, ...choices());
       choice.value = axis < space.coordinates ? axis : -1;
@@ -90,7 +95,8 @@ export class ViewPanel {
       if (shown.length === 0) box.checked = true;
       else location.hash = `#/${shown.join(",")}`;
     });
-    return element("li", {}, element("label", {}, box, element("span", { class: "key" }), element("span", { class: "layer-name", text: name })), element("span", { class: "layer-about" }));
+    const label = element("label", {}, box, element("span", { class: "key" }), element("span", { class: "layer-name", text: name }));
+    return element("li", {}, label, element("span", { class: "layer-about" }));
   }
 
   #chooseAxes() {
@@ -139,6 +145,13 @@ export class ViewPanel {
     };
   }
 
+  #setEdges(areShown) {
+    byId("edges").checked = areShown;
+    if (!this.picture || this.picture.hasEdges === areShown) return;
+    this.picture.hasEdges = areShown;
+    this.picture.pacer.request();
+  }
+
   #setSize(size) {
     byId("point-size").value = size;
     if (!this.picture || this.picture.pointSize === size) return;
@@ -153,7 +166,7 @@ export class ViewPanel {
       swatch.style.background = color;
       return element("li", {}, swatch, text);
     };
-    const scale = (from, to) => element("li", { class: "scale" }, element("span", { text: from }), rampPicture(), element("span", { text: to }));
+    const scale = (from, to) => element("li", {}, element("span", { text: from }), rampPicture(), element("span", { text: to }));
     let rows = [];
     if (by === "index" && this.#drawn.length > 1) rows = this.#drawn.map(({ color, name }) => row(color, name));
     if (by === "age") rows = [scale("old", "new")];
@@ -161,7 +174,8 @@ export class ViewPanel {
       const bits = Number(byId("tag-bits").value);
       rows = Array.from({ length: 1 << bits }, (_, tag) => row(categories()[tag], tag.toString(2).padStart(bits, "0")));
     }
-    if (by === "distance") rows = this.#probed ? [scale(`far, ${digits(this.mostDistance)}`, "near, 0")] : [element("li", { text: "probe a point first" })];
+    if (by === "distance" && this.#probed) rows = [scale(`far, ${digits(this.mostDistance)}`, "near, 0")];
+    if (by === "distance" && !this.#probed) rows = [element("li", { text: "probe a point first" })];
     byId("legend").replaceChildren(...rows);
   }
 }
