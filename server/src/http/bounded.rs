@@ -1,4 +1,5 @@
-//! A connection to the pages for operators. It ends after a limited time, so that a silent one gives up its place.
+//! A connection to the pages for operators. It ends after a time in which it took nothing, so that a silent one gives up its
+//! place.
 
 use std::{
     io,
@@ -15,7 +16,7 @@ use tokio::{
 
 use crate::grpc::Socket;
 
-/// The time of a connection. Clients of HTTP connect again by themselves.
+/// The time in which a connection takes some bytes of an answer. Clients of HTTP connect again by themselves.
 const TIME: Duration = Duration::from_secs(60);
 
 /// See the module.
@@ -60,7 +61,11 @@ impl AsyncWrite for Bounded {
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
         self.check(context)?;
-        Pin::new(&mut self.socket).poll_write(context, bytes)
+        let written = Pin::new(&mut self.socket).poll_write(context, bytes);
+        if matches!(written, Poll::Ready(Ok(1..))) {
+            self.end.as_mut().reset(Instant::now() + TIME);
+        }
+        written
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
@@ -103,5 +108,21 @@ mod tests {
         assert_eq!(places.available_permits(), 0);
         drop(bounded);
         assert_eq!(places.available_permits(), 1);
+    }
+    #[tokio::test(start_paused = true)]
+    async fn a_connection_that_takes_answers_goes_on() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let _client = TcpStream::connect(address).await.unwrap();
+        let (socket, _) = listener.accept().await.unwrap();
+        let place = Arc::new(Semaphore::new(1)).acquire_owned().await.unwrap();
+        let mut bounded = Bounded::new(Tls::accept(None, socket, None), place);
+        for _ in 0..4 {
+            tokio::time::advance(TIME / 2).await;
+            bounded.write_all(b"more").await.unwrap();
+        }
+        tokio::time::advance(TIME).await;
+        let ended = bounded.write_all(b"more").await.unwrap_err();
+        assert_eq!(ended.kind(), io::ErrorKind::TimedOut);
     }
 }

@@ -36,6 +36,9 @@ const DEFAULT_MAX: u64 = 1_000_000;
 /// The pause after a message of a watch: a picture needs no more, and each costs the server a little.
 const PAUSE: Duration = Duration::from_millis(100);
 
+/// A stream without mutations says after this time that it lives.
+const MAX_SILENCE: Duration = Duration::from_secs(10);
+
 /// The parameters of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Asked {
@@ -309,9 +312,20 @@ impl PointStream {
     /// The next mutations.
     async fn watched(&mut self, mut watch: Box<Watch>) -> Result<(Source, Frames), Status> {
         let mut frames = Frames::default();
-        let next = async { watch.next().await.transpose() };
-        let Some(message) = Self::in_turn(&mut self.admitted.turns, next).await? else {
-            return Ok((Source::End, frames));
+        let next = async {
+            // A wait that is cut loses no message.
+            match timeout(MAX_SILENCE, watch.next()).await {
+                Ok(message) => message.transpose().map(Some),
+                Err(_) => Ok(None),
+            }
+        };
+        let message = match Self::in_turn(&mut self.admitted.turns, next).await? {
+            Some(Some(message)) => message,
+            Some(None) => return Ok((Source::End, frames)),
+            None => {
+                frames.push(&json!({ "kind": "at", "revision": self.reached }), &[]);
+                return Ok((Source::Watch(watch), frames));
+            }
         };
         if message.reset.is_some() {
             let reason = message.reset().as_str_name();

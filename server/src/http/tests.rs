@@ -247,6 +247,20 @@ async fn a_stream_goes_on_after_the_revision_of_its_caller() {
     assert_eq!(frames(&next)[0].0["kind"], "begin");
 }
 
+#[tokio::test(start_paused = true)]
+async fn a_stream_without_mutations_says_that_it_lives() {
+    let mut router = router(&service().await, Identities::default());
+    let request = Request::get("/api/v1/arm/points?follow=true");
+    let answer = ask(&mut router, request, "").await;
+    let mut body = answer.into_body().into_data_stream();
+    let mut ends = 0;
+    while ends < 4 {
+        let next = futures_util::StreamExt::next(&mut body).await;
+        let frames = frames(&next.unwrap().unwrap());
+        ends += frames.iter().filter(|it| it.0["kind"] == "at").count();
+    }
+}
+
 /// A sample has about as many points as asked for, and a wrong parameter is refused with its name.
 #[tokio::test]
 async fn more_points_than_asked_for_are_sampled() {
