@@ -18,8 +18,8 @@ pub(super) struct Guard {
     pub(super) has_tls: bool,
 }
 
-/// Answers requests of the server's own page and of programs. A page of another origin shows itself by `Sec-Fetch-Site`; one
-/// whose name was pointed at this machine (DNS rebinding), by a `Host` that is neither an address nor localhost.
+/// Answers requests of the server's own page and of programs. A page of another origin shows itself by `Sec-Fetch-Site`, in
+/// older browsers by `Origin`; one whose name was pointed at this machine (DNS rebinding), by a `Host` that is neither an address nor localhost.
 pub(super) async fn own_origin(Of(guard): Of<Guard>, request: Request, next: Next) -> Response {
     match guard.admits(request.headers()) {
         true => next.run(request).await,
@@ -33,7 +33,12 @@ impl Guard {
         if !matches!(site, None | Some(b"same-origin" | b"none")) {
             return false;
         }
-        let host = headers.get(header::HOST).and_then(|it| it.to_str().ok());
+        let text = |name| headers.get(name).and_then(|it| it.to_str().ok());
+        let host = text(header::HOST);
+        let origin = text(header::ORIGIN).map(|it| it.rsplit('/').next().unwrap_or_default());
+        if origin.is_some_and(|origin| host != Some(origin)) {
+            return false;
+        }
         self.has_tls || host.is_some_and(is_this_machine)
     }
 }
@@ -83,6 +88,15 @@ mod tests {
             assert!(!admits(false, host, None), "{host}");
         }
         assert!(admits(true, "robot.example:8080", None));
+        let mut headers = HeaderMap::new();
+        headers.insert(header::HOST, "127.0.0.1:8080".parse().unwrap());
+        headers.insert(header::ORIGIN, "http://127.0.0.1:8080".parse().unwrap());
+        let guard = Guard { has_tls: false };
+        assert!(guard.admits(&headers));
+        for other in ["http://127.0.0.1:9090", "https://evil.example", "null"] {
+            headers.insert(header::ORIGIN, other.parse().unwrap());
+            assert!(!guard.admits(&headers), "{other}");
+        }
         assert!(!Guard { has_tls: false }.admits(&HeaderMap::new()));
     }
 }
