@@ -305,7 +305,11 @@ impl PointStream {
             }
         };
         frames.push_points(&points, self.share);
-        frames.push_edges(&points, self.share);
+        if self.asked.edges && !frames.push_edges(&points, self.share) {
+            // Reading what is no edge would cost the server more than all else here.
+            self.asked.edges = false;
+            scan.omit_payloads();
+        }
         Ok((Source::Scan(scan, Some(read)), frames))
     }
 

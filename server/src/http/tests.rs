@@ -195,6 +195,32 @@ async fn edges_are_sent_to_those_who_ask_for_them() {
     assert_eq!(frames[2].1, from.chain(to).collect::<Vec<u64>>());
 }
 
+/// Payloads that are no ids are not read for their points' sake.
+#[tokio::test]
+async fn a_payload_of_another_form_ends_the_edges() {
+    let service = service().await;
+    let request = v1::InsertRequest {
+        index_name: "arm".into(),
+        ids: vec![10],
+        tags: vec![110],
+        states: Some(v1::States {
+            row_count: 1,
+            coordinates: vec![10.0, 0.5],
+        }),
+        payloads: vec!["a name".into()],
+        ..Default::default()
+    };
+    service.insert(&Call::default(), request).await.unwrap();
+    for id in 11..10_000 {
+        insert(&service, id).await;
+    }
+    let mut router = router(&service, Identities::default());
+    let frames = all_frames(&mut router, "edges=true").await;
+    let of = |kind: &str| frames.iter().filter(|it| it.0["kind"] == kind).count();
+    assert!(of("points") > 2);
+    assert_eq!(of("edges"), 1);
+}
+
 #[tokio::test]
 async fn a_stream_goes_on_after_the_revision_of_its_caller() {
     let service = service().await;

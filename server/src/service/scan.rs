@@ -95,6 +95,13 @@ impl Scan {
         self.hosted.space().coordinates()
     }
 
+    /// Leaves out the payloads of the next parts.
+    pub(crate) fn omit_payloads(&mut self) {
+        if let Some(include) = &mut self.include {
+            include.payloads = false;
+        }
+    }
+
     /// True if there are no further parts.
     pub(super) fn is_done(&self) -> bool {
         self.done

@@ -41,6 +41,11 @@ export class Edges {
     for (const [slot, low, high] of waiting) this.#join(slot, low, high, slots);
   }
 
+  /** True if further edges are left out. */
+  get isFull() {
+    return this.length >= MAX_EDGES;
+  }
+
   /** The number of edges whose ends were both there at a revision. */
   countAt(revision, { born, died }) {
     const { pairs, length } = this;

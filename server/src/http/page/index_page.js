@@ -95,6 +95,7 @@ export class IndexPage {
     const layers = this.drawn.filter(({ cloud }) => cloud.edges);
     const edges = layers.reduce((sum, { cloud }) => sum + cloud.edges.countAt(revision, cloud), 0);
     const about = [...layers.map(sampleOf), edges > 0 && counted(edges, "edge")];
+    if (layers.some(({ cloud }) => cloud.edges.isFull)) about.push("there are more");
     setText(byId("sampled"), about.filter(Boolean).join(" · "));
   }
 

@@ -5,6 +5,9 @@ use serde_json::{Value, json};
 use wayfold_proto::v1;
 use xxhash_rust::xxh3::xxh3_64;
 
+/// The most edges of a point. A payload with more is no list of ids of a roadmap, and would fill the picture alone.
+const MAX_EDGES: usize = 1024;
+
 /// The part of the points that is sent: those whose hashed id is at most this number. So a point that comes later is in
 /// the sample or not by the same rule, and its removal too.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,23 +80,26 @@ impl Frames {
         self.push(&json!({ "kind": "points", "count": rows.len() }), &body);
     }
 
-    /// Adds the edges of the points of the share: their payloads are the ids at the other ends, eight bytes each. A payload of
-    /// another form has none.
-    pub(super) fn push_edges(&mut self, points: &v1::Points, share: Share) {
+    /// Adds the edges of the points of the share: their payloads are the ids at the other ends, eight bytes each. Returns
+    /// false if a payload has another form or exceeds [`MAX_EDGES`]; it has no edges.
+    pub(super) fn push_edges(&mut self, points: &v1::Points, share: Share) -> bool {
         let (mut from, mut to) = (Vec::new(), Vec::new());
+        let mut are_ids = true;
         for (id, payload) in points.ids.iter().zip(&points.payloads) {
             let (others, rest) = payload.as_chunks::<8>();
-            if rest.is_empty() && share.has(*id) {
+            if !rest.is_empty() || others.len() > MAX_EDGES {
+                are_ids = false;
+            } else if share.has(*id) {
                 from.extend(others.iter().flat_map(|_| id.to_le_bytes()));
                 to.extend(others.as_flattened());
             }
         }
-        if from.is_empty() {
-            return;
+        if !from.is_empty() {
+            let head = json!({ "kind": "edges", "count": from.len() / 8 });
+            from.append(&mut to);
+            self.push(&head, &from);
         }
-        let head = json!({ "kind": "edges", "count": from.len() / 8 });
-        from.append(&mut to);
-        self.push(&head, &from);
+        are_ids
     }
 
     /// Adds the removed ids of the share.
