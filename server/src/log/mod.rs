@@ -92,6 +92,18 @@ impl Origin {
         next_id: 0,
         digest: Record::NO_PREVIOUS,
     };
+
+    /// Fails if there are more operations than revisions that may have made them.
+    fn has_room_for(&self, uid: Uid, operations: usize) -> Result<(), LogError> {
+        match operations as u64 > self.revision {
+            true => Err(LogError::Damaged {
+                uid,
+                revision: self.revision,
+                what: "its copy has more operations than revisions",
+            }),
+            false => Ok(()),
+        }
+    }
 }
 
 /// A record's place in the log of its index. Two servers may give their records the same revision, but never the same
@@ -210,6 +222,13 @@ pub trait PointStore: Send + Sync {
     /// copy is finished, whole or not at all.
     fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError>;
 
+    /// Begins to replace an index by the points of another server at a later revision, under the same uid; `origin` has
+    /// the digest of the record of that revision. Until the copy is finished, the index stays as it is; then it has all
+    /// of the copy, and a crash leaves the one or the other. Earlier views stay valid. [`Restoring::finish`] fails with
+    /// [`LogError::UnknownIndex`] if the index was deleted meanwhile, and with [`LogError::Fenced`] if it can be read and
+    /// its newest revision is not below the copy's.
+    fn replace(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError>;
+
     /// The failure after which nothing is written.
     fn failure(&self) -> Option<LogError> {
         None
@@ -301,8 +320,13 @@ pub trait Restoring: Send {
     /// Adds the next points, by ascending id.
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError>;
 
-    /// Adds the index to the catalogue with these writer sessions, durably.
-    fn finish(self: Box<Self>, sessions: Sessions) -> Result<(), LogError>;
+    /// Adds the index to the catalogue with these writer sessions and these operations, oldest first, durably.
+    /// [`LogError::Damaged`] if there are more operations than revisions.
+    fn finish(
+        self: Box<Self>,
+        sessions: Sessions,
+        operations: Vec<Arc<Operation>>,
+    ) -> Result<(), LogError>;
 }
 
 /// The points of one index as of one revision: the sum of the records up to that revision. They do not change while the

@@ -72,7 +72,8 @@ impl Registry {
         let forest = loader.finish(origin.revision).map_err(unloaded)?;
         let _change = self.change_lock.lock();
         self.room_for(&entry.name, &limits)?;
-        stored.finish(sessions)?;
+        // A copy has another uid, so no call to the original is repeated here.
+        stored.finish(sessions, Vec::new())?;
         let view = host.log.points.view(entry.uid)?;
         let hosted = Hosted::new(
             &host,

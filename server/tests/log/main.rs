@@ -19,6 +19,7 @@ mod nats;
 mod pin;
 mod rebuilt;
 mod remote;
+mod replaced;
 mod shared_files;
 mod suite;
 mod test_log;

@@ -283,6 +283,10 @@ impl PointStore for FjallLog {
         Ok(Box::new(self.engine()?.restore(entry, origin)?))
     }
 
+    fn replace(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+        Ok(Box::new(self.engine()?.replace(entry, origin)?))
+    }
+
     fn failure(&self) -> Option<LogError> {
         match self.engine() {
             Ok(engine) => engine.failure(),
