@@ -150,6 +150,9 @@ impl Hosted {
         records: &[Arc<Record>],
         view: impl FnOnce(&[Arc<Record>]) -> Result<Arc<dyn View>, LogError>,
     ) -> Result<(), RegistryError> {
+        if self.is_retired.load(Relaxed) {
+            return Err(RegistryError::Log(LogError::Closed));
+        }
         let published = self.published().view.tip();
         let known = records.partition_point(|record| record.revision() <= published.revision);
         let records = &records[known..];

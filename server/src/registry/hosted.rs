@@ -70,6 +70,9 @@ pub struct Hosted {
     pub(super) fences: Fences,
     /// True once a damage of its journal was logged.
     pub(super) is_reported: AtomicBool,
+    /// True once a copy takes its place: it applies nothing more and does not resume. Set by the holder of the writer and of
+    /// `applied`.
+    pub(super) is_retired: AtomicBool,
 }
 
 /// The task that applies the records of the log, and the channel of the receipts it waits for.
@@ -124,6 +127,7 @@ impl Hosted {
             missed: AtomicU64::new(0),
             fences: Fences::default(),
             is_reported: AtomicBool::new(false),
+            is_retired: AtomicBool::new(false),
             batches: Arc::default(),
             apply_loop: parking_lot::Mutex::new(ApplyLoop::start(
                 0,
@@ -292,6 +296,9 @@ impl Hosted {
     pub(super) fn resume(self: &Arc<Self>, view: &Arc<dyn View>) -> bool {
         let mut writer = Arc::clone(&self.writer).blocking_lock_owned();
         let applied = Arc::clone(&self.applied).blocking_lock_owned();
+        if self.is_retired.load(Relaxed) {
+            return false;
+        }
         let published = self.published();
         let tip = published.view.tip();
         let stored = view.tip();
@@ -375,6 +382,23 @@ impl Hosted {
         let decided = self.in_flight.lock().fail(&why);
         self.state.send_modify(|state| state.closed = Some(why));
         notify(decided);
+    }
+
+    /// True if it takes no record now.
+    pub(super) fn is_closed(&self) -> bool {
+        self.state.borrow().closed.is_some()
+    }
+
+    /// Ends a closed index for good, because a copy takes its place; false if the index is not closed. Blocks.
+    pub(super) fn retire(&self) -> bool {
+        let _writer = Arc::clone(&self.writer).blocking_lock_owned();
+        let _applied = Arc::clone(&self.applied).blocking_lock_owned();
+        let is_closed = self.is_closed();
+        if is_closed {
+            self.is_retired.store(true, Relaxed);
+            self.close(RegistryError::Log(LogError::Closed));
+        }
+        is_closed
     }
 
     /// Waits for the writer, also if the index is closed.

@@ -25,6 +25,7 @@ mod operations;
 mod payload_sizes;
 mod recent;
 mod records;
+mod replace;
 mod replay;
 mod restore;
 mod usage;

@@ -15,13 +15,13 @@ use crate::log::{Entry, Origin, Restoring, Sessions, StoredPoint, Uid};
 
 /// An index that is being restored. If it is dropped before [`Registry::host`], nothing is left behind.
 pub struct Restore {
-    host: Arc<Host>,
-    entry: Entry,
-    origin: Origin,
-    limits: Vec<IndexLimit>,
-    stored: Box<dyn Restoring>,
-    loader: Loader,
-    payload_sizes: PayloadSizes,
+    pub(super) host: Arc<Host>,
+    pub(super) entry: Entry,
+    pub(super) origin: Origin,
+    pub(super) limits: Vec<IndexLimit>,
+    pub(super) stored: Box<dyn Restoring>,
+    pub(super) loader: Loader,
+    pub(super) payload_sizes: PayloadSizes,
 }
 
 impl Registry {
@@ -120,7 +120,7 @@ impl Restore {
     }
 }
 
-fn unloaded(error: LoadError) -> RegistryError {
+pub(super) fn unloaded(error: LoadError) -> RegistryError {
     match error {
         LoadError::Full(full) => full.into(),
         LoadError::Refused(..) => unreachable!("restored points are checked as they arrive"),

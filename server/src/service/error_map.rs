@@ -25,6 +25,7 @@ pub(super) fn registry_error(index: &str, error: RegistryError) -> Error {
         | RegistryError::Taken
         | RegistryError::OtherUid { .. }
         | RegistryError::Full { .. }
+        | RegistryError::Follows
         | RegistryError::Stopped => Error::Internal { what },
     }
 }
