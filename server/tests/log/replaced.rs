@@ -226,6 +226,7 @@ fn a_journal_that_ends_in_the_last_batch_leaves_one_of_both() {
     copy.finish(sessions(), operations()).unwrap();
     let journal = JournalFile::of(directory.path());
     assert!(journal.used > before);
+    let mut revisions = Vec::new();
     let lengths = (before..journal.used).step_by(41);
     for length in lengths.chain([journal.used]) {
         let cut = journal.cut(length);
@@ -236,5 +237,7 @@ fn a_journal_that_ends_in_the_last_batch_leaves_one_of_both() {
             _ => check_replaced(&log, &arm),
         }
         assert_eq!(log.lost(), []);
+        revisions.push(log.view(arm.uid).unwrap().revision());
     }
+    assert_eq!((revisions.first(), revisions.last()), (Some(&1), Some(&90)));
 }
