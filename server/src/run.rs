@@ -35,7 +35,7 @@ use crate::{
         PointStore, SYNCS, connect_nats,
     },
     registry::{Registry, RegistryError, RegistryOptions},
-    service::{Owners, Service},
+    service::{Owners, Peers, Service},
     snapshots::{Schedule, SnapshotsError},
     watermark::Watermarks,
     zenoh::{self, ZenohError, ZenohFace},
@@ -234,6 +234,10 @@ pub(crate) async fn serve(
             service.set_owners(Arc::clone(&cluster) as Arc<dyn Owners>);
             let _ = joined.set(cluster);
         }
+        let _healing = joined.get().map(|cluster| {
+            let peers = Arc::clone(cluster) as Arc<dyn Peers>;
+            AbortOnDropHandle::new(tokio::spawn(service.clone().heal(peers)))
+        });
         service.set_ready();
         // If the store cannot be opened, every call fails with the cause.
         if registry.failure().is_none() {

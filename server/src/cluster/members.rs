@@ -3,6 +3,7 @@
 //! itself what reaches it. Nothing of this is stored: no answer depends on which members are believed to be live.
 
 use std::{
+    cmp::Reverse,
     collections::BTreeMap,
     sync::Arc,
     time::{Duration, Instant},
@@ -94,6 +95,15 @@ impl Members {
         live.get(&self.address)?;
         let owner = live.keys().max_by_key(|address| weight(address, uid))?;
         (*owner != self.address).then(|| owner.clone())
+    }
+
+    /// The other live members; at first the one that owns the index, or would without this server.
+    pub(super) fn others(&self, uid: Uid) -> Vec<String> {
+        let live = self.live.borrow();
+        let others = live.keys().filter(|address| **address != self.address);
+        let mut others: Vec<String> = others.cloned().collect();
+        others.sort_by_key(|address| Reverse(weight(address, uid)));
+        others
     }
 
     /// The number of live members, this one among them; 0 if it is cut off.

@@ -11,10 +11,11 @@ mod members;
 use std::{net::SocketAddr, time::Instant};
 
 use bytes::Bytes;
-use futures_util::future::BoxFuture;
+use futures_util::{StreamExt, future::BoxFuture};
 use http::{HeaderMap, HeaderValue, uri::PathAndQuery};
 use thiserror::Error;
-use tonic::{Request, metadata::MetadataMap};
+use tonic::{Request, client::Grpc, metadata::MetadataMap, transport::Channel};
+use tonic_prost::ProstCodec;
 
 use self::{
     channels::{Channels, Raw, refusal},
@@ -24,7 +25,9 @@ use crate::{
     config::{ClusterConfig, OFF, TlsConfig},
     grpc::IDENTITY,
     log::Uid,
-    service::{Call, NotForwarded, Owners},
+    service::{
+        COPY, Call, CopyPart, CopyParts, CopyRequest, NotForwarded, Owners, Peers, Unanswered,
+    },
 };
 
 /// The server cannot be a member.
@@ -126,6 +129,18 @@ impl Cluster {
     }
 }
 
+impl Cluster {
+    /// The connection to a member, for a call that only members send.
+    async fn channel(&self, member: &str) -> Result<Grpc<Channel>, Unanswered> {
+        let channel = self.channels.get(member).await;
+        let mut channel = channel.map_err(|_| Unanswered {
+            what: "it cannot be reached".into(),
+        })?;
+        channel.ready().await.map_err(unanswered)?;
+        Ok(channel)
+    }
+}
+
 impl Owners for Cluster {
     fn owner(&self, uid: Uid) -> Option<String> {
         self.members.owner(uid)
@@ -151,5 +166,32 @@ impl Owners for Cluster {
                 }
             }
         })
+    }
+}
+
+impl Peers for Cluster {
+    fn peers(&self, uid: Uid) -> Vec<String> {
+        self.members.others(uid)
+    }
+
+    fn copy<'a>(
+        &'a self,
+        member: &'a str,
+        request: CopyRequest,
+    ) -> BoxFuture<'a, Result<CopyParts, Unanswered>> {
+        Box::pin(async move {
+            let mut channel = self.channel(member).await?;
+            let codec = ProstCodec::<CopyRequest, CopyPart>::default();
+            let path = PathAndQuery::from_static(COPY);
+            let answer = channel.server_streaming(Request::new(request), path, codec);
+            let parts = answer.await.map_err(unanswered)?.into_inner();
+            Ok(parts.map(|part| part.map_err(unanswered)).boxed())
+        })
+    }
+}
+
+fn unanswered(error: impl std::error::Error) -> Unanswered {
+    Unanswered {
+        what: error.to_string(),
     }
 }

@@ -156,6 +156,18 @@ pub trait Journal: Send + Sync {
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError>;
 
+    /// The record of this revision, of those that this server keeps itself; None if it does not keep it. Blocks.
+    fn kept(&self, uid: Uid, revision: u64) -> Result<Option<Arc<Record>>, LogError> {
+        let Some(before) = revision.checked_sub(1) else {
+            return Ok(None);
+        };
+        match self.read(uid, Some(before), 1) {
+            Ok(records) => Ok(records.into_iter().find(|it| it.revision() == revision)),
+            Err(LogError::Trimmed { .. }) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
     /// The newest revision that the journal has, durable or not. Blocks.
     fn newest(&self, uid: Uid) -> Result<u64, LogError>;
 

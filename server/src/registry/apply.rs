@@ -23,6 +23,7 @@ use super::{
     Hosted, Published, RegistryError,
     commit::{MAX_INLINE_BYTES, MAX_INLINE_POINTS},
     in_flight::notify,
+    stopped::is_damage,
 };
 use crate::log::{Effects, LogError, Receipt, Record, RecordStream, Tip, View};
 
@@ -103,14 +104,12 @@ pub(super) async fn run(
         };
         if let Err(error) = outcome {
             if let Some(hosted) = hosted.upgrade() {
-                match &error {
-                    RegistryError::Log(
-                        LogError::Damaged { .. } | LogError::JournalBehind { .. },
-                    ) if !hosted.is_reported.swap(true, Relaxed) => {
+                // The log reports its failure once, so an index logs it at debug level only.
+                match is_damage(&error) && !hosted.is_reported.swap(true, Relaxed) {
+                    true => {
                         error!(index = hosted.name(), %error, "no further record is applied");
                     }
-                    // The log reports its failure once, so an index logs it at debug level only.
-                    _ => debug!(index = hosted.name(), %error, "cannot follow the log"),
+                    false => debug!(index = hosted.name(), %error, "cannot follow the log"),
                 }
                 hosted.end_loop(number, error);
             }

@@ -76,6 +76,7 @@ impl From<LogError> for RegistryError {
             error @ (LogError::UidTaken { .. }
             | LogError::NameTaken { .. }
             | LogError::JournalBehind { .. }
+            | LogError::Contradicted { .. }
             | LogError::Unreachable { .. }
             | LogError::Fenced { .. }
             | LogError::Unconfirmed { .. }

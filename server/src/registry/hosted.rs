@@ -332,43 +332,6 @@ impl Hosted {
         is_resumed
     }
 
-    /// The damage of its journal, after which no record is applied: reads go on at the published revision.
-    pub(crate) fn damage(&self) -> Option<RegistryError> {
-        let state = self.state.borrow();
-        let closed = state.closed.as_ref();
-        let damage = closed.filter(|why| {
-            let RegistryError::Log(why) = why else {
-                return false;
-            };
-            matches!(
-                why,
-                LogError::Damaged { .. } | LogError::JournalBehind { .. }
-            )
-        });
-        damage.cloned()
-    }
-
-    /// True if it is closed for a reason that may pass: a lost receipt could not be settled, or NATS may have answered
-    /// from the past.
-    pub(super) fn is_unsettled(&self) -> bool {
-        let state = self.state.borrow();
-        matches!(
-            state.closed,
-            Some(RegistryError::Log(
-                LogError::Unconfirmed { .. } | LogError::JournalBehind { .. }
-            ))
-        )
-    }
-
-    /// True if it is closed because the journal ends before what it has applied.
-    pub(super) fn is_ahead(&self) -> bool {
-        let state = self.state.borrow();
-        matches!(
-            state.closed,
-            Some(RegistryError::Log(LogError::JournalBehind { .. }))
-        )
-    }
-
     /// Closes the index, because its apply loop of this number has ended.
     pub(super) fn end_loop(&self, number: u64, why: RegistryError) {
         let apply_loop = self.apply_loop.lock();
@@ -384,21 +347,14 @@ impl Hosted {
         notify(decided);
     }
 
+    /// The error that closed it; None if it takes records.
+    pub(super) fn closed(&self) -> Option<RegistryError> {
+        self.state.borrow().closed.clone()
+    }
+
     /// True if it takes no record now.
     pub(super) fn is_closed(&self) -> bool {
         self.state.borrow().closed.is_some()
-    }
-
-    /// Ends a closed index for good, because a copy takes its place; false if the index is not closed. Blocks.
-    pub(super) fn retire(&self) -> bool {
-        let _writer = Arc::clone(&self.writer).blocking_lock_owned();
-        let _applied = Arc::clone(&self.applied).blocking_lock_owned();
-        let is_closed = self.is_closed();
-        if is_closed {
-            self.is_retired.store(true, Relaxed);
-            self.close(RegistryError::Log(LogError::Closed));
-        }
-        is_closed
     }
 
     /// Waits for the writer, also if the index is closed.

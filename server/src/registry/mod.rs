@@ -28,6 +28,7 @@ mod records;
 mod replace;
 mod replay;
 mod restore;
+mod stopped;
 mod usage;
 mod writer;
 
@@ -56,6 +57,7 @@ pub use operations::OperationWindow;
 use operations::Operations;
 use payload_sizes::PayloadSizes;
 pub use restore::Restore;
+pub(crate) use stopped::Stopped;
 pub use usage::BatchUnderWay;
 pub(crate) use usage::Part;
 pub use writer::{WriteGuard, Writer};

@@ -100,6 +100,11 @@ impl Registry {
 }
 
 impl Restore {
+    /// The space of the index.
+    pub(crate) fn space(&self) -> &Space {
+        &self.entry.space
+    }
+
     /// The bytes of the payloads so far; 0 if they are not counted.
     pub fn payload_bytes(&self) -> u64 {
         self.payload_sizes.total()

@@ -60,6 +60,7 @@ fn storage_error(what: String, error: LogError) -> Error {
         | LogError::Unreadable { .. }
         | LogError::Unopened { .. }
         | LogError::JournalBehind { .. }
+        | LogError::Contradicted { .. }
         | LogError::Trimmed { .. } => Error::DataLoss { what },
         LogError::Storage { .. }
         | LogError::StorageStopped

@@ -13,6 +13,7 @@ mod crash;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod disk_failure;
 mod forwarding;
+mod healing;
 mod journal_loss;
 #[cfg(target_os = "linux")]
 mod little_memory;

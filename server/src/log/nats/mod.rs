@@ -155,6 +155,10 @@ impl Journal for NatsJournal {
         self.runtime.block_on(read)
     }
 
+    fn kept(&self, uid: Uid, revision: u64) -> Result<Option<Arc<Record>>, LogError> {
+        self.local.kept(uid, revision)
+    }
+
     fn newest(&self, uid: Uid) -> Result<u64, LogError> {
         let last = self.runtime.block_on(self.connection.last(uid))?;
         Ok(last.last.revision)
