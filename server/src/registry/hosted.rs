@@ -76,11 +76,13 @@ pub struct Hosted {
 }
 
 /// The task that applies the records of the log, and the channel of the receipts it waits for.
+#[derive(Default)]
 struct ApplyLoop {
     /// The number of loops before it.
     number: u64,
-    receipts: mpsc::UnboundedSender<Awaited>,
-    _task: AbortOnDropHandle<()>,
+    /// None before the first loop.
+    receipts: Option<mpsc::UnboundedSender<Awaited>>,
+    _task: Option<AbortOnDropHandle<()>>,
 }
 
 struct State {
@@ -106,7 +108,8 @@ impl Hosted {
             view,
         });
         let space = Arc::new(entry.space.clone());
-        Arc::new_cyclic(|hosted| Self {
+        let after = (entry.uid, published.revision);
+        let hosted = Arc::new(Self {
             name: entry.name.clone(),
             label: host.label(&entry.name),
             uid: entry.uid,
@@ -129,17 +132,15 @@ impl Hosted {
             is_reported: AtomicBool::new(false),
             is_retired: AtomicBool::new(false),
             batches: Arc::default(),
-            apply_loop: parking_lot::Mutex::new(ApplyLoop::start(
-                0,
-                hosted.clone(),
-                host,
-                (entry.uid, published.revision),
-            )),
+            apply_loop: parking_lot::Mutex::default(),
             state: watch::Sender::new(State {
                 published,
                 closed: None,
             }),
-        })
+        });
+        // A loop that began before the index exists could not tell it of an error.
+        *hosted.apply_loop.lock() = ApplyLoop::start(0, Arc::downgrade(&hosted), host, after);
+        hosted
     }
 
     /// The bytes of its payloads after `effects`, which follow the records of `writer`; 0 if they are not counted.
@@ -364,8 +365,10 @@ impl Hosted {
 
     /// Gives the apply loop a receipt to wait for.
     pub(super) fn await_receipt(&self, awaited: Awaited) {
-        // It fails if the loop has ended, which closed the index.
-        let _ = self.apply_loop.lock().receipts.send(awaited);
+        if let Some(receipts) = &self.apply_loop.lock().receipts {
+            // It fails if the loop has ended, which closed the index.
+            let _ = receipts.send(awaited);
+        }
     }
 }
 
@@ -376,8 +379,8 @@ impl ApplyLoop {
         let task = tokio::spawn(apply::run(hosted, number, records, awaited));
         Self {
             number,
-            receipts,
-            _task: AbortOnDropHandle::new(task),
+            receipts: Some(receipts),
+            _task: Some(AbortOnDropHandle::new(task)),
         }
     }
 }
