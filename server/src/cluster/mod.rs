@@ -74,7 +74,8 @@ pub(crate) struct Cluster {
 }
 
 impl Cluster {
-    /// Joins the cluster as the server at the address `own`, until it is dropped.
+    /// Hears the members of the cluster from now on, until it is dropped. The server at the address `own` is one of them
+    /// after [`Cluster::serve`].
     pub(crate) fn join(
         config: &ClusterConfig,
         tls: &TlsConfig,
@@ -86,6 +87,11 @@ impl Cluster {
             members: Members::join(nats, subject, own),
             channels: Channels::new(config.peer_ca(), tls),
         }
+    }
+
+    /// Tells the others from now on that this server takes their calls.
+    pub(crate) fn serve(&self) {
+        self.members.serve();
     }
 
     /// Tells the others that this server is about to stop, so that they do not forward to it any more.

@@ -7,7 +7,7 @@ use tokio::time::timeout;
 use tracing::{info, warn};
 
 use super::{Hosted, Registry, RegistryError, Writer};
-use crate::log::Record;
+use crate::log::{LogError, Record};
 
 /// The time in which an index of a starting server catches up with a journal, before it is served as it is.
 const CATCH_UP_TIME: Duration = Duration::from_secs(60);
@@ -52,7 +52,18 @@ impl Hosted {
         if let Some(records) = self.recent.lock().after(after, last, max_bytes) {
             return Ok(records);
         }
-        let mut records = self.read(after, max_bytes).await?;
+        let mut records = match self.read(after, max_bytes).await {
+            Ok(records) => records,
+            // The journal has a gap that this server has passed with a copy of another one.
+            Err(RegistryError::Log(LogError::Damaged { uid, .. })) if !self.is_closed() => {
+                return Err(RegistryError::Log(LogError::Trimmed {
+                    uid,
+                    after,
+                    oldest: last,
+                }));
+            }
+            Err(error) => return Err(error),
+        };
         records.retain(|record| record.revision() <= last);
         Ok(records)
     }

@@ -11,7 +11,10 @@ use std::{
 };
 
 use futures_util::StreamExt;
-use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
+use tokio::{
+    sync::oneshot,
+    time::{Instant, MissedTickBehavior, interval, timeout},
+};
 use tracing::{debug, warn};
 use wayfold_proto::{
     snapshot::{Content, Header, Reader},
@@ -64,15 +67,29 @@ impl<E: std::error::Error> From<E> for Failure {
 }
 
 impl Service {
-    /// Heals the indices that stop, until it is dropped.
-    pub(crate) async fn heal(self, peers: Arc<dyn Peers>) {
+    /// Heals the indices that stop, until it is dropped. Answers `tried` once it has tried to heal those that have stopped
+    /// already.
+    pub(crate) async fn heal(self, peers: Arc<dyn Peers>, tried: oneshot::Sender<()>) {
         let mut ticks = interval(LOOK_INTERVAL);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        ticks.tick().await;
         let mut attempts = HashMap::new();
+        if self.has_stopped() {
+            // A server that starts has heard of all live members by then.
+            ticks.tick().await;
+            self.heal_stopped(&*peers, &mut attempts).await;
+        }
+        // The server may have given up waiting.
+        let _ = tried.send(());
         loop {
             ticks.tick().await;
             self.heal_stopped(&*peers, &mut attempts).await;
         }
+    }
+
+    fn has_stopped(&self) -> bool {
+        let registry = self.registry();
+        registry.is_ok_and(|registry| !registry.stopped().is_empty())
     }
 
     /// Tries to heal each index whose time has come.
@@ -314,3 +331,6 @@ impl Draft {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests;
