@@ -13,7 +13,6 @@ use futures_util::{FutureExt, future::OptionFuture};
 use thiserror::Error;
 use tokio::{
     net::TcpListener,
-    sync::oneshot,
     time::{Instant, interval, sleep_until, timeout},
 };
 use tokio_util::{
@@ -36,7 +35,7 @@ use crate::{
         PointStore, SYNCS, connect_nats,
     },
     registry::{Registry, RegistryError, RegistryOptions},
-    service::{Owners, Peers, Service},
+    service::{Owners, Service},
     snapshots::{Schedule, SnapshotsError},
     watermark::Watermarks,
     zenoh::{self, ZenohError, ZenohFace},
@@ -45,9 +44,6 @@ use crate::{
 /// A stopping server waits this long for connections without calls to close. A live peer closes at once, after it has
 /// read the rest of its last answer. A frozen peer, or one that never spoke, does not close.
 const IDLE_WAIT: Duration = Duration::from_secs(5);
-
-/// The time in which a starting member heals its indices before it serves them as they are.
-const HEAL_TIME: Duration = Duration::from_secs(60);
 
 /// Aborted connections may take this long to close.
 const CUT_WAIT: Duration = Duration::from_secs(1);
@@ -238,8 +234,8 @@ pub(crate) async fn serve(
             service.set_owners(Arc::clone(&cluster) as Arc<dyn Owners>);
             let _ = joined.set(cluster);
         }
-        let _healing = match joined.get() {
-            Some(cluster) => Some(heal(&service, cluster).await),
+        let _of_members = match joined.get() {
+            Some(cluster) => Some(cluster.serve(&service).await),
             None => None,
         };
         service.set_ready();
@@ -273,19 +269,6 @@ pub(crate) async fn serve(
     service.begin_shutdown();
     lifecycle.advance(Phase::Stopping);
     drain(serving, zenoh, under_way, cut, config.shutdown.grace_ms).await
-}
-
-/// Heals the indices of a member that cannot follow their journal. It serves once it has tried that with those that it
-/// starts with.
-async fn heal(service: &Service, cluster: &Arc<Cluster>) -> AbortOnDropHandle<()> {
-    let (tried, is_tried) = oneshot::channel();
-    let peers = Arc::clone(cluster) as Arc<dyn Peers>;
-    let healing = AbortOnDropHandle::new(tokio::spawn(service.clone().heal(peers, tried)));
-    if timeout(HEAL_TIME, is_tried).await.is_err() {
-        warn!("serving before all indices that cannot follow their journal are healed");
-    }
-    cluster.serve();
-    healing
 }
 
 /// The listener of the pages for operators, unless they are off.

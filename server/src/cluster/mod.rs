@@ -8,14 +8,21 @@
 mod channels;
 mod members;
 
-use std::{net::SocketAddr, time::Instant};
+use std::{
+    net::SocketAddr,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use bytes::Bytes;
 use futures_util::{StreamExt, future::BoxFuture};
 use http::{HeaderMap, HeaderValue, uri::PathAndQuery};
 use thiserror::Error;
+use tokio::{sync::oneshot, time::timeout};
+use tokio_util::task::AbortOnDropHandle;
 use tonic::{Request, client::Grpc, metadata::MetadataMap, transport::Channel};
 use tonic_prost::ProstCodec;
+use tracing::warn;
 
 use self::{
     channels::{Channels, Raw, refusal},
@@ -26,9 +33,13 @@ use crate::{
     grpc::IDENTITY,
     log::Uid,
     service::{
-        COPY, Call, CopyPart, CopyParts, CopyRequest, NotForwarded, Owners, Peers, Unanswered,
+        COPY, Call, CopyPart, CopyParts, CopyRequest, NotForwarded, Owners, Peers, STORED, Service,
+        StoredRequest, StoredResponse, Unanswered,
     },
 };
+
+/// The time in which a starting member heals its indices before it serves them as they are.
+const HEAL_TIME: Duration = Duration::from_secs(60);
 
 /// The server cannot be a member.
 #[derive(Debug, Error)]
@@ -89,9 +100,20 @@ impl Cluster {
         }
     }
 
-    /// Tells the others from now on that this server takes their calls.
-    pub(crate) fn serve(&self) {
+    /// Heals the indices of the service, and trims the journal, as long as the returned handles are held. The others may
+    /// call this server once it has tried to heal the indices that it starts with.
+    pub(crate) async fn serve(self: &Arc<Self>, service: &Service) -> [AbortOnDropHandle<()>; 2] {
+        let (tried, is_tried) = oneshot::channel();
+        let peers = Arc::clone(self) as Arc<dyn Peers>;
+        let healing = service.clone().heal(Arc::clone(&peers), tried);
+        let healing = AbortOnDropHandle::new(tokio::spawn(healing));
+        if timeout(HEAL_TIME, is_tried).await.is_err() {
+            warn!("serving before all indices that cannot follow their journal are healed");
+        }
         self.members.serve();
+        let owners = Arc::clone(self) as Arc<dyn Owners>;
+        let trimming = tokio::spawn(service.clone().trim_journal(owners, peers));
+        [healing, AbortOnDropHandle::new(trimming)]
     }
 
     /// Tells the others that this server is about to stop, so that they do not forward to it any more.
@@ -178,6 +200,24 @@ impl Owners for Cluster {
 impl Peers for Cluster {
     fn peers(&self, uid: Uid) -> Vec<String> {
         self.members.others(uid)
+    }
+
+    fn all(&self) -> Vec<String> {
+        self.members.others(Uid::unique())
+    }
+
+    fn stored<'a>(
+        &'a self,
+        member: &'a str,
+        request: StoredRequest,
+    ) -> BoxFuture<'a, Result<StoredResponse, Unanswered>> {
+        Box::pin(async move {
+            let mut channel = self.channel(member).await?;
+            let codec = ProstCodec::<StoredRequest, StoredResponse>::default();
+            let path = PathAndQuery::from_static(STORED);
+            let answer = channel.unary(Request::new(request), path, codec).await;
+            Ok(answer.map_err(unanswered)?.into_inner())
+        })
     }
 
     fn copy<'a>(

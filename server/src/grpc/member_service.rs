@@ -14,12 +14,15 @@ use futures_util::{FutureExt, StreamExt, future::BoxFuture, stream};
 use tonic::{
     Request, Response, Status,
     body::Body,
-    server::{Grpc, NamedService, ServerStreamingService},
+    server::{Grpc, NamedService, ServerStreamingService, UnaryService},
 };
 use tonic_prost::ProstCodec;
 
-use super::status::{Answer, Messages, from_error};
-use crate::service::{COPY, Copy, CopyPart, CopyRequest, Copying, SERVICE, Service};
+use super::status::{Answer, Messages, from_error, respond};
+use crate::service::{
+    COPY, Copy, CopyPart, CopyRequest, Copying, SERVICE, STORED, Service, StoredRequest,
+    StoredResponse,
+};
 
 /// See the module.
 #[derive(Clone)]
@@ -47,11 +50,25 @@ impl tower::Service<http::Request<Body>> for MemberFace {
                 let mut grpc = Grpc::new(ProstCodec::<CopyPart, CopyRequest>::default());
                 Ok(grpc.server_streaming(face, request).await)
             }),
+            STORED => Box::pin(async move {
+                let mut grpc = Grpc::new(ProstCodec::<StoredResponse, StoredRequest>::default());
+                Ok(grpc.unary(face, request).await)
+            }),
             _ => {
                 let unknown = Status::unimplemented("no call of members has this name");
                 Box::pin(ready(Ok(unknown.into_http())))
             }
         }
+    }
+}
+
+impl UnaryService<StoredRequest> for MemberFace {
+    type Response = StoredResponse;
+    type Future = BoxFuture<'static, Answer<StoredResponse>>;
+
+    fn call(&mut self, request: Request<StoredRequest>) -> Self::Future {
+        let service = self.service.clone();
+        async move { respond(service.stored(request.into_inner())) }.boxed()
     }
 }
 

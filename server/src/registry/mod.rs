@@ -29,6 +29,7 @@ mod replace;
 mod replay;
 mod restore;
 mod stopped;
+mod stored;
 mod usage;
 mod writer;
 
@@ -58,6 +59,7 @@ use operations::Operations;
 use payload_sizes::PayloadSizes;
 pub use restore::Restore;
 pub(crate) use stopped::Stopped;
+pub(crate) use stored::Stored;
 pub use usage::BatchUnderWay;
 pub(crate) use usage::Part;
 pub use writer::{WriteGuard, Writer};

@@ -1,5 +1,5 @@
 //! The messages between the members of a cluster that no client sends: an index as a copy, for a member that cannot follow
-//! its journal. They are on `cluster.listen` alone.
+//! its journal, and the revisions that a member stores. They are on `cluster.listen` alone.
 //!
 //! A copy is a [`CopyStart`], the parts of a snapshot with their checksums, and the remembered operations. All of it is of
 //! one revision.
@@ -16,6 +16,9 @@ pub(crate) const SERVICE: &str = "wayfold.member.v1.MemberService";
 
 /// The path of the call for a copy: a [`CopyRequest`], answered by a stream of [`CopyPart`].
 pub(crate) const COPY: &str = "/wayfold.member.v1.MemberService/Copy";
+
+/// The path of the call for what a member stores: a [`StoredRequest`], answered by a [`StoredResponse`].
+pub(crate) const STORED: &str = "/wayfold.member.v1.MemberService/Stored";
 
 /// A record's place in the log of its index.
 #[derive(Clone, PartialEq, prost::Message)]
@@ -144,6 +147,36 @@ impl CopyOperation {
     }
 }
 
+/// Asks which revisions of some indices a member stores.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct StoredRequest {
+    /// The uids of the indices.
+    #[prost(string, repeated, tag = "1")]
+    pub uids: Vec<String>,
+}
+
+/// The indices that the member serves, in any order.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct StoredResponse {
+    /// The indices.
+    #[prost(message, repeated, tag = "1")]
+    pub indexes: Vec<StoredIndex>,
+}
+
+/// What a member stores of an index.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct StoredIndex {
+    /// Its uid.
+    #[prost(string, tag = "1")]
+    pub uid: String,
+    /// The newest revision that it stores.
+    #[prost(uint64, tag = "2")]
+    pub revision: u64,
+    /// True if the revision survives a loss of power.
+    #[prost(bool, tag = "3")]
+    pub is_durable: bool,
+}
+
 /// The parts of a copy as they arrive.
 pub type CopyParts = BoxStream<'static, Result<CopyPart, Unanswered>>;
 
@@ -159,6 +192,16 @@ pub struct Unanswered {
 pub trait Peers: Send + Sync {
     /// The other live members, in the order in which to ask them about an index.
     fn peers(&self, uid: Uid) -> Vec<String>;
+
+    /// All other live members.
+    fn all(&self) -> Vec<String>;
+
+    /// Asks a member which revisions of some indices it stores.
+    fn stored<'a>(
+        &'a self,
+        member: &'a str,
+        request: StoredRequest,
+    ) -> BoxFuture<'a, Result<StoredResponse, Unanswered>>;
 
     /// Asks a member for a copy of an index.
     fn copy<'a>(

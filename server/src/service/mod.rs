@@ -12,6 +12,7 @@
 //! - `staging`: rows that see the rows before them;
 //! - `forward`: mutations that another server of a cluster evaluates;
 //! - `member`, `copy`, `heal`: copies for servers of a cluster that cannot follow their journal;
+//! - `trim`: forgets the records of a shared journal that the servers have stored;
 //! - `mutation`: from an evaluated mutation to its acknowledgement;
 //! - `stored`: reads of the store on threads that may block;
 //! - `answer`: columns that never outgrow their limit;
@@ -51,6 +52,7 @@ mod session_pages;
 mod snapshot;
 mod staging;
 mod stored;
+mod trim;
 mod update;
 mod verify;
 mod watch;
@@ -78,7 +80,10 @@ pub use error::{Error, Unavailability, Violation};
 pub use forward::{NotForwarded, Owners};
 pub use indexes::{Damaged, Listing};
 pub use limits::Limits;
-pub(crate) use member::{COPY, CopyPart, CopyParts, CopyRequest, Peers, SERVICE, Unanswered};
+pub(crate) use member::{
+    COPY, CopyPart, CopyParts, CopyRequest, Peers, SERVICE, STORED, StoredRequest, StoredResponse,
+    Unanswered,
+};
 pub use restore::Restoring;
 pub use scan::Scan;
 pub use snapshot::Snapshot;

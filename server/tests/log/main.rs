@@ -12,6 +12,7 @@ mod fault;
 mod fjall;
 mod flips;
 mod following;
+mod forgotten;
 mod idle_view;
 mod lost;
 mod model;

@@ -8,8 +8,8 @@ use wayfold_tests::{Content, ServerProcess, Signal, Stubs, row_states};
 
 use crate::journal_loss::{Cluster, MAX_WAIT, insert};
 
-const JOINS: &str = "a server joins the cluster";
-const HEALED: &str = "goes on from a copy of another server";
+pub(crate) const JOINS: &str = "a server joins the cluster";
+pub(crate) const HEALED: &str = "goes on from a copy of another server";
 
 /// Starts two servers that hear each other.
 fn two(cluster: &Cluster) -> [ServerProcess; 2] {
@@ -33,7 +33,7 @@ fn with_payload(id: u64) -> InsertRequest {
 }
 
 /// The content of a server once it has all that was acknowledged.
-async fn latest_content(stubs: &mut Stubs) -> Content {
+pub(crate) async fn latest_content(stubs: &mut Stubs) -> Content {
     let caught_up = async { while stubs.latest("arm").await.is_err() {} };
     timeout(MAX_WAIT, caught_up).await.unwrap();
     Content::read(stubs, "arm").await.unwrap()

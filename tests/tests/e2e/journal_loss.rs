@@ -47,6 +47,11 @@ impl Cluster {
         self.directory.path().join(format!("data-{number}"))
     }
 
+    /// Removes the data directory of a server, which is stopped.
+    pub(crate) fn lose(&self, number: usize) {
+        std::fs::remove_dir_all(self.data(number)).unwrap();
+    }
+
     /// Kills NATS, and starts it again once its store is copied.
     pub(crate) fn save_store(&mut self) {
         self.nats.kill(0);

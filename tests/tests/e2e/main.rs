@@ -30,3 +30,4 @@ mod server_program;
 mod shared;
 mod shutdown;
 mod snapshots;
+mod trimming;

@@ -338,6 +338,12 @@ impl Engine {
         view.map_err(|error| self.note(error))
     }
 
+    /// The newest revision of an index that is synced; None if nothing is.
+    pub(super) fn durable(&self, uid: Uid) -> Result<Option<u64>, LogError> {
+        let index = self.index(uid)?;
+        Ok(self.syncer.as_ref().map(|_| index.durable()))
+    }
+
     pub(super) fn follow(&self, uid: Uid, after: u64) -> Result<RecordStream, LogError> {
         let index = self.index(uid)?;
         Ok(follow::follow(

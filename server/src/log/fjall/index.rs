@@ -154,6 +154,11 @@ impl Index {
         });
     }
 
+    /// The newest revision that is known to be on disk.
+    pub(super) fn durable(&self) -> u64 {
+        self.progress.borrow().durable
+    }
+
     /// Ends the streams of records.
     pub(super) fn end_followers(&self, why: LogError) {
         let closed = |progress: &mut Progress| progress.closed = Some(why);

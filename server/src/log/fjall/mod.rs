@@ -279,6 +279,10 @@ impl PointStore for FjallLog {
         engine.index(uid)?.operations(&engine.store)
     }
 
+    fn durable(&self, uid: Uid) -> Result<Option<u64>, LogError> {
+        self.engine()?.durable(uid)
+    }
+
     fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
         Ok(Box::new(self.engine()?.restore(entry, origin)?))
     }

@@ -184,6 +184,19 @@ pub(super) async fn read(
     Ok(records)
 }
 
+/// Forgets the messages with records up to the revision `up_to` alone, but never the newest pack: see
+/// [`Journal::forget`](crate::log::Journal::forget).
+pub(super) async fn forget(connection: &Connection, uid: Uid, up_to: u64) -> Result<(), LogError> {
+    let last = connection.last(uid).await?;
+    let up_to = up_to.min(last.first.saturating_sub(1));
+    match connection.next(uid, 1).await? {
+        Some((first, _)) if first.last.revision <= up_to => {}
+        _ => return Ok(()),
+    }
+    let sequence = place_after(connection, uid, up_to).await?;
+    connection.purge_before(uid, sequence).await
+}
+
 /// A sequence number from which on an index's first message is the one with the record after the revision `after`.
 async fn place_after(connection: &Connection, uid: Uid, after: u64) -> Result<u64, LogError> {
     let last = connection.last(uid).await?;

@@ -17,7 +17,7 @@ use crate::{
     registry::{Hosted, RegistryError, RegistryOptions},
     service::{
         Copying, Limits,
-        member::{CopyPart, Unanswered},
+        member::{CopyPart, StoredRequest, StoredResponse, Unanswered},
     },
 };
 
@@ -117,6 +117,18 @@ impl Peer {
 impl Peers for Peer {
     fn peers(&self, _: Uid) -> Vec<String> {
         vec!["peer".into()]
+    }
+
+    fn all(&self) -> Vec<String> {
+        Vec::new()
+    }
+
+    fn stored<'a>(
+        &'a self,
+        _: &'a str,
+        _: StoredRequest,
+    ) -> BoxFuture<'a, Result<StoredResponse, Unanswered>> {
+        unimplemented!("no journal is trimmed here")
     }
 
     fn copy<'a>(
