@@ -9,10 +9,7 @@ use super::{
     error_map::registry_error,
     member::{CopyKind, CopyOperation, CopyOperations, CopyPart, CopyRequest, CopyStart},
 };
-use crate::{
-    log::Operation,
-    registry::{Hosted, Published},
-};
+use crate::{log::Operation, registry::Published};
 
 /// Copies that are given at a time. Each holds a revision.
 pub(super) const MAX_COPIES: usize = 2;
@@ -91,27 +88,17 @@ impl Service {
             let why = format!("it is at revision {revision}, and {needed} is needed");
             return refused(&why);
         }
-        Ok(Copying::Copy(Box::new(
-            self.copy(hosted, published, operations, turn),
-        )))
-    }
-
-    fn copy(
-        &self,
-        hosted: Arc<Hosted>,
-        published: Arc<Published>,
-        operations: Vec<Arc<Operation>>,
-        turn: OwnedSemaphorePermit,
-    ) -> Copy {
-        Copy {
-            start: Some(CopyStart {
-                tip: Some(published.view.tip().into()),
-                operations: operations.len() as u64,
-            }),
+        let start = CopyStart {
+            tip: Some(published.view.tip().into()),
+            operations: operations.len() as u64,
+            is_compared: digest.is_some(),
+        };
+        Ok(Copying::Copy(Box::new(Copy {
+            start: Some(start),
             snapshot: Snapshot::of(self.limits(), Call::default(), hosted, published),
             operations: operations.into_iter(),
             _turn: turn,
-        }
+        })))
     }
 }
 

@@ -156,12 +156,13 @@ async fn heal_index(
     for member in peers.peers(index.uid) {
         let copied = copy_from(registry, service, (peers, &member), (index, &request)).await;
         match copied {
-            Ok(revision) => {
+            Ok((revision, compared)) => {
                 warn!(
                     index = index.name,
                     uid = %index.uid,
                     member,
                     revision,
+                    compared,
                     "an index that could not follow its journal goes on from a copy of another server"
                 );
                 return Ok(());
@@ -181,25 +182,24 @@ async fn heal_index(
     }
 }
 
-/// Takes a copy of a member in the place of an index. Returns its revision.
+/// Takes a copy of a member in the place of an index. Returns its revision; the flag is false if nobody knows any more whether
+/// the member has applied the same records as this server.
 async fn copy_from(
     registry: &Arc<Registry>,
     service: &Service,
     (peers, member): (&dyn Peers, &str),
     (index, request): (&Stopped, &CopyRequest),
-) -> Result<u64, Failure> {
+) -> Result<(u64, bool), Failure> {
     let asked = timeout(PART_TIME, peers.copy(member, request.clone()));
     let mut parts = asked.await??;
-    let tip = match next(&mut parts).await? {
-        CopyKind::Start(start) => {
-            let tip = start.tip.as_ref().and_then(|place| place.tip());
-            tip.map(|tip| (tip, start.operations))
-        }
+    let start = match next(&mut parts).await? {
+        CopyKind::Start(start) => start,
         CopyKind::Contradicts(revision) => return Err(Failure::Contradicts(revision)),
         CopyKind::Refused(why) => return Err(Failure::Other(why)),
-        CopyKind::Snapshot(_) | CopyKind::Operations(_) => None,
+        CopyKind::Snapshot(_) | CopyKind::Operations(_) => return Err(out_of_order()),
     };
-    let (tip, operations) = tip.ok_or_else(out_of_order)?;
+    let tip = start.tip.as_ref().and_then(|place| place.tip());
+    let tip = tip.ok_or_else(out_of_order)?;
     let needed = index.tip.map_or(0, |tip| tip.revision + 1);
     if tip.revision < needed.max(request.min_revision) {
         let revision = tip.revision;
@@ -223,14 +223,14 @@ async fn copy_from(
         sessions: Sessions::default(),
         operations: Vec::new(),
     };
-    while !draft.is_whole(operations) {
+    while !draft.is_whole(start.operations) {
         let part = next(&mut parts).await?;
         let read = tokio::task::spawn_blocking(move || draft.read(part).map(|()| draft));
         draft = read.await??;
     }
     let hosting = tokio::task::spawn_blocking(move || draft.host());
     hosting.await??;
-    Ok(tip.revision)
+    Ok((tip.revision, start.is_compared))
 }
 
 /// The next part of a copy.

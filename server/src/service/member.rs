@@ -101,6 +101,9 @@ pub struct CopyStart {
     /// The number of operations that follow.
     #[prost(uint64, tag = "2")]
     pub operations: u64,
+    /// True if the newest record of the asking member is in the history of the copy; false if that cannot be told any more.
+    #[prost(bool, tag = "3")]
+    pub is_compared: bool,
 }
 
 /// Remembered operations, oldest first.

@@ -100,6 +100,8 @@ impl Cluster {
             .arg(self.data(server))
             .envs(self.nats.member_settings())
             .env("WAYFOLD_INDEX__GROWING_ROWS", "32")
+            // Most servers that come back are behind what NATS keeps, and take a copy.
+            .env("WAYFOLD_INDEX__WINDOW_SECONDS", "1")
             // A server without a processor would shed calls.
             .env("WAYFOLD_ADMISSION__QUEUE_TARGET_MS", "60000");
         Process::spawn(&mut command)
