@@ -12,7 +12,7 @@ use super::*;
 use crate::{
     log::{
         Catalogue, Effects, Entry, Journal, Log, LogError, MemoryLog, Outcome, PointStore, Record,
-        Retention,
+        Retention, StoredPoint,
     },
     registry::{Hosted, RegistryError, RegistryOptions},
     service::{
@@ -254,4 +254,41 @@ async fn a_contradiction_is_the_end() {
         assert!(registry.stopped().is_empty());
         assert_eq!(hosted(&service).published().revision, applied);
     }
+}
+
+/// The point store has a point that no index of the space can have.
+#[tokio::test(flavor = "multi_thread")]
+async fn points_that_cannot_be_read_are_replaced() {
+    let entry = entry();
+    let journal = engine(&entry, RECORDS);
+    let points = Arc::new(MemoryLog::new());
+    let origin = Origin {
+        revision: 3,
+        next_id: 1,
+        digest: [1; 32],
+    };
+    let mut damaged = points.restore(entry.clone(), origin).unwrap();
+    let wide = StoredPoint {
+        id: 0,
+        revision: 1,
+        modified: 1,
+        tag: 0,
+        state: Box::new([0.5, 0.5]),
+        payload: Default::default(),
+    };
+    damaged.add(&[wide]).unwrap();
+    damaged.finish(Sessions::default(), Vec::new()).unwrap();
+    let service = server(&journal, &points);
+    let registry = service.registry().unwrap();
+    assert!(registry.get("arm").is_err());
+    let index = registry.stopped().pop().unwrap();
+    // Its readers may have seen all that the journal has.
+    let late = engine(&entry, 0);
+    let peer = Peer::new(server(&late, &late));
+    let why = heal(&service, &peer, &index).await.unwrap_err();
+    assert!(why.contains("20 is needed"), "{why}");
+
+    let peer = Peer::new(server(&journal, &journal));
+    heal(&service, &peer, &index).await.unwrap();
+    assert_eq!(hosted(&service).published().snapshot.len() as u64, RECORDS);
 }
