@@ -85,11 +85,16 @@ impl Hosted {
 
     /// Waits until all records that the journal has now are published: a server that shares its journal may lag behind.
     pub async fn catch_up(self: &Arc<Self>) -> Result<(), RegistryError> {
+        let newest = self.newest().await?;
+        self.reached(newest).await.map(drop)
+    }
+
+    /// The newest revision that the journal has.
+    pub(super) async fn newest(self: &Arc<Self>) -> Result<u64, RegistryError> {
         let hosted = Arc::clone(self);
         let newest = move || hosted.host.log.journal.newest(hosted.uid());
         let newest = tokio::task::spawn_blocking(newest).await;
-        let newest = newest.map_err(|_| RegistryError::Stopped)??;
-        self.reached(newest).await.map(drop)
+        Ok(newest.map_err(|_| RegistryError::Stopped)??)
     }
 
     /// The records after `revision` up to the newest of `writer`, this index's writer; None if some are not cached.

@@ -127,12 +127,14 @@ impl Hosted {
     }
 
     /// True if it is closed for a reason that may pass: a lost receipt could not be settled, or NATS may have answered
-    /// from the past.
+    /// from the past, or not at all.
     pub(super) fn is_unsettled(&self) -> bool {
         matches!(
             self.closed(),
             Some(RegistryError::Log(
-                LogError::Unconfirmed { .. } | LogError::JournalBehind { .. }
+                LogError::Unconfirmed { .. }
+                    | LogError::JournalBehind { .. }
+                    | LogError::Unreachable { .. }
             ))
         )
     }

@@ -20,6 +20,10 @@ const PULL_TIME: Duration = Duration::from_secs(2);
 /// The most bytes that a pull asks for, or one message.
 const PULL_BYTES: usize = 1024 * 1024;
 
+/// A stream that ends before the follower's place is asked again so many times, with [`RETRY_INTERVAL`] between: NATS may answer
+/// from the past while it changes a leader.
+const MAX_BEHIND: u32 = 10;
+
 /// A follower's place, and its subscription while it has one.
 struct Follower {
     connection: Arc<Connection>,
@@ -30,6 +34,8 @@ struct Follower {
     unpacker: Unpacker,
     /// True if the last subscription brought a gap or damage next, and no record has come since.
     is_suspect: bool,
+    /// The number of times in turn that NATS had not even the newest record that was returned.
+    behind: u32,
     /// The times of subscriptions.
     attempts: Option<Interval>,
 }
@@ -43,6 +49,7 @@ pub(super) fn follow(connection: Arc<Connection>, uid: Uid, after: u64) -> Recor
         messages: None,
         unpacker: Unpacker::default(),
         is_suspect: false,
+        behind: 0,
         attempts: None,
     };
     let batches = stream::unfold(Some(follower), |follower| async move {
@@ -75,8 +82,17 @@ impl Follower {
                     attempts
                 });
                 attempts.tick().await;
-                let subscribed = subscribe(&self.connection, self.uid, self.after).await?;
-                self.messages.insert(subscribed)
+                let subscribed = subscribe(&self.connection, self.uid, self.after).await;
+                if let Err(LogError::JournalBehind { .. }) = &subscribed
+                    && self.behind < MAX_BEHIND
+                {
+                    self.behind += 1;
+                    return Err(LogError::Unreachable {
+                        what: "the stream does not have the newest known record".into(),
+                    });
+                }
+                self.behind = 0;
+                self.messages.insert(subscribed?)
             }
         };
         let message = match messages.next().await {
