@@ -234,6 +234,10 @@ pub(crate) async fn serve(
             service.set_owners(Arc::clone(&cluster) as Arc<dyn Owners>);
             let _ = joined.set(cluster);
         }
+        let _of_members = match joined.get() {
+            Some(cluster) => Some(cluster.serve(&service).await),
+            None => None,
+        };
         service.set_ready();
         // If the store cannot be opened, every call fails with the cause.
         if registry.failure().is_none() {

@@ -6,6 +6,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use async_nats::jetstream::{self, message::StreamMessage, stream::Stream};
+
 use crate::{Process, Signal};
 
 /// The environment variable with the path of the program `nats-server`.
@@ -99,6 +101,52 @@ impl Nats {
         self.launch(node);
         let started = self.nodes[node].as_mut().expect("a server that runs");
         started.log_until("Server is ready");
+    }
+
+    /// Removes the message of an index that ends with the record of a revision, as damage to the store of NATS would; false
+    /// if there is none.
+    ///
+    /// # Panics
+    /// If NATS does not answer.
+    pub async fn remove_record(&self, uid: &str, revision: u64) -> bool {
+        let (stream, messages) = self.messages(uid).await;
+        let revision = revision.to_string();
+        let is_it = |message: &&StreamMessage| {
+            let last = message.headers.get("Wayfold-Last");
+            last.is_some_and(|last| last.as_str() == revision)
+        };
+        let Some(message) = messages.iter().find(is_it) else {
+            return false;
+        };
+        let removed = stream.delete_message(message.sequence).await;
+        removed.expect("an answer of NATS")
+    }
+
+    /// The messages of an index, and their stream.
+    ///
+    /// # Panics
+    /// If NATS does not answer.
+    pub async fn messages(&self, uid: &str) -> (Stream, Vec<StreamMessage>) {
+        let client = async_nats::connect(self.urls()).await;
+        let context = jetstream::new(client.expect("a connection to NATS"));
+        // The stream of an index depends on its uid.
+        for number in 0..4 {
+            let stream = context.get_stream(format!("wayfold-log-{number}")).await;
+            let stream = stream.expect("a stream of Wayfold");
+            let subject = format!("wayfold.log.{number}.{uid}");
+            let (mut messages, mut next) = (Vec::new(), 1);
+            while let Ok(message) = stream
+                .get_first_raw_message_by_subject(&*subject, next)
+                .await
+            {
+                next = message.sequence + 1;
+                messages.push(message);
+            }
+            if !messages.is_empty() {
+                return (stream, messages);
+            }
+        }
+        panic!("NATS has no message of the index {uid}");
     }
 
     fn launch(&mut self, node: usize) {

@@ -3,8 +3,12 @@
 //! itself what reaches it. Nothing of this is stored: no answer depends on which members are believed to be live.
 
 use std::{
+    cmp::Reverse,
     collections::BTreeMap,
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    },
     time::{Duration, Instant},
 };
 
@@ -35,7 +39,7 @@ struct Announcement {
     address: String,
     /// A name of its run.
     run: String,
-    /// False if it is about to stop, or does not hear NATS.
+    /// False if it is about to stop, has not started yet, or does not hear NATS.
     serves: bool,
 }
 
@@ -49,21 +53,24 @@ pub(super) struct Members {
     address: String,
     run: String,
     live: Arc<watch::Sender<Live>>,
+    /// False until the server serves.
+    is_serving: Arc<AtomicBool>,
     following: Mutex<Option<AbortOnDropHandle<()>>>,
 }
 
 impl Members {
-    /// Announces the server at `address`, and follows the others.
+    /// Follows the others as the server at `address`, which is no live member before [`Members::serve`].
     pub(super) fn join(nats: Client, subject: String, address: String) -> Self {
-        let (run, live) = (
-            Uid::unique().to_string(),
+        let run = Uid::unique().to_string();
+        let (live, is_serving) = (
             Arc::new(watch::Sender::default()),
+            Arc::new(AtomicBool::new(false)),
         );
         let following = follow(
             nats.clone(),
             subject.clone(),
             (address.clone(), run.clone()),
-            Arc::clone(&live),
+            (Arc::clone(&live), Arc::clone(&is_serving)),
         );
         Self {
             nats,
@@ -71,8 +78,14 @@ impl Members {
             address,
             run,
             live,
+            is_serving,
             following: Mutex::new(Some(AbortOnDropHandle::new(tokio::spawn(following)))),
         }
+    }
+
+    /// Announces from now on that the server takes calls of the others.
+    pub(super) fn serve(&self) {
+        self.is_serving.store(true, Relaxed);
     }
 
     /// Announces that the server leaves, and announces it no more.
@@ -94,6 +107,15 @@ impl Members {
         live.get(&self.address)?;
         let owner = live.keys().max_by_key(|address| weight(address, uid))?;
         (*owner != self.address).then(|| owner.clone())
+    }
+
+    /// The other live members; at first the one that owns the index, or would without this server.
+    pub(super) fn others(&self, uid: Uid) -> Vec<String> {
+        let live = self.live.borrow();
+        let others = live.keys().filter(|address| **address != self.address);
+        let mut others: Vec<String> = others.cloned().collect();
+        others.sort_by_key(|address| Reverse(weight(address, uid)));
+        others
     }
 
     /// The number of live members, this one among them; 0 if it is cut off.
@@ -136,7 +158,7 @@ async fn follow(
     nats: Client,
     subject: String,
     (address, run): (String, String),
-    live: Arc<watch::Sender<Live>>,
+    (live, is_serving): (Arc<watch::Sender<Live>>, Arc<AtomicBool>),
 ) {
     let mut heard = match nats.subscribe(subject.clone()).await {
         Ok(heard) => heard.boxed(),
@@ -156,7 +178,7 @@ async fn follow(
     loop {
         tokio::select! {
             _ = ticks.tick() => {
-                own.serves = live.borrow().contains_key(&own.address);
+                own.serves = is_serving.load(Relaxed) && live.borrow().contains_key(&own.address);
                 announce(&nats, &subject, &own).await;
             }
             Some(message) = heard.next() => {

@@ -8,13 +8,21 @@
 mod channels;
 mod members;
 
-use std::{net::SocketAddr, time::Instant};
+use std::{
+    net::SocketAddr,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use bytes::Bytes;
-use futures_util::future::BoxFuture;
+use futures_util::{StreamExt, future::BoxFuture};
 use http::{HeaderMap, HeaderValue, uri::PathAndQuery};
 use thiserror::Error;
-use tonic::{Request, metadata::MetadataMap};
+use tokio::{sync::oneshot, time::timeout};
+use tokio_util::task::AbortOnDropHandle;
+use tonic::{Request, client::Grpc, metadata::MetadataMap, transport::Channel};
+use tonic_prost::ProstCodec;
+use tracing::warn;
 
 use self::{
     channels::{Channels, Raw, refusal},
@@ -24,8 +32,14 @@ use crate::{
     config::{ClusterConfig, OFF, TlsConfig},
     grpc::IDENTITY,
     log::Uid,
-    service::{Call, NotForwarded, Owners},
+    service::{
+        COPY, Call, CopyPart, CopyParts, CopyRequest, NotForwarded, Owners, Peers, STORED, Service,
+        StoredRequest, StoredResponse, Unanswered,
+    },
 };
+
+/// The time in which a starting member heals its indices before it serves them as they are.
+const HEAL_TIME: Duration = Duration::from_secs(60);
 
 /// The server cannot be a member.
 #[derive(Debug, Error)]
@@ -71,7 +85,8 @@ pub(crate) struct Cluster {
 }
 
 impl Cluster {
-    /// Joins the cluster as the server at the address `own`, until it is dropped.
+    /// Hears the members of the cluster from now on, until it is dropped. The server at the address `own` is one of them
+    /// after [`Cluster::serve`].
     pub(crate) fn join(
         config: &ClusterConfig,
         tls: &TlsConfig,
@@ -83,6 +98,22 @@ impl Cluster {
             members: Members::join(nats, subject, own),
             channels: Channels::new(config.peer_ca(), tls),
         }
+    }
+
+    /// Heals the indices of the service, and trims the journal, as long as the returned handles are held. The others may
+    /// call this server once it has tried to heal the indices that it starts with.
+    pub(crate) async fn serve(self: &Arc<Self>, service: &Service) -> [AbortOnDropHandle<()>; 2] {
+        let (tried, is_tried) = oneshot::channel();
+        let peers = Arc::clone(self) as Arc<dyn Peers>;
+        let healing = service.clone().heal(Arc::clone(&peers), tried);
+        let healing = AbortOnDropHandle::new(tokio::spawn(healing));
+        if timeout(HEAL_TIME, is_tried).await.is_err() {
+            warn!("serving before all indices that cannot follow their journal are healed");
+        }
+        self.members.serve();
+        let owners = Arc::clone(self) as Arc<dyn Owners>;
+        let trimming = tokio::spawn(service.clone().trim_journal(owners, peers));
+        [healing, AbortOnDropHandle::new(trimming)]
     }
 
     /// Tells the others that this server is about to stop, so that they do not forward to it any more.
@@ -126,6 +157,18 @@ impl Cluster {
     }
 }
 
+impl Cluster {
+    /// The connection to a member, for a call that only members send.
+    async fn channel(&self, member: &str) -> Result<Grpc<Channel>, Unanswered> {
+        let channel = self.channels.get(member).await;
+        let mut channel = channel.map_err(|_| Unanswered {
+            what: "it cannot be reached".into(),
+        })?;
+        channel.ready().await.map_err(unanswered)?;
+        Ok(channel)
+    }
+}
+
 impl Owners for Cluster {
     fn owner(&self, uid: Uid) -> Option<String> {
         self.members.owner(uid)
@@ -151,5 +194,50 @@ impl Owners for Cluster {
                 }
             }
         })
+    }
+}
+
+impl Peers for Cluster {
+    fn peers(&self, uid: Uid) -> Vec<String> {
+        self.members.others(uid)
+    }
+
+    fn all(&self) -> Vec<String> {
+        self.members.others(Uid::unique())
+    }
+
+    fn stored<'a>(
+        &'a self,
+        member: &'a str,
+        request: StoredRequest,
+    ) -> BoxFuture<'a, Result<StoredResponse, Unanswered>> {
+        Box::pin(async move {
+            let mut channel = self.channel(member).await?;
+            let codec = ProstCodec::<StoredRequest, StoredResponse>::default();
+            let path = PathAndQuery::from_static(STORED);
+            let answer = channel.unary(Request::new(request), path, codec).await;
+            Ok(answer.map_err(unanswered)?.into_inner())
+        })
+    }
+
+    fn copy<'a>(
+        &'a self,
+        member: &'a str,
+        request: CopyRequest,
+    ) -> BoxFuture<'a, Result<CopyParts, Unanswered>> {
+        Box::pin(async move {
+            let mut channel = self.channel(member).await?;
+            let codec = ProstCodec::<CopyRequest, CopyPart>::default();
+            let path = PathAndQuery::from_static(COPY);
+            let answer = channel.server_streaming(Request::new(request), path, codec);
+            let parts = answer.await.map_err(unanswered)?.into_inner();
+            Ok(parts.map(|part| part.map_err(unanswered)).boxed())
+        })
+    }
+}
+
+fn unanswered(error: impl std::error::Error) -> Unanswered {
+    Unanswered {
+        what: error.to_string(),
     }
 }

@@ -8,6 +8,7 @@ mod deadline;
 mod health;
 mod in_process;
 mod index_service;
+mod member_service;
 mod point_service;
 mod refusals;
 mod request_body;
@@ -34,6 +35,7 @@ use connections::Connections;
 use health::HealthFace;
 pub use in_process::InProcess;
 use index_service::IndexFace;
+use member_service::MemberFace;
 use point_service::{PointFace, TolerantPointServer};
 use stream_knn::KnnStreams;
 pub use tls::TlsError;
@@ -84,6 +86,9 @@ pub(crate) async fn serve(
     let _watching = AbortOnDropHandle::new(tokio::spawn(async move {
         watched.cut_unread(send_timeout).await;
     }));
+    let of_members = (callers == Callers::Members).then(|| MemberFace {
+        service: shared.service.clone(),
+    });
     Server::builder()
         .max_concurrent_streams(config.max_calls_per_connection)
         // A client that cancels all its calls at once keeps its connection.
@@ -93,6 +98,7 @@ pub(crate) async fn serve(
         .layer(CallsLayer::new(config, shared.clone(), callers, under_way))
         .add_service(indices)
         .add_service(points(config, &shared, &phases))
+        .add_optional_service(of_members)
         .add_service(health)
         .add_service(reflection)
         .add_service(reflection_alpha)

@@ -43,6 +43,20 @@ pub enum LogError {
         /// The newest revision that this server has applied.
         applied: u64,
     },
+    /// Another server has applied a record that differs from the one that this server has applied at its revision.
+    #[error(
+        "index {uid}: {member} has applied another record of revision {revision}: NATS has lost acknowledged records, \
+         and others took their place; nothing is written here, and reads go on. Keep what you need of the points of this \
+         server, then stop it and start it on an empty directory to take those of the others"
+    )]
+    Contradicted {
+        /// The index.
+        uid: Uid,
+        /// The revision.
+        revision: u64,
+        /// The other server.
+        member: String,
+    },
     /// NATS does not answer.
     #[error("NATS does not answer ({what}); the server tries again, and so can you")]
     Unreachable {

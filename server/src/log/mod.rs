@@ -30,13 +30,13 @@ mod record;
 mod retention;
 mod session;
 mod uid;
+mod view;
 
 use std::sync::Arc;
 
-use bytes::Bytes;
 use futures_util::{future::BoxFuture, stream::BoxStream};
 use tokio::sync::watch;
-use wayfold_index::{PointRef, Space};
+use wayfold_index::Space;
 
 pub(crate) use self::fjall::SYNCS;
 #[cfg(fuzzing)]
@@ -51,6 +51,7 @@ pub(crate) use retention::Bounded;
 pub use retention::{Retention, Window};
 pub use session::{Batch, Block, Session, Sessions};
 pub use uid::Uid;
+pub use view::{StoredPoint, View};
 
 /// An index of the catalogue. The registry keeps names unique.
 #[derive(Clone, Debug, PartialEq)]
@@ -92,6 +93,18 @@ impl Origin {
         next_id: 0,
         digest: Record::NO_PREVIOUS,
     };
+
+    /// Fails if there are more operations than revisions that may have made them.
+    fn has_room_for(&self, uid: Uid, operations: usize) -> Result<(), LogError> {
+        match operations as u64 > self.revision {
+            true => Err(LogError::Damaged {
+                uid,
+                revision: self.revision,
+                what: "its copy has more operations than revisions",
+            }),
+            false => Ok(()),
+        }
+    }
 }
 
 /// A record's place in the log of its index. Two servers may give their records the same revision, but never the same
@@ -144,12 +157,30 @@ pub trait Journal: Send + Sync {
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError>;
 
+    /// The record of this revision, of those that this server keeps itself; None if it does not keep it. Blocks.
+    fn kept(&self, uid: Uid, revision: u64) -> Result<Option<Arc<Record>>, LogError> {
+        let Some(before) = revision.checked_sub(1) else {
+            return Ok(None);
+        };
+        match self.read(uid, Some(before), 1) {
+            Ok(records) => Ok(records.into_iter().find(|it| it.revision() == revision)),
+            Err(LogError::Trimmed { .. }) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
     /// The newest revision that the journal has, durable or not. Blocks.
     fn newest(&self, uid: Uid) -> Result<u64, LogError>;
 
     /// Forgets the oldest records and operations that need not be kept, but never the newest of each. A journal with a
     /// point store of its own still sends its follower the records that this store has not applied.
     fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError>;
+
+    /// Forgets the records up to this revision of a journal elsewhere, which enough servers store, except those that this
+    /// server keeps itself and the newest of the journal. Blocks.
+    fn forget(&self, _: Uid, _up_to: u64) -> Result<(), LogError> {
+        Ok(())
+    }
 
     /// The records that the journal keeps of an index.
     fn window(&self, uid: Uid) -> Result<Window, LogError>;
@@ -209,6 +240,18 @@ pub trait PointStore: Send + Sync {
     /// Starts a new index as a copy of another: at a revision, with points and without records. It appears once the
     /// copy is finished, whole or not at all.
     fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError>;
+
+    /// Begins to replace an index by the points of another server at a later revision, under the same uid; `origin` has
+    /// the digest of the record of that revision. Until the copy is finished, the index stays as it is; then it has all
+    /// of the copy, and a crash leaves the one or the other. Earlier views stay valid. [`Restoring::finish`] fails with
+    /// [`LogError::UnknownIndex`] if the index was deleted meanwhile, and with [`LogError::Fenced`] if it can be read and
+    /// its newest revision is not below the copy's.
+    fn replace(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError>;
+
+    /// The newest revision of an index that survives a loss of power here; None if nothing does.
+    fn durable(&self, _: Uid) -> Result<Option<u64>, LogError> {
+        Ok(None)
+    }
 
     /// The failure after which nothing is written.
     fn failure(&self) -> Option<LogError> {
@@ -301,59 +344,11 @@ pub trait Restoring: Send {
     /// Adds the next points, by ascending id.
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError>;
 
-    /// Adds the index to the catalogue with these writer sessions, durably.
-    fn finish(self: Box<Self>, sessions: Sessions) -> Result<(), LogError>;
-}
-
-/// The points of one index as of one revision: the sum of the records up to that revision. They do not change while the
-/// view is held.
-pub trait View: Send + Sync {
-    /// The revision.
-    fn revision(&self) -> u64 {
-        self.tip().revision
-    }
-
-    /// The least id above every id that was ever stored or reserved, by this revision or an earlier one.
-    fn next_id(&self) -> u64;
-
-    /// The writer sessions.
-    fn sessions(&self) -> &Sessions;
-
-    /// The newest record in the sum.
-    fn tip(&self) -> Tip;
-
-    /// The point with this id.
-    fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError>;
-
-    /// Up to `limit` points with ids above `after` (from the first if None), by ascending id.
-    fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<Arc<StoredPoint>>, LogError>;
-}
-
-/// A point as the log stores it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct StoredPoint {
-    /// Its id.
-    pub id: u64,
-    /// The revision that stored its state.
-    pub revision: u64,
-    /// The revision that last changed its state, its tag or its payload.
-    pub modified: u64,
-    /// Its tag.
-    pub tag: u64,
-    /// Its state: a canonical row.
-    pub state: Box<[f64]>,
-    /// Its payload.
-    pub payload: Bytes,
-}
-
-impl StoredPoint {
-    /// The part of the point that a forest holds.
-    pub fn indexed(&self) -> PointRef<'_> {
-        PointRef {
-            id: self.id,
-            tag: self.tag,
-            revision: self.revision,
-            row: &self.state,
-        }
-    }
+    /// Adds the index to the catalogue with these writer sessions and these operations, oldest first, durably.
+    /// [`LogError::Damaged`] if there are more operations than revisions.
+    fn finish(
+        self: Box<Self>,
+        sessions: Sessions,
+        operations: Vec<Arc<Operation>>,
+    ) -> Result<(), LogError>;
 }

@@ -23,6 +23,7 @@ use super::{
     Hosted, Published, RegistryError,
     commit::{MAX_INLINE_BYTES, MAX_INLINE_POINTS},
     in_flight::notify,
+    stopped::is_damage,
 };
 use crate::log::{Effects, LogError, Receipt, Record, RecordStream, Tip, View};
 
@@ -32,6 +33,10 @@ pub(super) const SETTLE_TIME: Duration = Duration::from_secs(5);
 
 /// The time between two attempts to settle a lost receipt.
 const SETTLE_INTERVAL: Duration = Duration::from_millis(50);
+
+/// A journal that ends before an applied record is asked again for this long: NATS may answer from the past while it changes
+/// a leader.
+const BEHIND_TIME: Duration = Duration::from_secs(2);
 
 /// The forest of an index, as of the published revision.
 pub(super) struct Applied {
@@ -94,7 +99,7 @@ pub(super) async fn run(
                     Err(error) => Err(error.into()),
                 };
                 match head {
-                    Ok(head) => hosted.journal_has(base, head).await.map(|()| head),
+                    Ok(head) => hosted.journal_has(base, head).await,
                     Err(error) => Err(error),
                 }
                 .map(|head| arrivals.push(hosted.superseded(&record, head)))
@@ -103,14 +108,12 @@ pub(super) async fn run(
         };
         if let Err(error) = outcome {
             if let Some(hosted) = hosted.upgrade() {
-                match &error {
-                    RegistryError::Log(
-                        LogError::Damaged { .. } | LogError::JournalBehind { .. },
-                    ) if !hosted.is_reported.swap(true, Relaxed) => {
+                // The log reports its failure once, so an index logs it at debug level only.
+                match is_damage(&error) && !hosted.is_reported.swap(true, Relaxed) {
+                    true => {
                         error!(index = hosted.name(), %error, "no further record is applied");
                     }
-                    // The log reports its failure once, so an index logs it at debug level only.
-                    _ => debug!(index = hosted.name(), %error, "cannot follow the log"),
+                    false => debug!(index = hosted.name(), %error, "cannot follow the log"),
                 }
                 hosted.end_loop(number, error);
             }
@@ -150,6 +153,9 @@ impl Hosted {
         records: &[Arc<Record>],
         view: impl FnOnce(&[Arc<Record>]) -> Result<Arc<dyn View>, LogError>,
     ) -> Result<(), RegistryError> {
+        if self.is_retired.load(Relaxed) {
+            return Err(RegistryError::Log(LogError::Closed));
+        }
         let published = self.published().view.tip();
         let known = records.partition_point(|record| record.revision() <= published.revision);
         let records = &records[known..];
@@ -208,8 +214,15 @@ impl Hosted {
         Ok(())
     }
 
-    /// Fails if the journal, which ends at the revision `head`, does not have the applied record `base`.
-    async fn journal_has(self: &Arc<Self>, base: Tip, head: u64) -> Result<(), RegistryError> {
+    /// Fails if the journal, which ends at the revision `head`, does not have the applied record `base`. Returns its end.
+    async fn journal_has(self: &Arc<Self>, base: Tip, head: u64) -> Result<u64, RegistryError> {
+        let until = Instant::now() + BEHIND_TIME;
+        let mut attempts = interval(SETTLE_INTERVAL);
+        let mut head = head;
+        while head < base.revision && Instant::now() < until {
+            attempts.tick().await;
+            head = self.newest().await.unwrap_or(head);
+        }
         if head < base.revision {
             return Err(RegistryError::Log(LogError::JournalBehind {
                 uid: self.uid(),
@@ -219,11 +232,11 @@ impl Hosted {
         }
         // Another record may have taken its place after the journal had lost it.
         if head > base.revision || base.revision == 0 {
-            return Ok(());
+            return Ok(head);
         }
         let found = self.read(base.revision - 1, 1).await?;
         match found.first().is_none_or(|found| found.tip() == base) {
-            true => Ok(()),
+            true => Ok(head),
             false => Err(RegistryError::Log(LogError::Damaged {
                 uid: self.uid(),
                 revision: base.revision,

@@ -23,6 +23,9 @@ pub enum RegistryError {
     /// An index of this name exists, so none can be restored under it.
     #[error("an index of this name exists")]
     Taken,
+    /// The index goes on by itself, so no copy takes its place.
+    #[error("the index follows its journal, so no copy takes its place")]
+    Follows,
     /// Several servers share the journal, and none of them can restore an index.
     #[error(
         "servers that share a journal cannot restore an index yet: create it and insert its points, or restore it on a \
@@ -73,6 +76,7 @@ impl From<LogError> for RegistryError {
             error @ (LogError::UidTaken { .. }
             | LogError::NameTaken { .. }
             | LogError::JournalBehind { .. }
+            | LogError::Contradicted { .. }
             | LogError::Unreachable { .. }
             | LogError::Fenced { .. }
             | LogError::Unconfirmed { .. }

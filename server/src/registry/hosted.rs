@@ -70,14 +70,19 @@ pub struct Hosted {
     pub(super) fences: Fences,
     /// True once a damage of its journal was logged.
     pub(super) is_reported: AtomicBool,
+    /// True once a copy takes its place: it applies nothing more and does not resume. Set by the holder of the writer and of
+    /// `applied`.
+    pub(super) is_retired: AtomicBool,
 }
 
 /// The task that applies the records of the log, and the channel of the receipts it waits for.
+#[derive(Default)]
 struct ApplyLoop {
     /// The number of loops before it.
     number: u64,
-    receipts: mpsc::UnboundedSender<Awaited>,
-    _task: AbortOnDropHandle<()>,
+    /// None before the first loop.
+    receipts: Option<mpsc::UnboundedSender<Awaited>>,
+    _task: Option<AbortOnDropHandle<()>>,
 }
 
 struct State {
@@ -103,7 +108,8 @@ impl Hosted {
             view,
         });
         let space = Arc::new(entry.space.clone());
-        Arc::new_cyclic(|hosted| Self {
+        let after = (entry.uid, published.revision);
+        let hosted = Arc::new(Self {
             name: entry.name.clone(),
             label: host.label(&entry.name),
             uid: entry.uid,
@@ -124,18 +130,17 @@ impl Hosted {
             missed: AtomicU64::new(0),
             fences: Fences::default(),
             is_reported: AtomicBool::new(false),
+            is_retired: AtomicBool::new(false),
             batches: Arc::default(),
-            apply_loop: parking_lot::Mutex::new(ApplyLoop::start(
-                0,
-                hosted.clone(),
-                host,
-                (entry.uid, published.revision),
-            )),
+            apply_loop: parking_lot::Mutex::default(),
             state: watch::Sender::new(State {
                 published,
                 closed: None,
             }),
-        })
+        });
+        // A loop that began before the index exists could not tell it of an error.
+        *hosted.apply_loop.lock() = ApplyLoop::start(0, Arc::downgrade(&hosted), host, after);
+        hosted
     }
 
     /// The bytes of its payloads after `effects`, which follow the records of `writer`; 0 if they are not counted.
@@ -292,6 +297,9 @@ impl Hosted {
     pub(super) fn resume(self: &Arc<Self>, view: &Arc<dyn View>) -> bool {
         let mut writer = Arc::clone(&self.writer).blocking_lock_owned();
         let applied = Arc::clone(&self.applied).blocking_lock_owned();
+        if self.is_retired.load(Relaxed) {
+            return false;
+        }
         let published = self.published();
         let tip = published.view.tip();
         let stored = view.tip();
@@ -325,43 +333,6 @@ impl Hosted {
         is_resumed
     }
 
-    /// The damage of its journal, after which no record is applied: reads go on at the published revision.
-    pub(crate) fn damage(&self) -> Option<RegistryError> {
-        let state = self.state.borrow();
-        let closed = state.closed.as_ref();
-        let damage = closed.filter(|why| {
-            let RegistryError::Log(why) = why else {
-                return false;
-            };
-            matches!(
-                why,
-                LogError::Damaged { .. } | LogError::JournalBehind { .. }
-            )
-        });
-        damage.cloned()
-    }
-
-    /// True if it is closed for a reason that may pass: a lost receipt could not be settled, or NATS may have answered
-    /// from the past.
-    pub(super) fn is_unsettled(&self) -> bool {
-        let state = self.state.borrow();
-        matches!(
-            state.closed,
-            Some(RegistryError::Log(
-                LogError::Unconfirmed { .. } | LogError::JournalBehind { .. }
-            ))
-        )
-    }
-
-    /// True if it is closed because the journal ends before what it has applied.
-    pub(super) fn is_ahead(&self) -> bool {
-        let state = self.state.borrow();
-        matches!(
-            state.closed,
-            Some(RegistryError::Log(LogError::JournalBehind { .. }))
-        )
-    }
-
     /// Closes the index, because its apply loop of this number has ended.
     pub(super) fn end_loop(&self, number: u64, why: RegistryError) {
         let apply_loop = self.apply_loop.lock();
@@ -377,6 +348,16 @@ impl Hosted {
         notify(decided);
     }
 
+    /// The error that closed it; None if it takes records.
+    pub(super) fn closed(&self) -> Option<RegistryError> {
+        self.state.borrow().closed.clone()
+    }
+
+    /// True if it takes no record now.
+    pub(super) fn is_closed(&self) -> bool {
+        self.state.borrow().closed.is_some()
+    }
+
     /// Waits for the writer, also if the index is closed.
     pub(super) async fn write_closed(&self) -> WriteGuard {
         Arc::clone(&self.writer).lock_owned().await.into()
@@ -384,8 +365,10 @@ impl Hosted {
 
     /// Gives the apply loop a receipt to wait for.
     pub(super) fn await_receipt(&self, awaited: Awaited) {
-        // It fails if the loop has ended, which closed the index.
-        let _ = self.apply_loop.lock().receipts.send(awaited);
+        if let Some(receipts) = &self.apply_loop.lock().receipts {
+            // It fails if the loop has ended, which closed the index.
+            let _ = receipts.send(awaited);
+        }
     }
 }
 
@@ -396,8 +379,8 @@ impl ApplyLoop {
         let task = tokio::spawn(apply::run(hosted, number, records, awaited));
         Self {
             number,
-            receipts,
-            _task: AbortOnDropHandle::new(task),
+            receipts: Some(receipts),
+            _task: Some(AbortOnDropHandle::new(task)),
         }
     }
 }

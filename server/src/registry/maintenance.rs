@@ -22,9 +22,6 @@ const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(1);
 /// The longest wait before the next attempt to reopen a failed store.
 const MAX_RETRY_WAIT: Duration = Duration::from_secs(15);
 
-/// The time between two trims of old records.
-const TRIM_INTERVAL: Duration = Duration::from_secs(60);
-
 /// Waits for a change that another server makes to the catalogue.
 async fn changed(catalogue: &mut Option<watch::Receiver<()>>) {
     if let Some(changes) = catalogue
@@ -96,7 +93,7 @@ impl Registry {
                 // The join fails only if the task panicked; the panic hook has printed it.
                 let _ = tokio::task::spawn_blocking(move || registry.load_rest()).await;
             }
-            if now >= trimmed_at + TRIM_INTERVAL && self.failure().is_none() {
+            if now >= trimmed_at + self.trim_interval() && self.failure().is_none() {
                 trimmed_at = now;
                 self.trim();
             }

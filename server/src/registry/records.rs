@@ -7,7 +7,7 @@ use tokio::time::timeout;
 use tracing::{info, warn};
 
 use super::{Hosted, Registry, RegistryError, Writer};
-use crate::log::Record;
+use crate::log::{LogError, Record};
 
 /// The time in which an index of a starting server catches up with a journal, before it is served as it is.
 const CATCH_UP_TIME: Duration = Duration::from_secs(60);
@@ -52,7 +52,18 @@ impl Hosted {
         if let Some(records) = self.recent.lock().after(after, last, max_bytes) {
             return Ok(records);
         }
-        let mut records = self.read(after, max_bytes).await?;
+        let mut records = match self.read(after, max_bytes).await {
+            Ok(records) => records,
+            // The journal has a gap that this server has passed with a copy of another one.
+            Err(RegistryError::Log(LogError::Damaged { uid, .. })) if !self.is_closed() => {
+                return Err(RegistryError::Log(LogError::Trimmed {
+                    uid,
+                    after,
+                    oldest: last,
+                }));
+            }
+            Err(error) => return Err(error),
+        };
         records.retain(|record| record.revision() <= last);
         Ok(records)
     }
@@ -74,11 +85,16 @@ impl Hosted {
 
     /// Waits until all records that the journal has now are published: a server that shares its journal may lag behind.
     pub async fn catch_up(self: &Arc<Self>) -> Result<(), RegistryError> {
+        let newest = self.newest().await?;
+        self.reached(newest).await.map(drop)
+    }
+
+    /// The newest revision that the journal has.
+    pub(super) async fn newest(self: &Arc<Self>) -> Result<u64, RegistryError> {
         let hosted = Arc::clone(self);
         let newest = move || hosted.host.log.journal.newest(hosted.uid());
         let newest = tokio::task::spawn_blocking(newest).await;
-        let newest = newest.map_err(|_| RegistryError::Stopped)??;
-        self.reached(newest).await.map(drop)
+        Ok(newest.map_err(|_| RegistryError::Stopped)??)
     }
 
     /// The records after `revision` up to the newest of `writer`, this index's writer; None if some are not cached.

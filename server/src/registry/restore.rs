@@ -15,13 +15,13 @@ use crate::log::{Entry, Origin, Restoring, Sessions, StoredPoint, Uid};
 
 /// An index that is being restored. If it is dropped before [`Registry::host`], nothing is left behind.
 pub struct Restore {
-    host: Arc<Host>,
-    entry: Entry,
-    origin: Origin,
-    limits: Vec<IndexLimit>,
-    stored: Box<dyn Restoring>,
-    loader: Loader,
-    payload_sizes: PayloadSizes,
+    pub(super) host: Arc<Host>,
+    pub(super) entry: Entry,
+    pub(super) origin: Origin,
+    pub(super) limits: Vec<IndexLimit>,
+    pub(super) stored: Box<dyn Restoring>,
+    pub(super) loader: Loader,
+    pub(super) payload_sizes: PayloadSizes,
 }
 
 impl Registry {
@@ -72,7 +72,8 @@ impl Registry {
         let forest = loader.finish(origin.revision).map_err(unloaded)?;
         let _change = self.change_lock.lock();
         self.room_for(&entry.name, &limits)?;
-        stored.finish(sessions)?;
+        // A copy has another uid, so no call to the original is repeated here.
+        stored.finish(sessions, Vec::new())?;
         let view = host.log.points.view(entry.uid)?;
         let hosted = Hosted::new(
             &host,
@@ -99,6 +100,11 @@ impl Registry {
 }
 
 impl Restore {
+    /// The space of the index.
+    pub(crate) fn space(&self) -> &Space {
+        &self.entry.space
+    }
+
     /// The bytes of the payloads so far; 0 if they are not counted.
     pub fn payload_bytes(&self) -> u64 {
         self.payload_sizes.total()
@@ -119,7 +125,7 @@ impl Restore {
     }
 }
 
-fn unloaded(error: LoadError) -> RegistryError {
+pub(super) fn unloaded(error: LoadError) -> RegistryError {
     match error {
         LoadError::Full(full) => full.into(),
         LoadError::Refused(..) => unreachable!("restored points are checked as they arrive"),

@@ -25,6 +25,7 @@ pub(super) fn registry_error(index: &str, error: RegistryError) -> Error {
         | RegistryError::Taken
         | RegistryError::OtherUid { .. }
         | RegistryError::Full { .. }
+        | RegistryError::Follows
         | RegistryError::Stopped => Error::Internal { what },
     }
 }
@@ -59,6 +60,7 @@ fn storage_error(what: String, error: LogError) -> Error {
         | LogError::Unreadable { .. }
         | LogError::Unopened { .. }
         | LogError::JournalBehind { .. }
+        | LogError::Contradicted { .. }
         | LogError::Trimmed { .. } => Error::DataLoss { what },
         LogError::Storage { .. }
         | LogError::StorageStopped

@@ -11,6 +11,8 @@
 //! - `prefetch`: the searches of an insert before its turn to write;
 //! - `staging`: rows that see the rows before them;
 //! - `forward`: mutations that another server of a cluster evaluates;
+//! - `member`, `copy`, `heal`: copies for servers of a cluster that cannot follow their journal;
+//! - `trim`: forgets the records of a shared journal that the servers have stored;
 //! - `mutation`: from an evaluated mutation to its acknowledgement;
 //! - `stored`: reads of the store on threads that may block;
 //! - `answer`: columns that never outgrow their limit;
@@ -22,15 +24,18 @@ mod call;
 mod catalog_watch;
 mod check;
 mod code;
+mod copy;
 mod error;
 mod error_map;
 mod forward;
 mod get;
+mod heal;
 mod held_scans;
 mod indexes;
 mod insert;
 mod limits;
 mod log;
+mod member;
 mod mutation;
 mod neighbor_spec;
 mod neighbors;
@@ -47,6 +52,7 @@ mod session_pages;
 mod snapshot;
 mod staging;
 mod stored;
+mod trim;
 mod update;
 mod verify;
 mod watch;
@@ -57,6 +63,7 @@ use std::sync::{
     atomic::{AtomicBool, Ordering},
 };
 
+use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use crate::{
@@ -68,10 +75,15 @@ use crate::{
 pub use call::Call;
 pub use catalog_watch::CatalogWatch;
 pub use code::Code;
+pub(crate) use copy::{Copy, Copying};
 pub use error::{Error, Unavailability, Violation};
 pub use forward::{NotForwarded, Owners};
 pub use indexes::{Damaged, Listing};
 pub use limits::Limits;
+pub(crate) use member::{
+    COPY, CopyPart, CopyParts, CopyRequest, Peers, SERVICE, STORED, StoredRequest, StoredResponse,
+    Unanswered,
+};
 pub use restore::Restoring;
 pub use scan::Scan;
 pub use snapshot::Snapshot;
@@ -95,6 +107,8 @@ struct Inner {
     ready: AtomicBool,
     stopping: CancellationToken,
     held_scans: held_scans::HeldScans,
+    /// A permit for each copy that may be given to another member.
+    copies: Arc<Semaphore>,
 }
 
 impl Service {
@@ -121,6 +135,7 @@ impl Service {
                 ready: AtomicBool::new(false),
                 stopping: CancellationToken::new(),
                 held_scans: Default::default(),
+                copies: Arc::new(Semaphore::new(copy::MAX_COPIES)),
             }),
         }
     }

@@ -171,7 +171,7 @@ impl Draft {
 }
 
 /// The points of a part that the reader accepted.
-fn stored(points: v1::Points, modified: &[u64]) -> Vec<StoredPoint> {
+pub(super) fn stored(points: v1::Points, modified: &[u64]) -> Vec<StoredPoint> {
     let states = points.states.unwrap_or_default();
     let width = states.coordinates.len() / points.ids.len().max(1);
     let columns = points.ids.iter().zip(&points.tags);

@@ -8,8 +8,8 @@ use wayfold_proto::{
 };
 
 use super::{
-    Call, Error, Service, check::Violations, read_view::revision_number, revision_pin::RevisionPin,
-    session_pages::SessionPages, stored,
+    Call, Error, Limits, Service, check::Violations, read_view::revision_number,
+    revision_pin::RevisionPin, session_pages::SessionPages, stored,
 };
 use crate::{
     identity::Role,
@@ -58,10 +58,21 @@ impl Service {
         let min = revision_number(&hosted, "min_revision", min, &mut violations)?;
         violations.finish()?;
 
-        let limits = self.limits();
         let published = self.published(call, &hosted, min, false).await?;
-        Ok(Snapshot {
-            call: call.clone(),
+        Ok(Snapshot::of(self.limits(), call.clone(), hosted, published))
+    }
+}
+
+impl Snapshot {
+    /// A snapshot of a published revision, which it pins from now on.
+    pub(super) fn of(
+        limits: &Limits,
+        call: Call,
+        hosted: Arc<Hosted>,
+        published: Arc<Published>,
+    ) -> Self {
+        Self {
+            call,
             hosted,
             pin: RevisionPin::new(published, limits.max_scan_seconds),
             part_bytes: PART_BYTES.min(limits.max_answer_bytes / 2),
@@ -69,18 +80,22 @@ impl Service {
             after: None,
             sessions: SessionPages::default(),
             next: Next::Header,
-        })
+        }
     }
-}
 
-impl Snapshot {
     /// The uid of the index, and the pinned revision.
     pub(crate) fn content(&self) -> Result<(&str, u64), Error> {
         Ok((self.hosted.uid_text(), self.published()?.revision))
     }
 
-    /// The next part; None after the trailer or an error.
+    /// The next part as a message; None after the trailer or an error.
     pub async fn next(&mut self) -> Option<Result<v1::SnapshotIndexResponse, Error>> {
+        let part = self.next_part().await?;
+        Some(part.map(|part| v1::SnapshotIndexResponse { part: Some(part) }))
+    }
+
+    /// The next part; None after the trailer or an error.
+    pub(super) async fn next_part(&mut self) -> Option<Result<v1::SnapshotPart, Error>> {
         let part = match self.next {
             Next::Header => self.header(),
             Next::Points => self.points().await,
@@ -93,8 +108,7 @@ impl Snapshot {
         if self.next == Next::Nothing {
             self.pin.release();
         }
-        let response = |part| v1::SnapshotIndexResponse { part: Some(part) };
-        Some(part.map(response))
+        Some(part)
     }
 
     fn header(&mut self) -> Result<v1::SnapshotPart, Error> {

@@ -291,3 +291,17 @@ async fn lists_show_what_the_identity_may_see_and_a_watch_ends_with_its_rights()
     assert_eq!(reason(&status, Code::Unauthenticated), "IDENTITY_REVOKED");
     server.stop().await.unwrap().unwrap();
 }
+
+/// Members trust each other: a client that could ask for a copy would need no rights.
+#[tokio::test]
+async fn clients_cannot_make_the_calls_of_members() {
+    let server = TestServer::start(|_| ()).await;
+    for rpc in ["Copy", "Stored"] {
+        let mut client = Grpc::new(server.channel.clone());
+        client.ready().await.unwrap();
+        let path = format!("/wayfold.member.v1.MemberService/{rpc}");
+        let path: PathAndQuery = path.parse().unwrap();
+        let refused = client.unary(Request::new(Vec::new()), path, Raw).await;
+        assert_eq!(refused.unwrap_err().code(), Code::Unimplemented);
+    }
+}

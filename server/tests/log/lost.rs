@@ -210,7 +210,7 @@ fn a_restored_index_that_is_cut_off_is_named() {
     for ids in [0..20, 20..40] {
         restoring.add(&ids.map(point).collect::<Vec<_>>()).unwrap();
     }
-    restoring.finish(Sessions::default()).unwrap();
+    restoring.finish(Sessions::default(), vec![]).unwrap();
     // An abandoned restore leaves nothing behind, not even a mark.
     let mut given_up = log.restore(entry("given-up"), origin).unwrap();
     given_up.add(&[point(1)]).unwrap();

@@ -217,6 +217,10 @@ impl PointStore for RemoteLog {
         }
         self.local.restore(entry, origin)
     }
+
+    fn replace(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+        self.local.replace(entry, origin)
+    }
 }
 
 impl Catalogue for RemoteLog {

@@ -262,7 +262,7 @@ impl Run {
                 assert!(log.view(copy.uid).is_err(), "it is not there yet");
             }
             match finished {
-                true => copying.finish(sum.sessions()),
+                true => copying.finish(sum.sessions(), vec![]),
                 false => Ok(()),
             }
         });
@@ -302,7 +302,7 @@ fn check_applied(kept: &TestLog, model: &Model) {
     for point in sum.points.values() {
         copying.add(std::slice::from_ref(&**point)).unwrap();
     }
-    copying.finish(sum.sessions()).unwrap();
+    copying.finish(sum.sessions(), vec![]).unwrap();
     for (at, records) in model.records.chunks(3).enumerate() {
         let view = log.apply(entry.uid, records).unwrap();
         assert_eq!(view.tip(), records.last().unwrap().tip());

@@ -95,6 +95,14 @@ macro_rules! forward_points {
         ) -> Result<Box<dyn wayfold_server::log::Restoring>, LogError> {
             self.$field.restore(entry, origin)
         }
+
+        fn replace(
+            &self,
+            entry: wayfold_server::log::Entry,
+            origin: wayfold_server::log::Origin,
+        ) -> Result<Box<dyn wayfold_server::log::Restoring>, LogError> {
+            self.$field.replace(entry, origin)
+        }
     };
 }
 

@@ -12,21 +12,68 @@ use wayfold_tests::{Content, Process, ServerProcess, Signal, Stubs, nats::Nats, 
 const KEPT: u64 = 50;
 const LOST: u64 = 300;
 /// NATS comes back, and the servers look at it each second.
-const MAX_WAIT: Duration = Duration::from_secs(60);
+pub(crate) const MAX_WAIT: Duration = Duration::from_secs(60);
 
-struct Cluster {
+/// One server of NATS, and servers with a data directory each.
+pub(crate) struct Cluster {
     directory: TempDir,
-    nats: Nats,
+    pub(crate) nats: Nats,
 }
 
 impl Cluster {
-    fn start(&self, number: usize) -> ServerProcess {
+    /// A cluster without a server of Wayfold.
+    pub(crate) fn empty() -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let nats = Nats::start(directory.path(), 1);
+        Self { directory, nats }
+    }
+
+    pub(crate) fn start(&self, number: usize) -> ServerProcess {
+        self.start_with(number, &[])
+    }
+
+    /// Starts a server with these settings too.
+    pub(crate) fn start_with(&self, number: usize, settings: &[(&str, &str)]) -> ServerProcess {
         let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
         command
             .args(["--grpc", "127.0.0.1:0", "--data"])
-            .arg(self.directory.path().join(format!("data-{number}")))
-            .envs(self.nats.member_settings());
+            .arg(self.data(number))
+            .envs(self.nats.member_settings())
+            .envs(settings.iter().copied());
         ServerProcess::ready(Process::spawn(&mut command))
+    }
+
+    fn data(&self, number: usize) -> PathBuf {
+        self.directory.path().join(format!("data-{number}"))
+    }
+
+    /// Removes the data directory of a server, which is stopped.
+    pub(crate) fn lose(&self, number: usize) {
+        std::fs::remove_dir_all(self.data(number)).unwrap();
+    }
+
+    /// Kills NATS, and starts it again once its store is copied.
+    pub(crate) fn save_store(&mut self) {
+        self.nats.kill(0);
+        Self::copy(&self.store(), &self.saved());
+        self.nats.restart(0);
+    }
+
+    /// Kills NATS, and starts it again on the store that was copied.
+    pub(crate) fn set_store_back(&mut self) {
+        self.nats.kill(0);
+        self.put_store_back();
+    }
+
+    /// The same for a server of NATS that is killed.
+    fn put_store_back(&mut self) {
+        std::fs::remove_dir_all(self.store()).unwrap();
+        Self::copy(&self.saved(), &self.store());
+        self.nats.restart(0);
+    }
+
+    fn saved(&self) -> PathBuf {
+        self.directory.path().join("copy")
     }
 
     fn store(&self) -> PathBuf {
@@ -45,7 +92,7 @@ impl Cluster {
 }
 
 /// Inserts a point. Its id is the operation too, so a repetition takes effect once.
-async fn insert(stubs: &mut Stubs, id: u64) -> Result<(), tonic::Status> {
+pub(crate) async fn insert(stubs: &mut Stubs, id: u64) -> Result<(), tonic::Status> {
     let request = InsertRequest {
         index_name: "arm".into(),
         states: Some(row_states(&[id as f64], 1)),
@@ -58,19 +105,14 @@ async fn insert(stubs: &mut Stubs, id: u64) -> Result<(), tonic::Status> {
 
 /// With `restart` the servers are killed too, and know the lost records only from their data directories.
 async fn lose(restart: bool) {
-    let directory = tempfile::tempdir().unwrap();
-    let nats = Nats::start(directory.path(), 1);
-    let mut cluster = Cluster { directory, nats };
+    let mut cluster = Cluster::empty();
     let mut servers: Vec<_> = (0..2).map(|number| cluster.start(number)).collect();
     let mut stubs = Stubs::connect(servers[0].uri()).await;
     stubs.create("arm", "R1").await;
     for id in 0..KEPT {
         insert(&mut stubs, id).await.unwrap();
     }
-    cluster.nats.kill(0);
-    let copy = cluster.directory.path().join("copy");
-    Cluster::copy(&cluster.store(), &copy);
-    cluster.nats.restart(0);
+    cluster.save_store();
     for id in KEPT..KEPT + LOST {
         while insert(&mut stubs, id).await.is_err() {
             tokio::task::yield_now().await;
@@ -85,9 +127,7 @@ async fn lose(restart: bool) {
             server.stop(Signal::Kill);
         }
     }
-    std::fs::remove_dir_all(cluster.store()).unwrap();
-    Cluster::copy(&copy, &cluster.store());
-    cluster.nats.restart(0);
+    cluster.put_store_back();
     if restart {
         servers = (0..2).map(|number| cluster.start(number)).collect();
     }

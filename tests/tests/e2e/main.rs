@@ -13,6 +13,7 @@ mod crash;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod disk_failure;
 mod forwarding;
+mod healing;
 mod journal_loss;
 #[cfg(target_os = "linux")]
 mod little_memory;
@@ -29,3 +30,4 @@ mod server_program;
 mod shared;
 mod shutdown;
 mod snapshots;
+mod trimming;

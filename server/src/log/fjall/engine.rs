@@ -208,13 +208,63 @@ impl Engine {
         entry: Entry,
         origin: Origin,
     ) -> Result<RestoringIndex, LogError> {
+        self.untaken(entry.uid)?;
+        self.begin(entry, origin, false)
+    }
+
+    pub(super) fn replace(
+        self: Arc<Self>,
+        entry: Entry,
+        origin: Origin,
+    ) -> Result<RestoringIndex, LogError> {
+        self.index(entry.uid)?;
+        self.begin(entry, origin, true)
+    }
+
+    fn begin(
+        self: Arc<Self>,
+        entry: Entry,
+        origin: Origin,
+        replaces: bool,
+    ) -> Result<RestoringIndex, LogError> {
         self.writable()?;
         let mut next = self.next.lock();
-        self.untaken(entry.uid)?;
         let number = *next;
         *next += 1;
         drop(next);
-        RestoringIndex::begin(self, number, entry, origin)
+        RestoringIndex::begin(self, number, entry, origin, replaces)
+    }
+
+    /// Puts a copy at the revision `copied` in the place of the index with its uid. `write` completes the copy and marks the
+    /// index as deleted, in one batch. If that fails, the next start decides.
+    pub(super) fn swap_in(
+        &self,
+        uid: Uid,
+        copied: u64,
+        write: impl FnOnce(&Index) -> Result<Arc<Index>, LogError>,
+    ) -> Result<(), LogError> {
+        let _alone = self.next.lock();
+        self.writable()?;
+        let old = self.index(uid)?;
+        let mark = Mark {
+            deleted: true,
+            ..old.give_way(copied)?
+        };
+        let swapped = write(&old).and_then(|index| {
+            self.written(&old, mark);
+            self.written(&index, index.head_mark());
+            self.wait()?;
+            Ok(index)
+        });
+        match swapped {
+            Ok(index) => self.indexes.write().insert(uid, index),
+            Err(why) => {
+                old.close(why.clone());
+                return Err(why);
+            }
+        };
+        self.sweeper.sweep(old.number);
+        Ok(())
     }
 
     /// Adds an index that is in the store, once it is durable there.
@@ -286,6 +336,12 @@ impl Engine {
         let index = self.index(uid)?;
         let view = index.apply(&self.store, records, |mark| self.written(&index, mark));
         view.map_err(|error| self.note(error))
+    }
+
+    /// The newest revision of an index that is synced; None if nothing is.
+    pub(super) fn durable(&self, uid: Uid) -> Result<Option<u64>, LogError> {
+        let index = self.index(uid)?;
+        Ok(self.syncer.as_ref().map(|_| index.durable()))
     }
 
     pub(super) fn follow(&self, uid: Uid, after: u64) -> Result<RecordStream, LogError> {

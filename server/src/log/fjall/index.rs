@@ -154,6 +154,11 @@ impl Index {
         });
     }
 
+    /// The newest revision that is known to be on disk.
+    pub(super) fn durable(&self) -> u64 {
+        self.progress.borrow().durable
+    }
+
     /// Ends the streams of records.
     pub(super) fn end_followers(&self, why: LogError) {
         let closed = |progress: &mut Progress| progress.closed = Some(why);
@@ -178,7 +183,20 @@ impl Index {
 
     /// Closes the index and returns the mark of its head.
     pub(super) fn close(&self, why: LogError) -> Mark {
+        self.close_locked(&mut self.state.lock(), why)
+    }
+
+    /// Closes the index, because a copy at the revision `copied` takes its place, and returns the mark of its head. Refused
+    /// if the index can be read and the copy is not newer.
+    pub(super) fn give_way(&self, copied: u64) -> Result<Mark, LogError> {
         let mut state = self.state.lock();
+        if state.closed.is_none() && copied <= state.head.revision {
+            return Err(self.fenced(copied, &state.head));
+        }
+        Ok(self.close_locked(&mut state, LogError::Closed))
+    }
+
+    fn close_locked(&self, state: &mut State, why: LogError) -> Mark {
         // A deleted index is removed from the store bit by bit.
         if let Some(view) = std::mem::take(&mut state.view).upgrade()
             && let Ok(handles) = view.store.handles()

@@ -279,8 +279,16 @@ impl PointStore for FjallLog {
         engine.index(uid)?.operations(&engine.store)
     }
 
+    fn durable(&self, uid: Uid) -> Result<Option<u64>, LogError> {
+        self.engine()?.durable(uid)
+    }
+
     fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
         Ok(Box::new(self.engine()?.restore(entry, origin)?))
+    }
+
+    fn replace(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+        Ok(Box::new(self.engine()?.replace(entry, origin)?))
     }
 
     fn failure(&self) -> Option<LogError> {

@@ -1,20 +1,23 @@
-//! Restores an index into the store, point by point.
+//! Restores an index into the store, point by point, as a new one or in the place of the one with its uid.
 //!
 //! Until the last batch, the entry says that the copy is unfinished. If the restore ends earlier, the copy's keys are
 //! removed like those of a deleted index. If the entry says so and a mark says that the copy was finished, the index is
-//! lost.
+//! lost. The last batch of a copy that takes the place of an index also marks that index as deleted, so a crash leaves one
+//! of them.
 
 use std::sync::Arc;
 
 use super::{
     engine::Engine,
     index::{Index, State},
-    layout::{Head, Named, Number, Stage, Sum, entry_key, head_key, point_key},
+    layout::{
+        Head, Named, Number, Stage, Sum, entry_key, head_key, operation_key, point_key, seal,
+    },
     point::PointForm,
     session,
     store::storage,
 };
-use crate::log::{Entry, LogError, Origin, Restoring, Sessions, StoredPoint};
+use crate::log::{Entry, LogError, Operation, Origin, Restoring, Sessions, StoredPoint};
 
 /// An index that is being restored.
 pub(super) struct RestoringIndex {
@@ -24,7 +27,18 @@ pub(super) struct RestoringIndex {
     origin: Origin,
     /// The sum of the added points.
     sum: Sum,
+    /// True if it takes the place of the index with its uid.
+    replaces: bool,
     finished: bool,
+}
+
+/// What completes a copy.
+struct End<'a> {
+    sessions: &'a Sessions,
+    /// With the revisions under which they are kept.
+    operations: &'a [(u64, Arc<Operation>)],
+    /// The index whose place the copy takes.
+    replaced: Option<&'a Index>,
 }
 
 impl RestoringIndex {
@@ -34,6 +48,7 @@ impl RestoringIndex {
         number: Number,
         entry: Entry,
         origin: Origin,
+        replaces: bool,
     ) -> Result<Self, LogError> {
         let mut copy = Self {
             engine,
@@ -41,27 +56,20 @@ impl RestoringIndex {
             entry,
             origin,
             sum: Sum::default(),
+            replaces,
             finished: false,
         };
         copy.write(&[], None)?;
         Ok(copy)
     }
 
-    fn write(
-        &mut self,
-        points: &[StoredPoint],
-        finished: Option<&Sessions>,
-    ) -> Result<(), LogError> {
-        let result = self.try_write(points, finished);
+    fn write(&mut self, points: &[StoredPoint], end: Option<&End<'_>>) -> Result<(), LogError> {
+        let result = self.try_write(points, end);
         result.map_err(|error| self.engine.note(error))
     }
 
-    /// Writes points and the entry in one batch, and the sessions and the head of the index if it is `finished`.
-    fn try_write(
-        &mut self,
-        points: &[StoredPoint],
-        finished: Option<&Sessions>,
-    ) -> Result<(), LogError> {
+    /// Writes points and the entry in one batch, and what completes the copy if this is its end.
+    fn try_write(&mut self, points: &[StoredPoint], end: Option<&End<'_>>) -> Result<(), LogError> {
         let number = self.number;
         let mut sum = self.sum;
         let handles = self.engine.store.handles()?;
@@ -80,14 +88,26 @@ impl RestoringIndex {
             sum.add(&value);
             batch.insert(keyspace, point_key(number, point.id), value);
         }
-        if let Some(sessions) = finished {
-            session::put_all(sessions, number, (&mut batch, keyspace), &mut sum);
+        if let Some(end) = end {
+            session::put_all(end.sessions, number, (&mut batch, keyspace), &mut sum);
             let head = Head::at(&self.origin, sum);
             batch.insert(keyspace, head_key(number), head.encode(number));
+            for (revision, operation) in end.operations {
+                let key = operation_key(number, *revision);
+                batch.insert(keyspace, key, seal(&key, operation.encode()));
+            }
+            if let Some(replaced) = end.replaced {
+                let named = Named {
+                    entry: replaced.entry.clone(),
+                    stage: Stage::Deleted,
+                };
+                let key = entry_key(replaced.number);
+                batch.insert(keyspace, key, named.encode(replaced.number));
+            }
         }
         let named = Named {
             entry: self.entry.clone(),
-            stage: match finished {
+            stage: match end {
                 Some(_) => Stage::Whole,
                 None => Stage::Copied,
             },
@@ -99,19 +119,57 @@ impl RestoringIndex {
     }
 }
 
+impl RestoringIndex {
+    /// Writes the last batch.
+    fn complete(
+        &mut self,
+        sessions: Sessions,
+        operations: &[(u64, Arc<Operation>)],
+        replaced: Option<&Index>,
+    ) -> Result<Arc<Index>, LogError> {
+        // From here on the index may exist: if a step fails, the next start decides.
+        self.finished = true;
+        self.write(
+            &[],
+            Some(&End {
+                sessions: &sessions,
+                operations,
+                replaced,
+            }),
+        )?;
+        let mut state = State::new(self.origin, self.sum);
+        for (revision, operation) in operations {
+            state.remember_operation(*revision, operation);
+        }
+        state.sessions = sessions;
+        Ok(Index::new(self.number, self.entry.clone(), state))
+    }
+}
+
 impl Restoring for RestoringIndex {
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError> {
         self.write(points, None)
     }
 
-    fn finish(mut self: Box<Self>, sessions: Sessions) -> Result<(), LogError> {
-        self.write(&[], Some(&sessions))?;
-        // From here on the index may exist: if the next step fails, the next start decides.
-        self.finished = true;
-        let mut state = State::new(self.origin, self.sum);
-        state.sessions = sessions;
-        let index = Index::new(self.number, self.entry.clone(), state);
-        self.engine.add(index)
+    fn finish(
+        mut self: Box<Self>,
+        sessions: Sessions,
+        operations: Vec<Arc<Operation>>,
+    ) -> Result<(), LogError> {
+        let origin = self.origin;
+        origin.has_room_for(self.entry.uid, operations.len())?;
+        // Only the order of these revisions counts, and that each is the place of one operation.
+        let first = origin.revision + 1 - operations.len() as u64;
+        let operations: Vec<_> = (first..).zip(operations).collect();
+        let engine = Arc::clone(&self.engine);
+        if self.replaces {
+            let uid = self.entry.uid;
+            return engine.swap_in(uid, origin.revision, |old| {
+                self.complete(sessions, &operations, Some(old))
+            });
+        }
+        let index = self.complete(sessions, &operations, None)?;
+        engine.add(index)
     }
 }
 

@@ -104,6 +104,18 @@ impl PointStore for MemoryLog {
             entry,
             origin,
             points: Vec::new(),
+            replaces: false,
+        }))
+    }
+
+    fn replace(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+        self.store(entry.uid)?;
+        Ok(Box::new(RestoringIndex {
+            indexes: Arc::clone(&self.indexes),
+            entry,
+            origin,
+            points: Vec::new(),
+            replaces: true,
         }))
     }
 }
@@ -118,13 +130,9 @@ impl Catalogue for MemoryLog {
     }
 
     fn create(&self, entry: Entry) -> Result<(), LogError> {
-        add(
-            &self.indexes,
-            entry,
-            Origin::START,
-            Vec::new(),
-            Sessions::default(),
-        )
+        let (origin, sessions) = (Origin::START, Sessions::default());
+        let store = Store::new(entry.uid, origin, Vec::new(), sessions);
+        add(&self.indexes, entry, store)
     }
 
     fn delete(&self, uid: Uid) -> Result<(), LogError> {
@@ -138,14 +146,8 @@ impl Catalogue for MemoryLog {
     }
 }
 
-fn add(
-    indexes: &Indexes,
-    entry: Entry,
-    origin: Origin,
-    points: Vec<Arc<StoredPoint>>,
-    sessions: Sessions,
-) -> Result<(), LogError> {
-    let store = Arc::new(Store::new(entry.uid, origin, points, sessions));
+fn add(indexes: &Indexes, entry: Entry, store: Store) -> Result<(), LogError> {
+    let store = Arc::new(store);
     match indexes.write().entry(entry.uid) {
         btree_map::Entry::Occupied(_) => Err(LogError::UidTaken { uid: entry.uid }),
         btree_map::Entry::Vacant(place) => {
@@ -161,6 +163,8 @@ struct RestoringIndex {
     entry: Entry,
     origin: Origin,
     points: Vec<Arc<StoredPoint>>,
+    /// True if it takes the place of the index with its uid.
+    replaces: bool,
 }
 
 impl Restoring for RestoringIndex {
@@ -169,13 +173,24 @@ impl Restoring for RestoringIndex {
         Ok(())
     }
 
-    fn finish(self: Box<Self>, sessions: Sessions) -> Result<(), LogError> {
-        add(
-            &self.indexes,
-            self.entry,
-            self.origin,
-            self.points,
-            sessions,
-        )
+    fn finish(
+        self: Box<Self>,
+        sessions: Sessions,
+        operations: Vec<Arc<Operation>>,
+    ) -> Result<(), LogError> {
+        let (uid, origin) = (self.entry.uid, self.origin);
+        origin.has_room_for(uid, operations.len())?;
+        let store = Store::new(uid, origin, self.points, sessions);
+        store.remember(operations);
+        if !self.replaces {
+            return add(&self.indexes, self.entry, store);
+        }
+        let mut indexes = self.indexes.write();
+        let Some(hosted) = indexes.get_mut(&uid) else {
+            return Err(LogError::UnknownIndex { uid });
+        };
+        hosted.store.give_way(origin.revision)?;
+        hosted.store = Arc::new(store);
+        Ok(())
     }
 }

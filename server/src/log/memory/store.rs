@@ -37,6 +37,8 @@ struct Journal {
     /// The submitted records that are not yet applied, oldest first, with the heads that they made. The versions of
     /// the heads are pinned.
     unapplied: VecDeque<(Arc<Record>, Head)>,
+    /// True if another store has taken the place of this one.
+    is_replaced: bool,
 }
 
 /// The newest record, and the sums of all records beside the points.
@@ -74,6 +76,7 @@ impl Store {
                 records: Bounded::default(),
                 operations: Bounded::default(),
                 unapplied: VecDeque::new(),
+                is_replaced: false,
             }),
             versions: RwLock::new(versions),
             newest: watch::Sender::new(Ok(origin.revision)),
@@ -82,6 +85,9 @@ impl Store {
 
     pub(super) fn submit(&self, record: Arc<Record>) -> Result<(), LogError> {
         let mut journal = self.journal.lock();
+        if journal.is_replaced {
+            return Err(LogError::Closed);
+        }
         if !record.follows(journal.head.tip) {
             return Err(self.fenced(record.revision() - 1, &journal));
         }
@@ -102,6 +108,9 @@ impl Store {
         records: &[Arc<Record>],
     ) -> Result<Arc<dyn View>, LogError> {
         let mut journal = self.journal.lock();
+        if journal.is_replaced {
+            return Err(LogError::Closed);
+        }
         let Some(last) = records.last() else {
             drop(journal);
             return Ok(Arc::clone(self).pin());
@@ -170,6 +179,28 @@ impl Store {
             }
             is_newer
         });
+    }
+
+    /// Adds operations of records before the first one, oldest first.
+    pub(super) fn remember(&self, operations: Vec<Arc<Operation>>) {
+        let mut journal = self.journal.lock();
+        for operation in operations {
+            let bytes = operation.bytes();
+            journal.operations.push(operation, bytes);
+        }
+    }
+
+    /// Takes no record any more, because a copy at the revision `copied` takes its place. Refused unless the copy is
+    /// newer.
+    pub(super) fn give_way(&self, copied: u64) -> Result<(), LogError> {
+        let mut journal = self.journal.lock();
+        if copied <= journal.head.tip.revision {
+            return Err(self.fenced(copied, &journal));
+        }
+        journal.is_replaced = true;
+        drop(journal);
+        self.close(LogError::Closed);
+        Ok(())
     }
 
     /// Ends the streams of records.

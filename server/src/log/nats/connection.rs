@@ -169,6 +169,13 @@ impl Connection {
         }
     }
 
+    /// Forgets the messages of an index before this sequence number.
+    pub(super) async fn purge_before(&self, uid: Uid, sequence: u64) -> Result<(), LogError> {
+        let purge = self.stream(uid).purge().sequence(sequence);
+        let purge = purge.filter(self.subject(uid));
+        within(async { purge.await.map(drop).map_err(unreachable) }).await
+    }
+
     /// Forgets the messages of an index.
     pub(super) async fn purge(&self, uid: Uid) -> Result<(), LogError> {
         let purge = self.stream(uid).purge().filter(self.subject(uid));

@@ -20,6 +20,10 @@ const PULL_TIME: Duration = Duration::from_secs(2);
 /// The most bytes that a pull asks for, or one message.
 const PULL_BYTES: usize = 1024 * 1024;
 
+/// A stream that ends before the follower's place is asked again so many times, with [`RETRY_INTERVAL`] between: NATS may answer
+/// from the past while it changes a leader.
+const MAX_BEHIND: u32 = 10;
+
 /// A follower's place, and its subscription while it has one.
 struct Follower {
     connection: Arc<Connection>,
@@ -30,6 +34,8 @@ struct Follower {
     unpacker: Unpacker,
     /// True if the last subscription brought a gap or damage next, and no record has come since.
     is_suspect: bool,
+    /// The number of times in turn that NATS had not even the newest record that was returned.
+    behind: u32,
     /// The times of subscriptions.
     attempts: Option<Interval>,
 }
@@ -43,6 +49,7 @@ pub(super) fn follow(connection: Arc<Connection>, uid: Uid, after: u64) -> Recor
         messages: None,
         unpacker: Unpacker::default(),
         is_suspect: false,
+        behind: 0,
         attempts: None,
     };
     let batches = stream::unfold(Some(follower), |follower| async move {
@@ -75,8 +82,17 @@ impl Follower {
                     attempts
                 });
                 attempts.tick().await;
-                let subscribed = subscribe(&self.connection, self.uid, self.after).await?;
-                self.messages.insert(subscribed)
+                let subscribed = subscribe(&self.connection, self.uid, self.after).await;
+                if let Err(LogError::JournalBehind { .. }) = &subscribed
+                    && self.behind < MAX_BEHIND
+                {
+                    self.behind += 1;
+                    return Err(LogError::Unreachable {
+                        what: "the stream does not have the newest known record".into(),
+                    });
+                }
+                self.behind = 0;
+                self.messages.insert(subscribed?)
             }
         };
         let message = match messages.next().await {
@@ -182,6 +198,19 @@ pub(super) async fn read(
         }
     }
     Ok(records)
+}
+
+/// Forgets the messages with records up to the revision `up_to` alone, but never the newest pack: see
+/// [`Journal::forget`](crate::log::Journal::forget).
+pub(super) async fn forget(connection: &Connection, uid: Uid, up_to: u64) -> Result<(), LogError> {
+    let last = connection.last(uid).await?;
+    let up_to = up_to.min(last.first.saturating_sub(1));
+    match connection.next(uid, 1).await? {
+        Some((first, _)) if first.last.revision <= up_to => {}
+        _ => return Ok(()),
+    }
+    let sequence = place_after(connection, uid, up_to).await?;
+    connection.purge_before(uid, sequence).await
 }
 
 /// A sequence number from which on an index's first message is the one with the record after the revision `after`.

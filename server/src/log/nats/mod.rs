@@ -3,8 +3,8 @@
 //!
 //! An index is a subject of a stream. A pack of consecutive records is published with the sequence number of the message
 //! before it on the subject: NATS takes it only if that is the newest. So of two servers that submit after
-//! the same revision one wins, whatever each of them believes. No server trims what it publishes yet: the streams keep
-//! every record of an index until the index is deleted.
+//! the same revision one wins, whatever each of them believes. The streams keep a record until enough servers store what it
+//! did ([`Journal::forget`]), and the newest message of an index always, because the next one names it.
 //!
 //! Nothing that comes from a stream is trusted: a record is decoded only if it matches its checksum, and the apply loop
 //! checks that it follows the record before it.
@@ -104,6 +104,7 @@ pub fn connect<Store: Journal + PointStore + Catalogue + 'static>(
             connection,
             runtime,
             publishers: Mutex::default(),
+            forgotten: Mutex::default(),
             local: local.clone(),
         }),
         points: local,
@@ -118,6 +119,8 @@ struct NatsJournal {
     publishers: Mutex<BTreeMap<Uid, Publisher>>,
     /// The records that this server has applied, as far as it keeps them.
     local: Arc<dyn Journal>,
+    /// The revisions up to which records were forgotten.
+    forgotten: Mutex<BTreeMap<Uid, u64>>,
 }
 
 impl Journal for NatsJournal {
@@ -153,6 +156,10 @@ impl Journal for NatsJournal {
     ) -> Result<Vec<Arc<Record>>, LogError> {
         let read = follow::read(&self.connection, uid, after, max_bytes);
         self.runtime.block_on(read)
+    }
+
+    fn kept(&self, uid: Uid, revision: u64) -> Result<Option<Arc<Record>>, LogError> {
+        self.local.kept(uid, revision)
     }
 
     fn newest(&self, uid: Uid) -> Result<u64, LogError> {
@@ -191,8 +198,22 @@ impl Journal for NatsJournal {
         }
     }
 
-    /// Keeps everything: the servers do not know yet what all of them have applied.
+    /// Keeps everything: no server knows alone what the others have applied.
     fn trim(&self, _: Uid, _: &Retention) -> Result<(), LogError> {
+        Ok(())
+    }
+
+    fn forget(&self, uid: Uid, up_to: u64) -> Result<(), LogError> {
+        // None is kept after a copy.
+        let oldest = self.local.read(uid, None, 1)?;
+        let oldest = oldest.first().map_or(u64::MAX, |oldest| oldest.revision());
+        let up_to = up_to.min(oldest.saturating_sub(1));
+        if self.forgotten.lock().get(&uid) >= Some(&up_to) {
+            return Ok(());
+        }
+        let forget = follow::forget(&self.connection, uid, up_to);
+        self.runtime.block_on(forget)?;
+        self.forgotten.lock().insert(uid, up_to);
         Ok(())
     }
 

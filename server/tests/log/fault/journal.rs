@@ -15,7 +15,8 @@ use wayfold_server::log::{
 
 /// One write to the journal.
 pub(super) enum Item {
-    Create(Entry, Origin, Arc<Sum>),
+    /// An index with the operations that it remembers. It takes the place of one with its uid.
+    Create(Entry, Origin, Arc<Sum>, Vec<Arc<Operation>>),
     Append(Uid, Arc<Record>),
     /// Forgets this many of the oldest records and operations.
     Trim(Uid, usize, usize),
@@ -154,7 +155,7 @@ impl Journal {
 
     fn apply(&mut self, item: &Item) {
         match item {
-            Item::Create(entry, origin, sum) => {
+            Item::Create(entry, origin, sum, operations) => {
                 let index = Index {
                     entry: entry.clone(),
                     head: origin.revision,
@@ -162,7 +163,7 @@ impl Journal {
                     digest: origin.digest,
                     sum: Arc::clone(sum),
                     records: VecDeque::new(),
-                    operations: VecDeque::new(),
+                    operations: operations.iter().cloned().collect(),
                     unapplied: VecDeque::new(),
                 };
                 self.indexes.insert(entry.uid, index);
@@ -194,11 +195,12 @@ impl Journal {
         entry: Entry,
         origin: Origin,
         sum: Sum,
+        operations: Vec<Arc<Operation>>,
     ) -> Result<(), LogError> {
         if self.indexes.contains_key(&entry.uid) {
             return Err(LogError::UidTaken { uid: entry.uid });
         }
-        self.write_and_sync(Item::Create(entry, origin, Arc::new(sum)))
+        self.write_and_sync(Item::Create(entry, origin, Arc::new(sum), operations))
     }
 }
 

@@ -277,6 +277,18 @@ impl PointStore for FaultLog {
             entry,
             origin,
             points: BTreeMap::new(),
+            replaces: false,
+        }))
+    }
+
+    fn replace(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+        self.0.lock().index(entry.uid)?;
+        Ok(Box::new(StagedIndex {
+            log: self.clone(),
+            entry,
+            origin,
+            points: BTreeMap::new(),
+            replaces: true,
         }))
     }
 
@@ -304,7 +316,9 @@ impl Catalogue for FaultLog {
     }
 
     fn create(&self, entry: Entry) -> Result<(), LogError> {
-        self.0.lock().create(entry, Origin::START, Sum::default())
+        self.0
+            .lock()
+            .create(entry, Origin::START, Sum::default(), vec![])
     }
 
     fn delete(&self, uid: Uid) -> Result<(), LogError> {
@@ -323,6 +337,8 @@ struct StagedIndex {
     entry: Entry,
     origin: Origin,
     points: BTreeMap<u64, Arc<StoredPoint>>,
+    /// True if it takes the place of the index with its uid.
+    replaces: bool,
 }
 
 impl Restoring for StagedIndex {
@@ -335,14 +351,34 @@ impl Restoring for StagedIndex {
         Ok(())
     }
 
-    fn finish(self: Box<Self>, sessions: Sessions) -> Result<(), LogError> {
+    fn finish(
+        self: Box<Self>,
+        sessions: Sessions,
+        operations: Vec<Arc<Operation>>,
+    ) -> Result<(), LogError> {
+        let (uid, origin) = (self.entry.uid, self.origin);
         let sum = Sum {
             next_id: self.origin.next_id,
             points: self.points,
             sessions,
         };
         let mut journal = self.log.0.lock();
-        journal.create(self.entry, self.origin, sum)
+        if !self.replaces {
+            return journal.create(self.entry, origin, sum, operations);
+        }
+        let head = journal.index(uid)?.head;
+        if origin.revision <= head {
+            return Err(LogError::Fenced {
+                uid,
+                expected: origin.revision,
+                head,
+            });
+        }
+        let item = Item::Create(self.entry, origin, Arc::new(sum), operations);
+        journal.write_and_sync(item)?;
+        drop(journal);
+        self.log.2.send_replace(());
+        Ok(())
     }
 }
 

@@ -1,0 +1,205 @@
+//! Replaces an index that cannot follow its journal by a copy of another server, under the same uid.
+
+use std::sync::Arc;
+
+use tracing::info;
+
+use super::{
+    Hosted, IndexState, Registry, RegistryError, Restore, loading::Loader, operations::Operations,
+    payload_sizes::PayloadSizes, replay::replay_or_damaged, restore::unloaded,
+};
+use crate::log::{Operation, Origin, Sessions, Uid};
+
+impl Registry {
+    /// Begins to replace an index by the points of another server at a later revision. `origin` has the digest of the record
+    /// of that revision. Readers keep the old points until [`Registry::host_replaced`]. [`RegistryError::Follows`] if the
+    /// index is not closed. Blocks on the log.
+    pub fn replace(&self, uid: Uid, origin: Origin) -> Result<Restore, RegistryError> {
+        let entries = self.host.log.catalogue.indexes()?;
+        let entry = entries.into_iter().find(|entry| entry.uid == uid);
+        let entry = entry.ok_or(RegistryError::Deleted)?;
+        let state = self.indexes.read().get(&entry.name).cloned();
+        match state {
+            Some(IndexState::Hosted(hosted)) if !hosted.is_closed() => {
+                return Err(RegistryError::Follows);
+            }
+            Some(state) if state.uid() == uid => {}
+            _ => return Err(RegistryError::Deleted),
+        }
+        self.host.watermarks.admit(0)?;
+        Ok(Restore {
+            stored: self.host.log.points.replace(entry.clone(), origin)?,
+            loader: Loader::new(&self.host, &entry.space),
+            payload_sizes: PayloadSizes::new(self.host.options.counts_payloads),
+            host: Arc::clone(&self.host),
+            entry,
+            origin,
+            limits: Vec::new(),
+        })
+    }
+
+    /// Hosts the copy of [`Registry::replace`], which has all its points, with these writer sessions and these operations,
+    /// oldest first. It follows the journal from there on. The calls that wait for the old index fail and can be retried.
+    /// Blocks on the log and on building the forest.
+    pub fn host_replaced(
+        &self,
+        restore: Restore,
+        sessions: Sessions,
+        operations: Vec<Arc<Operation>>,
+    ) -> Result<Arc<Hosted>, RegistryError> {
+        let Restore {
+            host,
+            entry,
+            origin,
+            stored,
+            loader,
+            payload_sizes,
+            limits: _,
+        } = restore;
+        let points = loader.len();
+        let forest = loader.finish(origin.revision).map_err(unloaded)?;
+        let mut remembered = Operations::new();
+        for operation in &operations {
+            remembered.remember(Arc::clone(operation));
+        }
+        let _change = self.change_lock.lock();
+        let state = self.indexes.read().get(&entry.name).cloned();
+        match &state {
+            Some(state) if state.uid() != entry.uid => return Err(RegistryError::Deleted),
+            // From here on the old index does not touch the store.
+            Some(IndexState::Hosted(old)) if !old.retire() => return Err(RegistryError::Follows),
+            Some(_) => {}
+            None => return Err(RegistryError::Deleted),
+        }
+        let put = |state| self.change(|indexes| indexes.insert(entry.name.clone(), state));
+        let view = stored.finish(sessions, operations);
+        let view = view.and_then(|()| host.log.points.view(entry.uid));
+        let view = match view {
+            Ok(view) => view,
+            Err(why) => {
+                put(replay_or_damaged(&host, &entry));
+                return Err(why.into());
+            }
+        };
+        let hosted = Hosted::new(&host, &entry, (forest, payload_sizes), view, remembered);
+        let (revision, index) = (origin.revision, &entry.name);
+        info!(index, uid = %entry.uid, revision, points, "replaced an index by a copy of another server");
+        put(IndexState::Hosted(Arc::clone(&hosted)));
+        Ok(hosted)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bytes::Bytes;
+    use wayfold_index::PointRef;
+
+    use super::*;
+    use crate::{
+        log::{
+            Catalogue, Effects, Entry, Journal, Log, LogError, MemoryLog, Outcome, PointStore,
+            Record, Retention,
+        },
+        registry::RegistryOptions,
+    };
+
+    /// Submits the next record to a journal: it stores a point and has an operation.
+    fn submit(journal: &MemoryLog, uid: Uid) {
+        let tip = journal.view(uid).unwrap().tip();
+        let mut effects = Effects::new(1);
+        let point = PointRef {
+            id: tip.revision,
+            tag: 0,
+            revision: tip.revision + 1,
+            row: &[0.5],
+        };
+        effects.store(point, Outcome::Inserted, Bytes::new());
+        effects.set_operation(Some(Arc::new(Operation {
+            id: format!("operation {}", tip.revision + 1),
+            fingerprint: [1; 32],
+            response: Bytes::new(),
+        })));
+        let record = Arc::new(Record::after(tip, effects));
+        journal.submit(uid, Arc::clone(&record)).unwrap();
+        // It follows its own records beyond what it keeps until it has applied them.
+        journal.apply(uid, &[record]).unwrap();
+    }
+
+    /// A copy of all that a peer has.
+    fn copy(registry: &Registry, peer: &MemoryLog, uid: Uid) -> Result<Arc<Hosted>, RegistryError> {
+        let view = peer.view(uid).unwrap();
+        let tip = view.tip();
+        let origin = Origin {
+            revision: tip.revision,
+            next_id: view.next_id(),
+            digest: tip.digest,
+        };
+        let mut restore = registry.replace(uid, origin)?;
+        for point in view.page(None, 100).unwrap() {
+            restore.add(std::slice::from_ref(&*point))?;
+        }
+        let operations = peer.operations(uid).unwrap();
+        registry.host_replaced(restore, view.sessions().clone(), operations)
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn an_index_behind_a_trimmed_journal_goes_on_from_a_copy() {
+        let (peer, local) = (Arc::new(MemoryLog::new()), Arc::new(MemoryLog::new()));
+        let entry = Entry {
+            uid: Uid::unique(),
+            name: "arm".into(),
+            space: "R1".parse().unwrap(),
+        };
+        let uid = entry.uid;
+        peer.create(entry.clone()).unwrap();
+        local.create(entry).unwrap();
+        let log = Log {
+            journal: Arc::clone(&peer) as Arc<dyn Journal>,
+            points: Arc::clone(&local) as Arc<dyn PointStore>,
+            catalogue: local,
+        };
+        (0..5).for_each(|_| submit(&peer, uid));
+        let retention = Retention {
+            record_bytes: 0,
+            since: std::time::SystemTime::UNIX_EPOCH,
+            operations: usize::MAX,
+            operation_bytes: usize::MAX,
+        };
+        Journal::trim(&*peer, uid, &retention).unwrap();
+        let registry = Arc::new(Registry::new(log, RegistryOptions::default()));
+        registry.replay().unwrap();
+        let old = registry.get("arm").unwrap();
+        let trimmed = old.reached(5).await.err();
+        assert!(
+            matches!(trimmed, Some(RegistryError::Log(LogError::Trimmed { .. }))),
+            "{trimmed:?}"
+        );
+        let copying = {
+            let (registry, peer) = (Arc::clone(&registry), Arc::clone(&peer));
+            move || copy(&registry, &peer, uid)
+        };
+        let again = copying.clone();
+        let hosted = tokio::task::spawn_blocking(copying).await.unwrap().unwrap();
+        assert_eq!(hosted.published().revision, 5);
+        assert_eq!(hosted.published().snapshot.len(), 5);
+        for revision in 1..=5 {
+            let id = format!("operation {revision}");
+            assert!(hosted.operations.lock().recall(&id).is_some(), "{id}");
+        }
+        assert!(Arc::ptr_eq(&registry.get("arm").unwrap(), &hosted));
+        // Who holds the old index reads on, and neither waits nor writes.
+        assert_eq!(old.published().revision, 0);
+        assert!(old.write().await.is_err());
+        let view = old.published().view.clone();
+        assert!(
+            !tokio::task::spawn_blocking(move || old.resume(&view))
+                .await
+                .unwrap()
+        );
+        // It follows from the copy on, and no other copy takes its place.
+        submit(&peer, uid);
+        assert_eq!(hosted.reached(6).await.unwrap().snapshot.len(), 6);
+        let refused = tokio::task::spawn_blocking(again).await.unwrap().err();
+        assert_eq!(refused, Some(RegistryError::Follows));
+    }
+}

@@ -1,0 +1,194 @@
+//! The indices that follow their journal no more: its records are damaged or trimmed, or the points of this server are.
+//! Reads go on at the last good revision, and a copy of another server may take the place of such an index.
+
+use std::sync::{Arc, atomic::Ordering::Relaxed};
+
+use tracing::error;
+
+use super::{Hosted, IndexState, Published, Registry, RegistryError};
+use crate::log::{Digest, LogError, Operation, Record, Tip, Uid};
+
+/// An index that follows its journal no more.
+#[derive(Clone, Debug)]
+pub(crate) struct Stopped {
+    /// Its name.
+    pub(crate) name: String,
+    /// Its uid.
+    pub(crate) uid: Uid,
+    /// The newest record that this server has applied; None if its points cannot be read.
+    pub(crate) tip: Option<Tip>,
+    /// A revision that its readers may have seen: no older copy may take its place.
+    pub(crate) seen: u64,
+    /// True if it may go on by itself: NATS may have answered from the past, or gets back what it has lost.
+    pub(crate) may_pass: bool,
+}
+
+/// True if an index that ends with this error applies no record any more, unless its journal or its points are mended.
+pub(super) fn is_damage(why: &RegistryError) -> bool {
+    matches!(
+        why,
+        RegistryError::Log(
+            LogError::Damaged { .. }
+                | LogError::JournalBehind { .. }
+                | LogError::Trimmed { .. }
+                | LogError::Contradicted { .. }
+        )
+    )
+}
+
+/// A revision that the points of an index had, by the error that forbids to read them; None if a copy cannot mend them.
+fn revision_before(why: &RegistryError) -> Option<u64> {
+    let RegistryError::Log(why) = why else {
+        return None;
+    };
+    match why {
+        LogError::Lost { last, .. } => Some(*last),
+        LogError::Incomplete { revision, .. } => Some(*revision),
+        LogError::Damaged { .. } | LogError::DamagedPoint { .. } | LogError::Unreadable { .. } => {
+            Some(0)
+        }
+        _ => None,
+    }
+}
+
+impl Registry {
+    /// The indices that a copy of another server may mend. Those that another server contradicts are not among them.
+    pub(crate) fn stopped(&self) -> Vec<Stopped> {
+        let indexes = self.indexes.read();
+        let stopped = indexes.iter().filter_map(|(name, state)| {
+            let (uid, name) = (state.uid(), name.clone());
+            Some(match state {
+                IndexState::Hosted(hosted) => {
+                    let why = hosted.damage()?;
+                    if matches!(why, RegistryError::Log(LogError::Contradicted { .. })) {
+                        return None;
+                    }
+                    let tip = hosted.published().view.tip();
+                    Stopped {
+                        name,
+                        uid,
+                        tip: Some(tip),
+                        seen: tip.revision,
+                        may_pass: hosted.is_ahead(),
+                    }
+                }
+                IndexState::Damaged(_, why) => Stopped {
+                    name,
+                    uid,
+                    tip: None,
+                    seen: revision_before(why)?,
+                    may_pass: false,
+                },
+            })
+        });
+        stopped.collect()
+    }
+
+    /// The index with this uid, if it is served.
+    pub(crate) fn by_uid(&self, uid: Uid) -> Option<Arc<Hosted>> {
+        let indexes = self.indexes.read();
+        let state = indexes.values().find(|state| state.uid() == uid)?;
+        state.hosted().ok().cloned()
+    }
+
+    /// Closes an index for good, because `member` has applied another record of this revision.
+    pub(crate) fn contradicted(&self, uid: Uid, revision: u64, member: &str) {
+        let Some(hosted) = self.by_uid(uid).filter(|hosted| hosted.is_closed()) else {
+            return;
+        };
+        let why = RegistryError::Log(LogError::Contradicted {
+            uid,
+            revision,
+            member: member.to_owned(),
+        });
+        error!(index = hosted.name(), error = %why, "two servers contradict each other");
+        hosted.close(why);
+    }
+
+    /// The newest revision of the journal. Blocks.
+    pub(crate) fn newest(&self, uid: Uid) -> Result<u64, LogError> {
+        self.host.log.journal.newest(uid)
+    }
+
+    /// True if the journal has this record. Blocks.
+    pub(crate) fn is_in_journal(&self, uid: Uid, tip: Tip) -> Result<bool, LogError> {
+        let Some(before) = tip.revision.checked_sub(1) else {
+            return Ok(true);
+        };
+        let found = self.host.log.journal.read(uid, Some(before), 1)?;
+        Ok(found.first().is_some_and(|found| found.tip() == tip))
+    }
+}
+
+impl Hosted {
+    /// The damage of its journal, after which no record is applied: reads go on at the published revision.
+    pub(crate) fn damage(&self) -> Option<RegistryError> {
+        self.closed().filter(is_damage)
+    }
+
+    /// True if it is closed for a reason that may pass: a lost receipt could not be settled, or NATS may have answered
+    /// from the past, or not at all.
+    pub(super) fn is_unsettled(&self) -> bool {
+        matches!(
+            self.closed(),
+            Some(RegistryError::Log(
+                LogError::Unconfirmed { .. }
+                    | LogError::JournalBehind { .. }
+                    | LogError::Unreachable { .. }
+            ))
+        )
+    }
+
+    /// True if it is closed because the journal ends before what it has applied.
+    pub(super) fn is_ahead(&self) -> bool {
+        matches!(
+            self.closed(),
+            Some(RegistryError::Log(LogError::JournalBehind { .. }))
+        )
+    }
+
+    /// Ends a closed index for good, because a copy takes its place; false if the index is not closed. Blocks.
+    pub(super) fn retire(&self) -> bool {
+        let _writer = Arc::clone(&self.writer).blocking_lock_owned();
+        let _applied = Arc::clone(&self.applied).blocking_lock_owned();
+        let is_closed = self.is_closed();
+        if is_closed {
+            self.is_retired.store(true, Relaxed);
+            self.close(RegistryError::Log(LogError::Closed));
+        }
+        is_closed
+    }
+
+    /// True if it applies the records of its journal.
+    pub(crate) fn follows(&self) -> bool {
+        !self.is_closed()
+    }
+
+    /// The published state, and the newest operations of exactly its records, oldest first. Blocks.
+    pub(crate) fn with_operations(
+        &self,
+    ) -> Result<(Arc<Published>, Vec<Arc<Operation>>), RegistryError> {
+        // Nothing is applied meanwhile.
+        let _applied = Arc::clone(&self.applied).blocking_lock_owned();
+        let operations = self.host.log.points.operations(self.uid())?;
+        Ok((self.published(), operations))
+    }
+
+    /// The digest of the record of a revision that this server has applied; None if the server does not keep it. Blocks.
+    pub(crate) fn digest_at(&self, revision: u64) -> Result<Option<Digest>, RegistryError> {
+        let tip = self.published().view.tip();
+        if tip.revision == revision {
+            return Ok(Some(tip.digest));
+        }
+        if revision == 0 {
+            return Ok(Some(Record::NO_PREVIOUS));
+        }
+        let journal = &self.host.log.journal;
+        if let Some(record) = journal.kept(self.uid(), revision)? {
+            return Ok(Some(*record.digest()));
+        }
+        // The oldest record in the window names the one before it.
+        let next = journal.kept(self.uid(), revision + 1)?;
+        Ok(next.map(|next| *next.previous()))
+    }
+}

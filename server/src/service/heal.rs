@@ -1,0 +1,336 @@
+//! Heals the indices of this server that cannot follow their journal: another member of the cluster gives a copy, which takes
+//! the place of the index, and the journal is followed from there on.
+//!
+//! A copy is taken only if no reader goes backwards, if the member has applied the same records as this server as far as
+//! both know them, and if the journal has the newest record of the copy.
+
+use std::{
+    collections::{HashMap, HashSet},
+    sync::Arc,
+    time::Duration,
+};
+
+use futures_util::StreamExt;
+use tokio::{
+    sync::oneshot,
+    time::{Instant, MissedTickBehavior, interval, timeout},
+};
+use tracing::{debug, warn};
+use wayfold_proto::{
+    snapshot::{Content, Header, Reader},
+    v1,
+};
+
+use super::{
+    Service,
+    member::{CopyKind, CopyOperations, CopyParts, CopyRequest, Peers},
+    restore::stored,
+    session_pages::add_restored,
+};
+use crate::{
+    log::{Operation, Origin, Sessions, Tip, Uid},
+    registry::{Registry, Restore, Stopped},
+};
+
+/// The time between two looks at the indices.
+const LOOK_INTERVAL: Duration = Duration::from_secs(1);
+
+/// An index that may go on by itself has this long.
+const GRACE: Duration = Duration::from_secs(5);
+
+/// The longest wait before the members are asked again for a copy of an index.
+const MAX_WAIT: Duration = Duration::from_secs(15);
+
+/// A member that sends no part of a copy for this long does not answer.
+const PART_TIME: Duration = Duration::from_secs(10);
+
+/// The attempts to heal an index.
+struct Attempts {
+    next: Instant,
+    wait: Duration,
+    /// The failure of the last one.
+    why: String,
+}
+
+/// A member gave no copy.
+enum Failure {
+    /// It has applied another record of this revision.
+    Contradicts(u64),
+    /// Another reason.
+    Other(String),
+}
+
+impl<E: std::error::Error> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self::Other(error.to_string())
+    }
+}
+
+impl Service {
+    /// Heals the indices that stop, until it is dropped. Answers `tried` once it has tried to heal those that have stopped
+    /// already.
+    pub(crate) async fn heal(self, peers: Arc<dyn Peers>, tried: oneshot::Sender<()>) {
+        let mut ticks = interval(LOOK_INTERVAL);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        ticks.tick().await;
+        let mut attempts = HashMap::new();
+        if self.has_stopped() {
+            // A server that starts has heard of all live members by then.
+            ticks.tick().await;
+            self.heal_stopped(&*peers, &mut attempts).await;
+        }
+        // The server may have given up waiting.
+        let _ = tried.send(());
+        loop {
+            ticks.tick().await;
+            self.heal_stopped(&*peers, &mut attempts).await;
+        }
+    }
+
+    fn has_stopped(&self) -> bool {
+        let registry = self.registry();
+        registry.is_ok_and(|registry| !registry.stopped().is_empty())
+    }
+
+    /// Tries to heal each index whose time has come.
+    async fn heal_stopped(&self, peers: &dyn Peers, attempts: &mut HashMap<Uid, Attempts>) {
+        let Ok(registry) = self.registry() else {
+            return;
+        };
+        let stopped = registry.stopped();
+        let uids: HashSet<Uid> = stopped.iter().map(|it| it.uid).collect();
+        attempts.retain(|uid, _| uids.contains(uid));
+        for index in stopped {
+            let now = Instant::now();
+            let attempt = attempts.entry(index.uid).or_insert_with(|| Attempts {
+                next: match index.may_pass {
+                    true => now + GRACE,
+                    false => now,
+                },
+                wait: LOOK_INTERVAL,
+                why: String::new(),
+            });
+            if attempt.next > now {
+                continue;
+            }
+            if let Err(why) = heal_index(registry, self, peers, &index).await {
+                let (index, uid) = (&index.name, index.uid);
+                // It may last for days: log it only when it changes.
+                match attempt.why == why {
+                    true => debug!(index, %uid, why, "no member gives a copy of an index"),
+                    false => {
+                        warn!(index, %uid, why, "no member gives a copy of an index yet; trying again");
+                    }
+                }
+                attempt.why = why;
+            }
+            attempt.wait = (2 * attempt.wait).min(MAX_WAIT);
+            attempt.next = Instant::now() + attempt.wait;
+        }
+    }
+}
+
+/// Asks one member after the other for a copy of an index. The error says why none gave one.
+async fn heal_index(
+    registry: &Arc<Registry>,
+    service: &Service,
+    peers: &dyn Peers,
+    index: &Stopped,
+) -> Result<(), String> {
+    let mut min_revision = index.seen;
+    if index.tip.is_none() {
+        // Nobody knows up to where its readers saw it. They cannot have seen more than the journal has.
+        let newest = blocking(registry, |registry, uid| registry.newest(uid), index.uid).await;
+        match newest {
+            Ok(newest) => min_revision = min_revision.max(newest),
+            Err(Failure::Other(why)) => return Err(why),
+            Err(Failure::Contradicts(_)) => {}
+        }
+    }
+    let request = CopyRequest {
+        uid: index.uid.to_string(),
+        applied: index.tip.map(Into::into),
+        min_revision,
+    };
+    let mut failures = Vec::new();
+    for member in peers.peers(index.uid) {
+        let copied = copy_from(registry, service, (peers, &member), (index, &request)).await;
+        match copied {
+            Ok((revision, compared)) => {
+                warn!(
+                    index = index.name,
+                    uid = %index.uid,
+                    member,
+                    revision,
+                    compared,
+                    "an index that could not follow its journal goes on from a copy of another server"
+                );
+                return Ok(());
+            }
+            Err(Failure::Contradicts(revision)) => {
+                registry.contradicted(index.uid, revision, &member);
+                return Err(format!(
+                    "{member} has another record of revision {revision}"
+                ));
+            }
+            Err(Failure::Other(why)) => failures.push(format!("{member}: {why}")),
+        }
+    }
+    match failures.is_empty() {
+        true => Err("there is no other live member".into()),
+        false => Err(failures.join("; ")),
+    }
+}
+
+/// Takes a copy of a member in the place of an index. Returns its revision; the flag is false if nobody knows any more whether
+/// the member has applied the same records as this server.
+async fn copy_from(
+    registry: &Arc<Registry>,
+    service: &Service,
+    (peers, member): (&dyn Peers, &str),
+    (index, request): (&Stopped, &CopyRequest),
+) -> Result<(u64, bool), Failure> {
+    let asked = timeout(PART_TIME, peers.copy(member, request.clone()));
+    let mut parts = asked.await??;
+    let start = match next(&mut parts).await? {
+        CopyKind::Start(start) => start,
+        CopyKind::Contradicts(revision) => return Err(Failure::Contradicts(revision)),
+        CopyKind::Refused(why) => return Err(Failure::Other(why)),
+        CopyKind::Snapshot(_) | CopyKind::Operations(_) => return Err(out_of_order()),
+    };
+    let tip = start.tip.as_ref().and_then(|place| place.tip());
+    let tip = tip.ok_or_else(out_of_order)?;
+    let needed = index.tip.map_or(0, |tip| tip.revision + 1);
+    if tip.revision < needed.max(request.min_revision) {
+        let revision = tip.revision;
+        return Err(Failure::Other(format!(
+            "its copy is of revision {revision}"
+        )));
+    }
+    let in_journal = move |registry: &Registry, uid| registry.is_in_journal(uid, tip);
+    if !blocking(registry, in_journal, index.uid).await? {
+        let revision = tip.revision;
+        return Err(Failure::Other(format!(
+            "the journal does not have its record of revision {revision}"
+        )));
+    }
+    let mut draft = Draft {
+        service: service.clone(),
+        uid: index.uid,
+        tip,
+        reader: Reader::new(),
+        restore: None,
+        sessions: Sessions::default(),
+        operations: Vec::new(),
+    };
+    while !draft.is_whole(start.operations) {
+        let part = next(&mut parts).await?;
+        let read = tokio::task::spawn_blocking(move || draft.read(part).map(|()| draft));
+        draft = read.await??;
+    }
+    let hosting = tokio::task::spawn_blocking(move || draft.host());
+    hosting.await??;
+    Ok((tip.revision, start.is_compared))
+}
+
+/// The next part of a copy.
+async fn next(parts: &mut CopyParts) -> Result<CopyKind, Failure> {
+    let part = timeout(PART_TIME, parts.next()).await?;
+    let part = part.ok_or_else(|| Failure::Other("its copy is cut short".into()))??;
+    part.kind.ok_or_else(out_of_order)
+}
+
+/// Asks the log through the registry on a thread that may block.
+async fn blocking<T: Send + 'static>(
+    registry: &Arc<Registry>,
+    ask: impl FnOnce(&Registry, Uid) -> Result<T, crate::log::LogError> + Send + 'static,
+    uid: Uid,
+) -> Result<T, Failure> {
+    let registry = Arc::clone(registry);
+    let asked = tokio::task::spawn_blocking(move || ask(&registry, uid));
+    Ok(asked.await??)
+}
+
+fn out_of_order() -> Failure {
+    Failure::Other("a part of its copy is not the one that belongs there".into())
+}
+
+/// The part of a copy that has arrived.
+struct Draft {
+    service: Service,
+    uid: Uid,
+    tip: Tip,
+    reader: Reader,
+    /// Set by the header.
+    restore: Option<Restore>,
+    sessions: Sessions,
+    operations: Vec<Arc<Operation>>,
+}
+
+impl Draft {
+    /// True if it has all points and sessions, and this many operations.
+    fn is_whole(&self, operations: u64) -> bool {
+        self.reader.is_done() && self.operations.len() as u64 >= operations
+    }
+
+    /// Adds the next part. Blocks.
+    fn read(&mut self, part: CopyKind) -> Result<(), Failure> {
+        match part {
+            CopyKind::Snapshot(part) => self.read_snapshot(&part),
+            CopyKind::Operations(page) if self.reader.is_done() => self.remember(page),
+            _ => Err(out_of_order()),
+        }
+    }
+
+    fn read_snapshot(&mut self, part: &v1::SnapshotPart) -> Result<(), Failure> {
+        match (self.reader.read(part)?, &mut self.restore) {
+            (Content::Header(header), None) => self.begin(&header),
+            (Content::Points(points, modified), Some(restore)) => {
+                Ok(restore.add(&stored(points, &modified))?)
+            }
+            (Content::Sessions(sessions), Some(_)) => {
+                let limits = self.service.limits();
+                Ok(add_restored(&mut self.sessions, sessions, limits)?)
+            }
+            (Content::Trailer, Some(_)) => Ok(()),
+            // The reader refuses these.
+            _ => Err(out_of_order()),
+        }
+    }
+
+    fn begin(&mut self, header: &Header) -> Result<(), Failure> {
+        if header.uid != self.uid.to_string() || header.revision != self.tip.revision {
+            return Err(Failure::Other("its copy is that of another index".into()));
+        }
+        let origin = Origin {
+            revision: header.revision,
+            next_id: header.next_id,
+            digest: self.tip.digest,
+        };
+        let restore = self.service.registry()?.replace(self.uid, origin)?;
+        if *restore.space() != header.space {
+            return Err(Failure::Other("its copy has another space".into()));
+        }
+        self.restore = Some(restore);
+        Ok(())
+    }
+
+    fn remember(&mut self, page: CopyOperations) -> Result<(), Failure> {
+        for operation in page.operations {
+            let operation = operation.operation().ok_or_else(out_of_order)?;
+            self.operations.push(Arc::new(operation));
+        }
+        Ok(())
+    }
+
+    /// Puts the copy in the place of the index. Blocks.
+    fn host(self) -> Result<(), Failure> {
+        let restore = self.restore.ok_or_else(out_of_order)?;
+        let registry = self.service.registry()?;
+        registry.host_replaced(restore, self.sessions, self.operations)?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

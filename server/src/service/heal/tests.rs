@@ -1,0 +1,294 @@
+//! Two servers in one process: the journal is that of the peer, so the other one cannot read what the peer has trimmed.
+
+use std::{
+    sync::atomic::{AtomicUsize, Ordering::SeqCst},
+    time::SystemTime,
+};
+
+use futures_util::{FutureExt, future::BoxFuture, stream};
+use wayfold_index::PointRef;
+
+use super::*;
+use crate::{
+    log::{
+        Catalogue, Effects, Entry, Journal, Log, LogError, MemoryLog, Outcome, PointStore, Record,
+        Retention, StoredPoint,
+    },
+    registry::{Hosted, RegistryError, RegistryOptions},
+    service::{
+        Copying, Limits,
+        member::{CopyPart, StoredRequest, StoredResponse, Unanswered},
+    },
+};
+
+const RECORDS: u64 = 20;
+
+/// Submits and applies the next record: it stores a point with a payload and has an operation.
+fn submit(engine: &MemoryLog, uid: Uid) -> Arc<Record> {
+    let tip = engine.view(uid).unwrap().tip();
+    let mut effects = Effects::new(1);
+    let point = PointRef {
+        id: tip.revision,
+        tag: 0,
+        revision: tip.revision + 1,
+        row: &[0.5],
+    };
+    effects.store(point, Outcome::Inserted, vec![7; 30_000].into());
+    effects.set_operation(Some(Arc::new(Operation {
+        id: format!("operation {}", tip.revision + 1),
+        fingerprint: [1; 32],
+        response: Default::default(),
+    })));
+    let run = *Uid::unique().as_bytes();
+    let record = Arc::new(Record::made_by(run, tip, effects));
+    engine.submit(uid, Arc::clone(&record)).unwrap();
+    engine.apply(uid, &[Arc::clone(&record)]).unwrap();
+    record
+}
+
+fn engine(entry: &Entry, records: u64) -> Arc<MemoryLog> {
+    let engine = Arc::new(MemoryLog::new());
+    engine.create(entry.clone()).unwrap();
+    (0..records).for_each(|_| drop(submit(&engine, entry.uid)));
+    engine
+}
+
+fn entry() -> Entry {
+    Entry {
+        uid: Uid::unique(),
+        name: "arm".into(),
+        space: "R1".parse().unwrap(),
+    }
+}
+
+/// A server with this journal and these points.
+fn server(journal: &Arc<MemoryLog>, points: &Arc<MemoryLog>) -> Service {
+    let log = Log {
+        journal: Arc::clone(journal) as Arc<dyn Journal>,
+        points: Arc::clone(points) as Arc<dyn PointStore>,
+        catalogue: Arc::clone(points) as Arc<dyn Catalogue>,
+    };
+    let registry = Registry::new(log, RegistryOptions::default());
+    registry.replay().unwrap();
+    let service = Service::new(registry, Limits::default());
+    service.set_ready();
+    service
+}
+
+/// Trims all but the newest record.
+fn trim(engine: &MemoryLog, uid: Uid) {
+    let retention = Retention {
+        record_bytes: 0,
+        since: SystemTime::UNIX_EPOCH,
+        operations: usize::MAX,
+        operation_bytes: usize::MAX,
+    };
+    Journal::trim(engine, uid, &retention).unwrap();
+}
+
+fn hosted(service: &Service) -> Arc<Hosted> {
+    service.registry().unwrap().get("arm").unwrap()
+}
+
+/// The service and its index, which has stopped.
+async fn stopped(journal: &Arc<MemoryLog>, points: &Arc<MemoryLog>) -> (Service, Stopped) {
+    let service = server(journal, points);
+    let failed = hosted(&service).reached(u64::MAX).await;
+    assert!(failed.is_err());
+    let mut stopped = service.registry().unwrap().stopped();
+    (service, stopped.pop().unwrap())
+}
+
+/// One other member, whose copies end after some parts.
+struct Peer {
+    service: Service,
+    most_parts: AtomicUsize,
+}
+
+impl Peer {
+    fn new(service: Service) -> Self {
+        Self {
+            service,
+            most_parts: AtomicUsize::new(usize::MAX),
+        }
+    }
+}
+
+impl Peers for Peer {
+    fn peers(&self, _: Uid) -> Vec<String> {
+        vec!["peer".into()]
+    }
+
+    fn all(&self) -> Vec<String> {
+        Vec::new()
+    }
+
+    fn stored<'a>(
+        &'a self,
+        _: &'a str,
+        _: StoredRequest,
+    ) -> BoxFuture<'a, Result<StoredResponse, Unanswered>> {
+        unimplemented!("no journal is trimmed here")
+    }
+
+    fn copy<'a>(
+        &'a self,
+        _: &'a str,
+        request: CopyRequest,
+    ) -> BoxFuture<'a, Result<CopyParts, Unanswered>> {
+        let most = self.most_parts.load(SeqCst);
+        async move {
+            let parts = match self.service.copy_index(request).await.unwrap() {
+                Copying::None(kind) => {
+                    let only = CopyPart { kind: Some(kind) };
+                    stream::iter([Ok(only)]).boxed()
+                }
+                Copying::Copy(copy) => stream::unfold(copy, |mut copy| async {
+                    let part = copy.next().await?.unwrap();
+                    Some((Ok(part), copy))
+                })
+                .take(most)
+                .boxed(),
+            };
+            Ok(parts)
+        }
+        .boxed()
+    }
+}
+
+async fn heal(service: &Service, peer: &Peer, index: &Stopped) -> Result<(), String> {
+    heal_index(service.registry().unwrap(), service, peer, index).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_copy_that_is_cut_short_changes_nothing() {
+    let entry = entry();
+    let (journal, points) = (engine(&entry, RECORDS), engine(&entry, 0));
+    trim(&journal, entry.uid);
+    let peer = Peer::new(server(&journal, &journal));
+    let (service, index) = stopped(&journal, &points).await;
+    let mut whole = None;
+    for parts in 0..100 {
+        peer.most_parts.store(parts, SeqCst);
+        if heal(&service, &peer, &index).await.is_ok() {
+            whole = Some(parts);
+            break;
+        }
+        assert_eq!(points.view(entry.uid).unwrap().revision(), 0);
+        assert!(hosted(&service).damage().is_some());
+    }
+    // The start, the header, points in several parts, the trailer, the operations.
+    assert!(whole > Some(5), "{whole:?}");
+    assert!(service.registry().unwrap().stopped().is_empty());
+    let (found, expected) = (hosted(&service), hosted(&peer.service));
+    let (found, operations) = tokio::task::spawn_blocking(move || found.with_operations())
+        .await
+        .unwrap()
+        .unwrap();
+    let expected = expected.published();
+    assert_eq!(found.view.tip(), expected.view.tip());
+    assert_eq!(found.view.next_id(), expected.view.next_id());
+    let page = |view: &dyn crate::log::View| view.page(None, usize::MAX).unwrap();
+    assert_eq!(page(&*found.view), page(&*expected.view));
+    let ids = operations.iter().map(|operation| operation.id.clone());
+    assert!(ids.eq((1..=RECORDS).map(|number| format!("operation {number}"))));
+    // It follows the journal.
+    submit(&journal, entry.uid);
+    hosted(&service).reached(RECORDS + 1).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_peer_that_is_not_ahead_or_has_stopped_gives_no_copy() {
+    let entry = entry();
+    let journal = engine(&entry, RECORDS);
+    trim(&journal, entry.uid);
+    // A server that cannot follow either.
+    let (other, _) = stopped(&journal, &engine(&entry, 0)).await;
+    let (service, mut index) = stopped(&journal, &engine(&entry, 0)).await;
+    let why = heal(&service, &Peer::new(other), &index).await.unwrap_err();
+    assert!(why.contains("has stopped following"), "{why}");
+
+    let peer = Peer::new(server(&journal, &journal));
+    index.seen = RECORDS + 1;
+    let why = heal(&service, &peer, &index).await.unwrap_err();
+    assert!(why.contains("21 is needed"), "{why}");
+    index.seen = RECORDS;
+    heal(&service, &peer, &index).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_copy_that_is_not_in_the_journal_is_not_taken() {
+    let entry = entry();
+    let journal = engine(&entry, RECORDS);
+    trim(&journal, entry.uid);
+    let (service, index) = stopped(&journal, &engine(&entry, 0)).await;
+    let other = engine(&entry, RECORDS);
+    let peer = Peer::new(server(&other, &other));
+    let why = heal(&service, &peer, &index).await.unwrap_err();
+    assert!(why.contains("does not have its record"), "{why}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_contradiction_is_the_end() {
+    let entry = entry();
+    let journal = engine(&entry, RECORDS);
+    // Its first records are others.
+    for applied in [1, RECORDS - 1, RECORDS] {
+        let points = engine(&entry, applied);
+        let (service, peer) = (server(&journal, &points), server(&journal, &journal));
+        let peer = Peer::new(peer);
+        if applied < RECORDS {
+            assert!(hosted(&service).reached(RECORDS).await.is_err());
+        } else {
+            submit(&journal, entry.uid);
+            assert!(hosted(&service).reached(RECORDS + 1).await.is_err());
+        }
+        let registry = service.registry().unwrap();
+        let index = registry.stopped().pop().unwrap();
+        heal(&service, &peer, &index).await.unwrap_err();
+        let why = hosted(&service).damage().unwrap();
+        let RegistryError::Log(LogError::Contradicted { revision, .. }) = why else {
+            panic!("{why}");
+        };
+        assert_eq!(revision, applied);
+        assert!(registry.stopped().is_empty());
+        assert_eq!(hosted(&service).published().revision, applied);
+    }
+}
+
+/// The point store has a point that no index of the space can have.
+#[tokio::test(flavor = "multi_thread")]
+async fn points_that_cannot_be_read_are_replaced() {
+    let entry = entry();
+    let journal = engine(&entry, RECORDS);
+    let points = Arc::new(MemoryLog::new());
+    let origin = Origin {
+        revision: 3,
+        next_id: 1,
+        digest: [1; 32],
+    };
+    let mut damaged = points.restore(entry.clone(), origin).unwrap();
+    let wide = StoredPoint {
+        id: 0,
+        revision: 1,
+        modified: 1,
+        tag: 0,
+        state: Box::new([0.5, 0.5]),
+        payload: Default::default(),
+    };
+    damaged.add(&[wide]).unwrap();
+    damaged.finish(Sessions::default(), Vec::new()).unwrap();
+    let service = server(&journal, &points);
+    let registry = service.registry().unwrap();
+    assert!(registry.get("arm").is_err());
+    let index = registry.stopped().pop().unwrap();
+    // Its readers may have seen all that the journal has.
+    let late = engine(&entry, 0);
+    let peer = Peer::new(server(&late, &late));
+    let why = heal(&service, &peer, &index).await.unwrap_err();
+    assert!(why.contains("20 is needed"), "{why}");
+
+    let peer = Peer::new(server(&journal, &journal));
+    heal(&service, &peer, &index).await.unwrap();
+    assert_eq!(hosted(&service).published().snapshot.len() as u64, RECORDS);
+}

@@ -1,0 +1,83 @@
+//! The records that a shared journal forgets.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use tokio::runtime::Builder;
+use wayfold_index::PointRef;
+use wayfold_server::log::{
+    Catalogue, Effects, LogError, MemoryLog, Origin, Outcome, Receipt, Record, Tip, connect_nats,
+};
+
+use crate::{entry, keep, nats::NatsServer, next};
+
+/// Whole messages go, none that has a later record, and never the newest one.
+#[ignore = "needs nats-server"]
+#[test]
+fn whole_packs_are_forgotten_in_nats() {
+    const RECORDS: u64 = 12;
+    let (server, entry) = (NatsServer::start(), entry("arm"));
+    let uid = entry.uid;
+    let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
+    let local = Arc::new(MemoryLog::new());
+    let log = {
+        let _entered = runtime.enter();
+        connect_nats(&server.options(), Arc::clone(&local))
+            .unwrap()
+            .0
+    };
+    local.create(entry).unwrap();
+    let mut tip = Tip {
+        revision: 0,
+        digest: Origin::START.digest,
+    };
+    let mut records = Vec::new();
+    for revision in 1..=RECORDS {
+        let mut effects = Effects::new(1);
+        let point = PointRef {
+            id: revision,
+            tag: 0,
+            revision,
+            row: &[0.5],
+        };
+        // Every third takes several messages.
+        let bytes = if revision % 3 == 0 { 3000 } else { 10 };
+        effects.store(point, Outcome::Inserted, Bytes::from(vec![1; bytes]));
+        let record = Arc::new(Record::after(tip, effects));
+        tip = record.tip();
+        let Receipt::Awaited(receipt) = log.journal.submit(uid, Arc::clone(&record)).unwrap()
+        else {
+            panic!("a journal elsewhere accepts nothing at once");
+        };
+        runtime.block_on(receipt).unwrap();
+        records.push(record);
+    }
+    let oldest = || match log.journal.read(uid, Some(0), 1) {
+        Err(LogError::Trimmed { oldest, .. }) => oldest,
+        read => {
+            assert_eq!(read.unwrap()[0].revision(), 1);
+            0
+        }
+    };
+    log.points.apply(uid, &records).unwrap();
+    // This server keeps them all.
+    log.journal.forget(uid, RECORDS).unwrap();
+    assert_eq!(oldest(), 0);
+
+    log.points.trim_applied(uid, &keep(0)).unwrap();
+    for up_to in 1..RECORDS {
+        log.journal.forget(uid, up_to).unwrap();
+        assert_eq!(oldest(), up_to);
+        let _entered = runtime.enter();
+        let followed = next(&mut log.journal.follow(uid, up_to)).unwrap();
+        assert_eq!(followed[0].tip(), records[up_to as usize].tip());
+    }
+    log.journal.forget(uid, RECORDS).unwrap();
+    assert_eq!(oldest(), RECORDS - 1);
+    // The next record follows it.
+    let record = Arc::new(Record::after(tip, Effects::new(1)));
+    let Receipt::Awaited(receipt) = log.journal.submit(uid, record).unwrap() else {
+        panic!("a journal elsewhere accepts nothing at once");
+    };
+    runtime.block_on(receipt).unwrap();
+}

@@ -1,0 +1,145 @@
+//! A server that cannot follow the journal takes a copy of another server, unless the two contradict each other. The
+//! environment variable `NATS_SERVER` has the path of the program nats-server.
+
+use tokio::time::timeout;
+use tonic::Code;
+use wayfold_proto::v1::{InsertRequest, ListIndexesRequest};
+use wayfold_tests::{Content, ServerProcess, Signal, Stubs, row_states};
+
+use crate::journal_loss::{Cluster, MAX_WAIT, insert};
+
+pub(crate) const JOINS: &str = "a server joins the cluster";
+pub(crate) const HEALED: &str = "goes on from a copy of another server";
+
+/// Starts two servers that hear each other.
+fn two(cluster: &Cluster) -> [ServerProcess; 2] {
+    let mut servers = [0, 1].map(|number| cluster.start(number));
+    for server in &mut servers {
+        server.log_until(JOINS);
+    }
+    servers
+}
+
+/// An insert that takes effect once.
+fn with_payload(id: u64) -> InsertRequest {
+    InsertRequest {
+        index_name: "arm".into(),
+        states: Some(row_states(&[id as f64], 1)),
+        ids: vec![id],
+        payloads: vec![vec![id as u8; 100].into()],
+        operation_id: format!("insert {id}"),
+        ..Default::default()
+    }
+}
+
+/// The content of a server once it has all that was acknowledged.
+pub(crate) async fn latest_content(stubs: &mut Stubs) -> Content {
+    let caught_up = async { while stubs.latest("arm").await.is_err() {} };
+    timeout(MAX_WAIT, caught_up).await.unwrap();
+    Content::read(stubs, "arm").await.unwrap()
+}
+
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_server_before_a_gap_of_the_journal_takes_a_copy() {
+    const POINTS: u64 = 40;
+    let cluster = Cluster::empty();
+    let servers = two(&cluster);
+    let mut first = Stubs::connect(servers[0].uri()).await;
+    let mut second = Stubs::connect(servers[1].uri()).await;
+    let created = first.create("arm", "R1").await;
+    let uid = created.revision.unwrap().uid;
+    second.find("arm").await;
+    for id in 0..POINTS {
+        first.insert(with_payload(id)).await;
+    }
+    let expected = latest_content(&mut first).await.points;
+    assert_eq!(latest_content(&mut second).await.points, expected);
+
+    let removed = cluster.nats.remove_record(&uid, POINTS / 2).await;
+    assert!(removed, "the message of one record");
+    let mut third = cluster.start(2);
+    third.log_until(HEALED);
+    let mut stubs = Stubs::connect(third.uri()).await;
+    assert_eq!(latest_content(&mut stubs).await.points, expected);
+
+    // It goes on without the others, and remembers the calls that were made before the copy.
+    for server in servers {
+        server.stop(Signal::Kill);
+    }
+    for id in POINTS - 1..=POINTS {
+        let written = async { while stubs.points.insert(with_payload(id)).await.is_err() {} };
+        timeout(MAX_WAIT, written).await.unwrap();
+    }
+    let content = latest_content(&mut stubs).await;
+    assert!(content.points.keys().copied().eq(0..=POINTS));
+    // It has the payloads, and the repeated call did not replace a point.
+    let kept = content.points.iter().filter(|(id, _)| **id < POINTS);
+    assert!(kept.eq(expected.iter()));
+
+    // The copy is in its directory.
+    third.stop(Signal::Kill);
+    let third = cluster.start(2);
+    let mut stubs = Stubs::connect(third.uri()).await;
+    assert_eq!(latest_content(&mut stubs).await.points, content.points);
+}
+
+/// NATS loses records that one server has applied, and the other one writes others in their place.
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_server_that_another_one_contradicts_stays_stopped() {
+    const KEPT: u64 = 5;
+    const LOST: u64 = 10;
+    let mut cluster = Cluster::empty();
+    let server = cluster.start(0);
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("arm", "R1").await;
+    for id in 0..KEPT {
+        insert(&mut stubs, id).await.unwrap();
+    }
+    cluster.save_store();
+    for id in KEPT..KEPT + LOST {
+        while insert(&mut stubs, id).await.is_err() {
+            tokio::task::yield_now().await;
+        }
+    }
+    let expected = latest_content(&mut stubs).await;
+    server.stop(Signal::Kill);
+    cluster.set_store_back();
+    let other = cluster.start(1);
+    let mut others = Stubs::connect(other.uri()).await;
+    others.find("arm").await;
+    for id in 0..2 * LOST {
+        insert(&mut others, 1000 + id).await.unwrap();
+    }
+    latest_content(&mut others).await;
+
+    let mut server = cluster.start(0);
+    server.log_until("two servers contradict each other");
+    let mut stubs = Stubs::connect(server.uri()).await;
+    assert_eq!(Content::read(&stubs, "arm").await.unwrap(), expected);
+    let listed = stubs.indexes.list_indexes(ListIndexesRequest::default());
+    let listed = listed.await.unwrap().into_inner();
+    let [damaged] = &listed.damaged[..] else {
+        panic!("{listed:?}");
+    };
+    let text = format!("{damaged:?}");
+    assert!(text.contains("has applied another record"), "{text}");
+    let found = latest_content(&mut others).await;
+    assert!(found.points.contains_key(&1000));
+
+    other.stop(Signal::Kill);
+    let refused = async {
+        loop {
+            let refused = insert(&mut stubs, 2000).await.unwrap_err();
+            // The call may still be on its way to the other server.
+            if refused.code() == Code::DataLoss {
+                break;
+            }
+        }
+    };
+    timeout(MAX_WAIT, refused).await.unwrap();
+    assert_eq!(Content::read(&stubs, "arm").await.unwrap(), expected);
+    let log = server.stop(Signal::Kill).stderr;
+    assert!(!log.contains(HEALED), "{log}");
+}

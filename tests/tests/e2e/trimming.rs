@@ -1,0 +1,99 @@
+//! The servers of a cluster forget the records of the journal that all of them store, and one that comes back without its
+//! directory takes a copy. The environment variable `NATS_SERVER` has the path of the program nats-server.
+
+use tokio::time::timeout;
+use wayfold_tests::{ServerProcess, Signal, Stubs};
+
+use crate::{
+    healing::{HEALED, JOINS, latest_content},
+    journal_loss::{Cluster, MAX_WAIT, insert},
+};
+
+/// Records are old after a second, and the journal is trimmed each second.
+const SETTINGS: [(&str, &str); 3] = [
+    ("WAYFOLD_INDEX__WINDOW_BYTES", "1"),
+    ("WAYFOLD_INDEX__WINDOW_SECONDS", "1"),
+    (
+        "WAYFOLD_LOG__FILTER",
+        "info,wayfold_server::service::trim=debug",
+    ),
+];
+
+const ROUNDS: u64 = 3;
+const POINTS_A_ROUND: u64 = 100;
+/// The newest message, and what a round of the members had not trimmed yet.
+const MOST_MESSAGES: usize = 10;
+
+fn start(cluster: &Cluster, number: usize) -> ServerProcess {
+    cluster.start_with(number, &SETTINGS)
+}
+
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_journal_keeps_what_the_servers_do_not_store() {
+    let cluster = Cluster::empty();
+    let mut servers = [0, 1].map(|number| start(&cluster, number));
+    for server in &mut servers {
+        server.log_until(JOINS);
+    }
+    let mut stubs = Stubs::connect(servers[0].uri()).await;
+    let created = stubs.create("arm", "R1").await;
+    let uid = created.revision.unwrap().uid;
+    let mut points = 0;
+    for _ in 0..ROUNDS {
+        for _ in 0..POINTS_A_ROUND {
+            insert(&mut stubs, points).await.unwrap();
+            points += 1;
+        }
+        let trimmed = async {
+            while cluster.nats.messages(&uid).await.1.len() > MOST_MESSAGES {
+                tokio::task::yield_now().await;
+            }
+        };
+        timeout(MAX_WAIT, trimmed).await.unwrap();
+    }
+    let expected = latest_content(&mut stubs).await.points;
+    assert_eq!(expected.len() as u64, points);
+
+    // A server that has lost its directory has them from the other.
+    let [first, second] = servers;
+    second.stop(Signal::Kill);
+    cluster.lose(1);
+    let mut second = start(&cluster, 1);
+    second.log_until(HEALED);
+    let mut others = Stubs::connect(second.uri()).await;
+    assert_eq!(latest_content(&mut others).await.points, expected);
+    insert(&mut others, points).await.unwrap();
+    points += 1;
+
+    // Alone it trims nothing. Two rounds: one may have begun with the other server.
+    first.stop(Signal::Kill);
+    second.log_until("a server of the cluster is not heard");
+    for _ in 0..2 {
+        second.log_until("no other server is live, so the journal is not trimmed");
+    }
+    let oldest = cluster.nats.messages(&uid).await.1[0].sequence;
+    for _ in 0..POINTS_A_ROUND {
+        insert(&mut others, points).await.unwrap();
+        points += 1;
+    }
+    for _ in 0..2 {
+        second.log_until("no other server is live, so the journal is not trimmed");
+    }
+    let (_, messages) = cluster.nats.messages(&uid).await;
+    assert_eq!(messages[0].sequence, oldest);
+    assert!(messages.len() as u64 > POINTS_A_ROUND);
+
+    // The first one, whose records are trimmed, comes back behind them or not, and both trim again.
+    let first = start(&cluster, 0);
+    let trimmed = async {
+        while cluster.nats.messages(&uid).await.1.len() > MOST_MESSAGES {
+            tokio::task::yield_now().await;
+        }
+    };
+    timeout(MAX_WAIT, trimmed).await.unwrap();
+    let expected = latest_content(&mut others).await.points;
+    assert_eq!(expected.len() as u64, points);
+    let mut stubs = Stubs::connect(first.uri()).await;
+    assert_eq!(latest_content(&mut stubs).await.points, expected);
+}
