@@ -248,7 +248,8 @@ fn probes_answer_everyone_and_metrics_those_with_an_identity() {
             403,
             "name all indices",
         ),
-        ("/", "", 404, ""),
+        ("/", "", 200, "<title>Wayfold</title>"),
+        ("/other", "", 404, ""),
     ] {
         let (found, body) = page(&address, path, header);
         assert_eq!(found, status, "{path} {body}");
