@@ -60,8 +60,13 @@ fn storage_error(what: String, error: LogError) -> Error {
         | LogError::Unreadable { .. }
         | LogError::Unopened { .. }
         | LogError::JournalBehind { .. }
-        | LogError::Contradicted { .. }
-        | LogError::Trimmed { .. } => Error::DataLoss { what },
+        | LogError::Contradicted { .. } => Error::DataLoss { what },
+        // Nothing is lost: the other servers of the cluster have it.
+        LogError::Trimmed { .. } => Error::StorageFailed {
+            what: format!(
+                "{what}; this server was away for longer and takes a copy of another one: call again, or call another server"
+            ),
+        },
         LogError::Storage { .. }
         | LogError::StorageStopped
         | LogError::DamagedStore { .. }
@@ -73,5 +78,23 @@ fn storage_error(what: String, error: LogError) -> Error {
         | LogError::UidTaken { .. }
         | LogError::NameTaken { .. }
         | LogError::Fenced { .. } => Error::Internal { what },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{log::Uid, service::Code};
+
+    #[test]
+    fn a_server_that_was_away_for_too_long_sends_its_callers_to_another() {
+        let trimmed = LogError::Trimmed {
+            uid: Uid::unique(),
+            after: 7,
+            oldest: 9,
+        };
+        let error = registry_error("arm", RegistryError::Log(trimmed));
+        assert_eq!(error.code(), Code::Unavailable);
+        assert!(error.to_string().contains("call another server"), "{error}");
     }
 }
