@@ -21,20 +21,22 @@ pub(super) struct Guard {
 /// Answers requests of the server's own page and of programs. A page of another origin shows itself by `Sec-Fetch-Site`, in
 /// older browsers by `Origin`; one whose name was pointed at this machine (DNS rebinding), by a `Host` that is neither an address nor localhost.
 pub(super) async fn own_origin(Of(guard): Of<Guard>, request: Request, next: Next) -> Response {
-    match guard.admits(request.headers()) {
+    // HTTP/2 has the host in the address.
+    let authority = request.uri().authority().map(|it| it.as_str());
+    match guard.admits(request.headers(), authority) {
         true => next.run(request).await,
         false => (StatusCode::FORBIDDEN, REFUSED).into_response(),
     }
 }
 
 impl Guard {
-    fn admits(self, headers: &HeaderMap) -> bool {
+    fn admits(self, headers: &HeaderMap, authority: Option<&str>) -> bool {
         let site = headers.get("sec-fetch-site").map(|site| site.as_bytes());
         if !matches!(site, None | Some(b"same-origin" | b"none")) {
             return false;
         }
         let text = |name| headers.get(name).and_then(|it| it.to_str().ok());
-        let host = text(header::HOST);
+        let host = text(header::HOST).or(authority);
         let origin = text(header::ORIGIN).map(|it| it.rsplit('/').next().unwrap_or_default());
         if origin.is_some_and(|origin| host != Some(origin)) {
             return false;
@@ -62,7 +64,7 @@ mod tests {
         if let Some(site) = site {
             headers.insert("sec-fetch-site", site.parse().unwrap());
         }
-        Guard { has_tls }.admits(&headers)
+        Guard { has_tls }.admits(&headers, None)
     }
 
     #[test]
@@ -92,11 +94,16 @@ mod tests {
         headers.insert(header::HOST, "127.0.0.1:8080".parse().unwrap());
         headers.insert(header::ORIGIN, "http://127.0.0.1:8080".parse().unwrap());
         let guard = Guard { has_tls: false };
-        assert!(guard.admits(&headers));
+        assert!(guard.admits(&headers, None));
         for other in ["http://127.0.0.1:9090", "https://evil.example", "null"] {
             headers.insert(header::ORIGIN, other.parse().unwrap());
-            assert!(!guard.admits(&headers), "{other}");
+            assert!(!guard.admits(&headers, None), "{other}");
         }
-        assert!(!Guard { has_tls: false }.admits(&HeaderMap::new()));
+        headers.remove(header::HOST);
+        headers.insert(header::ORIGIN, "https://robot:8080".parse().unwrap());
+        let guard = Guard { has_tls: true };
+        assert!(guard.admits(&headers, Some("robot:8080")));
+        assert!(!guard.admits(&headers, Some("other:8080")));
+        assert!(!Guard { has_tls: false }.admits(&HeaderMap::new(), None));
     }
 }

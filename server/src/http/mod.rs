@@ -66,7 +66,8 @@ fn routes(pages: Pages, has_tls: bool) -> Router {
     let api = Router::new()
         .route("/api/v1/{verb}", post(api::answer))
         .route("/api/v1/{index}/{verb}", post(api::answer))
-        .route("/api/v1/{index}/points", get(points::points))
+        // Not by GET: browsers name the origin of every POST, and of some GETs they do not.
+        .route("/api/v1/{index}/points", post(points::points))
         .layer(from_fn_with_state(guard, guard::own_origin))
         .with_state(Arc::new(Api::new(pages.shared.clone())));
     Router::new()

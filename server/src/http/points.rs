@@ -1,4 +1,4 @@
-//! `GET /api/v1/INDEX/points`: all points at one revision, and then each mutation, as frames of columns.
+//! `POST /api/v1/INDEX/points`: all points at one revision, and then each mutation, as frames of columns.
 //!
 //! A frame is two lengths (u32), a head (JSON) and a body, all little-endian; head and body are padded to multiples of
 //! eight bytes. docs/page.md describes the heads. Numbers of a body are columns: `ids`, `revisions` and `tags` (u64), then
@@ -341,7 +341,9 @@ impl PointStream {
             let number = mutation.revision.as_ref().map_or(0, |it| it.number);
             if let Some(stored) = &mutation.stored {
                 frames.push_points(stored, self.share);
-                frames.push_edges(stored, self.share);
+                if self.asked.edges {
+                    self.asked.edges = frames.push_edges(stored, self.share);
+                }
             }
             frames.push_removed(&mutation.removed_ids, number, self.share);
             if !mutation.continued {

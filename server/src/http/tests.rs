@@ -124,7 +124,7 @@ fn frames(mut bytes: &[u8]) -> Vec<(Value, Vec<u64>, Vec<f32>)> {
 }
 
 async fn all_frames(router: &mut Router, query: &str) -> Vec<(Value, Vec<u64>, Vec<f32>)> {
-    let request = Request::get(format!("/api/v1/arm/points?{query}"));
+    let request = Request::post(format!("/api/v1/arm/points?{query}"));
     let answer = ask(router, request, "").await;
     assert_eq!(answer.status(), StatusCode::OK);
     frames(&to_bytes(answer.into_body(), usize::MAX).await.unwrap())
@@ -228,7 +228,7 @@ async fn a_stream_goes_on_after_the_revision_of_its_caller() {
     let begun = all_frames(&mut router, "").await;
     let uid = begun[0].0["uid"].as_str().unwrap();
     remove(&service, 3).await;
-    let request = Request::get(format!(
+    let request = Request::post(format!(
         "/api/v1/arm/points?follow=true&after={uid}:{}",
         POINTS - 1
     ));
@@ -252,8 +252,9 @@ async fn a_stream_goes_on_after_the_revision_of_its_caller() {
     assert_eq!((&seen[1].1, &seen[2].1), (&vec![POINTS - 1], &vec![3]));
 
     // Another uid begins anew.
-    let request =
-        Request::get("/api/v1/arm/points?follow=true&after=00000000-0000-0000-0000-000000000000:7");
+    let request = Request::post(
+        "/api/v1/arm/points?follow=true&after=00000000-0000-0000-0000-000000000000:7",
+    );
     let mut body = ask(&mut router, request, "")
         .await
         .into_body()
@@ -276,7 +277,7 @@ async fn a_stream_goes_on_after_the_revision_of_its_caller() {
 #[tokio::test(start_paused = true)]
 async fn a_stream_without_mutations_says_that_it_lives() {
     let mut router = router(&service().await, Identities::default());
-    let request = Request::get("/api/v1/arm/points?follow=true");
+    let request = Request::post("/api/v1/arm/points?follow=true");
     let answer = ask(&mut router, request, "").await;
     let mut body = answer.into_body().into_data_stream();
     let mut ends = 0;
@@ -311,7 +312,7 @@ async fn more_points_than_asked_for_are_sampled() {
         "after=x:y",
         "k=3",
     ] {
-        let request = Request::get(format!("/api/v1/arm/points?{query}"));
+        let request = Request::post(format!("/api/v1/arm/points?{query}"));
         let refused = ask(&mut router, request, "").await;
         assert_eq!(refused.status(), StatusCode::BAD_REQUEST, "{query}");
     }
@@ -339,7 +340,7 @@ async fn strangers_and_wrong_roles_see_nothing() {
                 r#"{"states": [[1.0, 2.0]], "k": 1}"#,
             ),
             (Request::post("/api/v1/arm/info"), ""),
-            (Request::get("/api/v1/arm/points"), ""),
+            (Request::post("/api/v1/arm/points"), ""),
         ] {
             let request = match token {
                 Some(token) => request.header(header::AUTHORIZATION, format!("Bearer {token}")),

@@ -51,7 +51,8 @@ impl Hosted {
         let durable = self.host.log.points.durable(self.uid())?;
         Ok(Stored {
             revision: durable.map_or(applied, |durable| durable.min(applied)),
-            is_durable: durable.is_some(),
+            // What a server that has stopped stores may not be what the journal has.
+            is_durable: durable.is_some() && self.follows(),
         })
     }
 

@@ -153,8 +153,14 @@ async fn heal_index(
         min_revision,
     };
     let mut failures = Vec::new();
-    for member in peers.peers(index.uid) {
-        let copied = copy_from(registry, service, (peers, &member), (index, &request)).await;
+    let members = peers.peers(index.uid);
+    // A member that knows the newest record of this server speaks before one that does not: it may contradict.
+    let compared = members.iter().map(|member| (member, true));
+    let others = members.iter().map(|member| (member, false));
+    let is_comparable = index.tip.is_some();
+    for (member, must_compare) in compared.filter(|_| is_comparable).chain(others) {
+        let asked = (index, &request, must_compare);
+        let copied = copy_from(registry, service, (peers, member), asked).await;
         match copied {
             Ok((revision, compared)) => {
                 warn!(
@@ -168,11 +174,12 @@ async fn heal_index(
                 return Ok(());
             }
             Err(Failure::Contradicts(revision)) => {
-                registry.contradicted(index.uid, revision, &member);
+                registry.contradicted(index.uid, revision, member);
                 return Err(format!(
                     "{member} has another record of revision {revision}"
                 ));
             }
+            Err(Failure::Other(_)) if must_compare => {}
             Err(Failure::Other(why)) => failures.push(format!("{member}: {why}")),
         }
     }
@@ -183,12 +190,12 @@ async fn heal_index(
 }
 
 /// Takes a copy of a member in the place of an index. Returns its revision; the flag is false if nobody knows any more whether
-/// the member has applied the same records as this server.
+/// the member has applied the same records as this server. With `must_compare` no such copy is taken.
 async fn copy_from(
     registry: &Arc<Registry>,
     service: &Service,
     (peers, member): (&dyn Peers, &str),
-    (index, request): (&Stopped, &CopyRequest),
+    (index, request, must_compare): (&Stopped, &CopyRequest, bool),
 ) -> Result<(u64, bool), Failure> {
     let asked = timeout(PART_TIME, peers.copy(member, request.clone()));
     let mut parts = asked.await??;
@@ -206,6 +213,10 @@ async fn copy_from(
         return Err(Failure::Other(format!(
             "its copy is of revision {revision}"
         )));
+    }
+    if must_compare && !start.is_compared {
+        let why = "it does not know the newest record of this server";
+        return Err(Failure::Other(why.into()));
     }
     let in_journal = move |registry: &Registry, uid| registry.is_in_journal(uid, tip);
     if !blocking(registry, in_journal, index.uid).await? {

@@ -61,6 +61,12 @@ impl Service {
             }
         }
         let published = hosted.published();
+        if published.revision == 0
+            && let Some(damage) = hosted.damage()
+        {
+            // A server that has nothing of an index yet does not answer that there is nothing.
+            return Err(registry_error(hosted.name(), damage));
+        }
         if published.revision >= revision {
             return Ok(published);
         }

@@ -22,6 +22,7 @@ export function short(number) {
 /** A rate: 0, 0.35, 12, 1,234. */
 export function rate(number) {
   if (number === 0) return "0";
+  if (number < 0) return `-${rate(-number)}`;
   if (number < 0.01) return "<0.01";
   return number < 100 ? digits(number) : count(number);
 }

@@ -32,6 +32,8 @@ export class IndexPage {
   show(names) {
     const kept = this.#layers.filter((layer) => names.includes(layer.name));
     for (const layer of this.#layers) if (!kept.includes(layer)) layer.close();
+    // A revision of other indices says nothing of these.
+    if (kept.length === 0) parts.timeline.goLive();
     this.#layers = kept;
     for (const name of names) if (!kept.some((layer) => layer.name === name)) this.#layers.push(this.#open(name));
     document.title = `${names.join(", ")} · Wayfold`;

@@ -13,7 +13,7 @@ export function snippets(search) {
 /** The address of gRPC: the page is served by the same machine, at the default port unless that was changed. */
 function address() {
   const host = location.hostname || "127.0.0.1";
-  return `http://${host === "localhost" ? "127.0.0.1" : host}:50051`;
+  return `${location.protocol}//${host === "localhost" ? "127.0.0.1" : host}:50051`;
 }
 
 function commandLine({ index, state, k, radius, epsilon, tag }) {
@@ -68,6 +68,7 @@ function python({ index, state, k, radius, epsilon, tag }) {
 function cpp(search) {
   return [
     "#include <wayfold/wayfold.hpp>",
+    "#include <cmath>",
     "#include <iostream>",
     "",
     `const auto index = wayfold::Index::remote("${address()}", "${search.index}");`,

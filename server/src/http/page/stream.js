@@ -28,7 +28,7 @@ async function run(path, { begin, receive, state }, stopped) {
     const abort = () => attempt.abort();
     stopped.addEventListener("abort", abort);
     try {
-      const response = await request(path(), { signal: attempt.signal });
+      const response = await request(path(), { method: "POST", signal: attempt.signal });
       connectedAt = performance.now();
       begin();
       const reader = response.body.getReader();

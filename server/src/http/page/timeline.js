@@ -22,10 +22,13 @@ export class Timeline {
       this.#goTo(Number(this.slider.value));
     });
     byId("play").addEventListener("click", () => (this.#replay ? this.#stop() : this.#play()));
-    byId("live").addEventListener("click", () => {
-      this.#stop();
-      this.#goTo(this.newest);
-    });
+    byId("live").addEventListener("click", () => this.goLive());
+  }
+
+  /** Follows the newest revision. */
+  goLive() {
+    this.#stop();
+    this.#goTo(this.newest);
   }
 
   /** The newest revision of any index in the picture. */
@@ -45,6 +48,7 @@ export class Timeline {
     slider.min = Math.max(0, ...this.#clouds().map((cloud) => cloud.oldest));
     slider.max = newest;
     if (this.#isLive) slider.value = newest;
+    else if (this.picture) this.picture.revision = Number(slider.value);
     this.#show();
   }
 
