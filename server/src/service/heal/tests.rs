@@ -256,6 +256,68 @@ async fn a_contradiction_is_the_end() {
     }
 }
 
+/// Two members: the first to be asked does not know the newest record of the asker any more, and the second does.
+struct Two {
+    forgetful: Peer,
+    remembering: Peer,
+}
+
+impl Peers for Two {
+    fn peers(&self, _: Uid) -> Vec<String> {
+        vec!["forgetful".into(), "remembering".into()]
+    }
+
+    fn all(&self) -> Vec<String> {
+        Vec::new()
+    }
+
+    fn stored<'a>(
+        &'a self,
+        member: &'a str,
+        request: StoredRequest,
+    ) -> BoxFuture<'a, Result<StoredResponse, Unanswered>> {
+        self.forgetful.stored(member, request)
+    }
+
+    fn copy<'a>(
+        &'a self,
+        member: &'a str,
+        request: CopyRequest,
+    ) -> BoxFuture<'a, Result<CopyParts, Unanswered>> {
+        match member {
+            "forgetful" => self.forgetful.copy(member, request),
+            _ => self.remembering.copy(member, request),
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_member_that_can_compare_speaks_first() {
+    let entry = entry();
+    let journal = engine(&entry, RECORDS);
+    let records = journal.read(entry.uid, None, usize::MAX).unwrap();
+    let forgetful = engine(&entry, 0);
+    forgetful.apply(entry.uid, &records).unwrap();
+    trim(&forgetful, entry.uid);
+    let peers = |remembering: &Arc<MemoryLog>| Two {
+        forgetful: Peer::new(server(&forgetful, &forgetful)),
+        remembering: Peer::new(server(remembering, remembering)),
+    };
+    // Its first records are others than those of the journal.
+    let (service, index) = stopped(&journal, &engine(&entry, 5)).await;
+    let registry = service.registry().unwrap();
+    let healed = heal_index(registry, &service, &peers(&journal), &index).await;
+    assert!(healed.unwrap_err().contains("another record"));
+    assert_eq!(hosted(&service).published().revision, 5);
+
+    // Where nobody can compare, a copy is better than none.
+    let (service, index) = stopped(&journal, &engine(&entry, 5)).await;
+    let registry = service.registry().unwrap();
+    let healed = heal_index(registry, &service, &peers(&forgetful), &index).await;
+    healed.unwrap();
+    assert_eq!(hosted(&service).published().revision, RECORDS);
+}
+
 /// The point store has a point that no index of the space can have.
 #[tokio::test(flavor = "multi_thread")]
 async fn points_that_cannot_be_read_are_replaced() {
