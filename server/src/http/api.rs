@@ -47,7 +47,7 @@ pub(super) const MAX_STREAMS: usize = 16;
 /// What the calls of this listener share.
 pub(super) struct Api {
     pub(super) shared: Shared,
-    /// All of them take the turns and the memory of one connection: whoever looks slows nobody who plans.
+    /// All of them take the turns and the memory of one connection, so that the page cannot slow planners.
     flow: Arc<Flow>,
     pub(super) streams: Arc<Semaphore>,
 }
@@ -228,10 +228,13 @@ async fn ask(
 
 /// A refusal, with its status as JSON.
 pub(super) fn refusal(status: &Status) -> Response {
-    let text = Form::Json.write(v1::Status::NAME, &status.to_message());
-    let text = text.unwrap_or_else(|error| error.to_string().into_bytes());
     let code = http_code(status.code);
-    let mut response = (code, [(header::CONTENT_TYPE, "application/json")], text).into_response();
+    let mut response = (
+        code,
+        [(header::CONTENT_TYPE, "application/json")],
+        text(status),
+    )
+        .into_response();
     if code == StatusCode::UNAUTHORIZED {
         let challenge = header::HeaderValue::from_static("Bearer");
         response
@@ -239,6 +242,12 @@ pub(super) fn refusal(status: &Status) -> Response {
             .insert(header::WWW_AUTHENTICATE, challenge);
     }
     response
+}
+
+/// A status as JSON.
+pub(super) fn text(status: &Status) -> Vec<u8> {
+    let text = Form::Json.write(v1::Status::NAME, &status.to_message());
+    text.unwrap_or_else(|error| error.to_string().into_bytes())
 }
 
 /// The status of HTTP for a code, as in google/rpc/code.proto.

@@ -17,7 +17,7 @@ use tokio::{
 use crate::grpc::Socket;
 
 /// The time in which a connection takes some bytes of an answer. Clients of HTTP connect again by themselves.
-const TIME: Duration = Duration::from_secs(60);
+const MAX_STALL: Duration = Duration::from_secs(60);
 
 /// See the module.
 pub(super) struct Bounded {
@@ -30,7 +30,7 @@ impl Bounded {
     pub(super) fn new(socket: Socket, place: OwnedSemaphorePermit) -> Self {
         Self {
             socket,
-            end: Box::pin(sleep_until(Instant::now() + TIME)),
+            end: Box::pin(sleep_until(Instant::now() + MAX_STALL)),
             _place: place,
         }
     }
@@ -63,7 +63,7 @@ impl AsyncWrite for Bounded {
         self.check(context)?;
         let written = Pin::new(&mut self.socket).poll_write(context, bytes);
         if matches!(written, Poll::Ready(Ok(1..))) {
-            self.end.as_mut().reset(Instant::now() + TIME);
+            self.end.as_mut().reset(Instant::now() + MAX_STALL);
         }
         written
     }
@@ -104,7 +104,7 @@ mod tests {
         let began = Instant::now();
         let ended = bounded.read_u8().await.unwrap_err();
         assert_eq!(ended.kind(), io::ErrorKind::TimedOut);
-        assert!(began.elapsed() >= TIME);
+        assert!(began.elapsed() >= MAX_STALL);
         assert_eq!(places.available_permits(), 0);
         drop(bounded);
         assert_eq!(places.available_permits(), 1);
@@ -118,10 +118,10 @@ mod tests {
         let place = Arc::new(Semaphore::new(1)).acquire_owned().await.unwrap();
         let mut bounded = Bounded::new(Tls::accept(None, socket, None), place);
         for _ in 0..4 {
-            tokio::time::advance(TIME / 2).await;
+            tokio::time::advance(MAX_STALL / 2).await;
             bounded.write_all(b"more").await.unwrap();
         }
-        tokio::time::advance(TIME).await;
+        tokio::time::advance(MAX_STALL).await;
         let ended = bounded.write_all(b"more").await.unwrap_err();
         assert_eq!(ended.kind(), io::ErrorKind::TimedOut);
     }

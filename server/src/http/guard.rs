@@ -11,7 +11,7 @@ use axum::{
 
 const REFUSED: &str = "the host of the request may belong to another site: open the page by its address, as localhost, or over TLS\n";
 
-/// What the listener is reached by.
+/// How the listener is reached.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Guard {
     /// With TLS the certificate shows that the name is the server's.

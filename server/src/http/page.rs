@@ -59,7 +59,7 @@ static FILES: [(&str, &str); 42] = files![
     "view_panel.js",
 ];
 
-/// Only files of this server run, are shown or are asked; nobody frames the page, and nothing of it is sent away.
+/// The page runs and shows only files of this server, and asks only this server. No other page embeds it.
 const HEADERS: [(HeaderName, &str); 5] = [
     (
         header::CONTENT_SECURITY_POLICY,

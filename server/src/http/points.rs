@@ -16,12 +16,12 @@ use axum::{
 };
 use bytes::Bytes;
 use futures_util::stream;
-use serde_json::json;
+use serde_json::{Value, json};
 use tokio::{sync::OwnedSemaphorePermit, time::timeout};
 use tracing::Instrument;
 use wayfold_proto::v1;
 
-use super::api::{Admitted, Api, MAX_STREAMS, refusal};
+use super::api::{Admitted, Api, MAX_STREAMS, refusal, text};
 use crate::{
     observe::Ending,
     service::{Error, Scan, Watch},
@@ -30,7 +30,7 @@ use crate::{
 };
 use frame::{Frames, Share};
 
-/// The points that a caller gets who does not say how many it bears.
+/// The default of `max`.
 const DEFAULT_MAX: u64 = 1_000_000;
 
 /// The pause after a message of a watch: a picture needs no more, and each costs the server a little.
@@ -41,7 +41,7 @@ const MAX_SILENCE: Duration = Duration::from_secs(10);
 
 /// The parameters of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Asked {
+struct PointsRequest {
     index: String,
     /// The most points to send first. Of more, an even sample is sent.
     max: u64,
@@ -53,7 +53,7 @@ struct Asked {
     after: Option<v1::Revision>,
 }
 
-impl Asked {
+impl PointsRequest {
     fn read(index: String, query: &str) -> Result<Self, Error> {
         let mut asked = Self {
             index,
@@ -133,7 +133,7 @@ pub(super) async fn points(
         Ok(admitted) => admitted,
         Err(status) => return refusal(&status),
     };
-    let asked = match Asked::read(index, query.as_deref().unwrap_or_default()) {
+    let asked = match PointsRequest::read(index, query.as_deref().unwrap_or_default()) {
         Ok(asked) => asked,
         Err(error) => return refusal(&status::from_error(&error)),
     };
@@ -179,7 +179,7 @@ pub(super) async fn points(
 struct PointStream {
     api: Arc<Api>,
     admitted: Admitted,
-    asked: Asked,
+    asked: PointsRequest,
     source: Source,
     share: Share,
     /// The last revision that was sent whole.
@@ -212,7 +212,7 @@ impl PointStream {
                 self.admitted.record.end(Ending::Failed(status.code));
                 self.source = Source::End;
                 let mut frames = Frames::default();
-                let status = json!({ "code": status.code.number(), "message": status.message });
+                let status: Value = serde_json::from_slice(&text(&status)).unwrap_or_default();
                 frames.push(&json!({ "kind": "failed", "status": status }), &[]);
                 Some(frames.finish())
             }
@@ -306,7 +306,7 @@ impl PointStream {
         };
         frames.push_points(&points, self.share);
         if self.asked.edges && !frames.push_edges(&points, self.share) {
-            // Reading what is no edge would cost the server more than all else here.
+            // Payloads that are no ids may be large: they are not read for nothing.
             self.asked.edges = false;
             scan.omit_payloads();
         }

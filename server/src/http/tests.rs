@@ -1,4 +1,4 @@
-//! What the page reads, over the routes of the listener.
+//! The routes that the page reads.
 
 use std::{fs, sync::Arc};
 

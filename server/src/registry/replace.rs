@@ -187,7 +187,7 @@ mod tests {
             assert!(hosted.operations.lock().recall(&id).is_some(), "{id}");
         }
         assert!(Arc::ptr_eq(&registry.get("arm").unwrap(), &hosted));
-        // Who holds the old index reads on, and neither waits nor writes.
+        // A holder of the old index reads on, and neither waits nor writes.
         assert_eq!(old.published().revision, 0);
         assert!(old.write().await.is_err());
         let view = old.published().view.clone();

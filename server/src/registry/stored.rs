@@ -13,7 +13,7 @@ use crate::log::{LogError, Uid};
 const MIN_TRIM_INTERVAL: Duration = Duration::from_secs(1);
 const MAX_TRIM_INTERVAL: Duration = Duration::from_secs(60);
 
-/// What a server stores of an index.
+/// The newest revision of an index that a server stores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stored {
     /// The newest revision that it has as long as it runs or, if it survives a loss of power, that it has afterwards.
@@ -51,7 +51,7 @@ impl Hosted {
         let durable = self.host.log.points.durable(self.uid())?;
         Ok(Stored {
             revision: durable.map_or(applied, |durable| durable.min(applied)),
-            // What a server that has stopped stores may not be what the journal has.
+            // A server that has stopped may store records that the journal does not have.
             is_durable: durable.is_some() && self.follows(),
         })
     }

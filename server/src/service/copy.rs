@@ -51,7 +51,7 @@ impl Service {
         let Some(hosted) = hosted else {
             return refused("it does not serve the index");
         };
-        // Its history may not be that of the journal, and whoever took it would stop where this server did.
+        // Its history may differ from the journal's, and a server with its copy would stop at the same record.
         if !hosted.follows() {
             return refused("it has stopped following the journal itself");
         }

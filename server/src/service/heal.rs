@@ -139,7 +139,7 @@ async fn heal_index(
 ) -> Result<(), String> {
     let mut min_revision = index.seen;
     if index.tip.is_none() {
-        // Nobody knows up to where its readers saw it. They cannot have seen more than the journal has.
+        // The revision that its readers saw is unknown. They cannot have seen more than the journal has.
         let newest = blocking(registry, |registry, uid| registry.newest(uid), index.uid).await;
         match newest {
             Ok(newest) => min_revision = min_revision.max(newest),
@@ -189,8 +189,8 @@ async fn heal_index(
     }
 }
 
-/// Takes a copy of a member in the place of an index. Returns its revision; the flag is false if nobody knows any more whether
-/// the member has applied the same records as this server. With `must_compare` no such copy is taken.
+/// Takes a copy of a member in the place of an index. Returns its revision; the flag is true if the member
+/// has compared its records with the newest of this server. With `must_compare` no such copy is taken.
 async fn copy_from(
     registry: &Arc<Registry>,
     service: &Service,

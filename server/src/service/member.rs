@@ -101,7 +101,7 @@ pub struct CopyStart {
     /// The number of operations that follow.
     #[prost(uint64, tag = "2")]
     pub operations: u64,
-    /// True if the newest record of the asking member is in the history of the copy; false if that cannot be told any more.
+    /// True if the giving member still had the newest record of the asking one, and found it equal.
     #[prost(bool, tag = "3")]
     pub is_compared: bool,
 }

@@ -6,7 +6,7 @@ use tonic::Code;
 use wayfold_proto::v1::{InsertRequest, ListIndexesRequest};
 use wayfold_tests::{Content, ServerProcess, Signal, Stubs, row_states};
 
-use crate::journal_loss::{Cluster, MAX_WAIT, insert};
+use crate::journal_loss::{Cluster, MAX_WAIT, insert, insert_until_acknowledged};
 
 pub(crate) const JOINS: &str = "a server joins the cluster";
 pub(crate) const HEALED: &str = "goes on from a copy of another server";
@@ -98,11 +98,7 @@ async fn a_server_that_another_one_contradicts_stays_stopped() {
         insert(&mut stubs, id).await.unwrap();
     }
     cluster.save_store();
-    for id in KEPT..KEPT + LOST {
-        while insert(&mut stubs, id).await.is_err() {
-            tokio::task::yield_now().await;
-        }
-    }
+    insert_until_acknowledged(&mut stubs, KEPT..KEPT + LOST).await;
     let expected = latest_content(&mut stubs).await;
     server.stop(Signal::Kill);
     cluster.set_store_back();

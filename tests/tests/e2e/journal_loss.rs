@@ -2,7 +2,7 @@
 //! notice it and publish them again. The environment variable `NATS_SERVER` has the path of the program
 //! nats-server.
 
-use std::{path::PathBuf, process::Command, time::Duration};
+use std::{ops::Range, path::PathBuf, process::Command, time::Duration};
 
 use tempfile::TempDir;
 use tokio::time::timeout;
@@ -103,6 +103,15 @@ pub(crate) async fn insert(stubs: &mut Stubs, id: u64) -> Result<(), tonic::Stat
     stubs.points.insert(request).await.map(drop)
 }
 
+/// Inserts these points, each again until it is acknowledged.
+pub(crate) async fn insert_until_acknowledged(stubs: &mut Stubs, ids: Range<u64>) {
+    for id in ids {
+        while insert(stubs, id).await.is_err() {
+            tokio::task::yield_now().await;
+        }
+    }
+}
+
 /// With `restart` the servers are killed too, and know the lost records only from their data directories.
 async fn lose(restart: bool) {
     let mut cluster = Cluster::empty();
@@ -113,11 +122,7 @@ async fn lose(restart: bool) {
         insert(&mut stubs, id).await.unwrap();
     }
     cluster.save_store();
-    for id in KEPT..KEPT + LOST {
-        while insert(&mut stubs, id).await.is_err() {
-            tokio::task::yield_now().await;
-        }
-    }
+    insert_until_acknowledged(&mut stubs, KEPT..KEPT + LOST).await;
     let mut other = Stubs::connect(servers[1].uri()).await;
     other.latest("arm").await.unwrap();
 
@@ -133,11 +138,7 @@ async fn lose(restart: bool) {
     }
 
     let mut stubs = Stubs::connect(servers[0].uri()).await;
-    let written = async {
-        while insert(&mut stubs, KEPT + LOST).await.is_err() {
-            tokio::task::yield_now().await;
-        }
-    };
+    let written = insert_until_acknowledged(&mut stubs, KEPT + LOST..KEPT + LOST + 1);
     timeout(MAX_WAIT, written).await.unwrap();
     // A server without a directory has them from the journal alone.
     servers.push(cluster.start(2));

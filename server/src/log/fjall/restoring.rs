@@ -32,7 +32,7 @@ pub(super) struct RestoringIndex {
     finished: bool,
 }
 
-/// What completes a copy.
+/// The parts of a copy that are written last.
 struct End<'a> {
     sessions: &'a Sessions,
     /// With the revisions under which they are kept.

@@ -20,8 +20,8 @@ const PULL_TIME: Duration = Duration::from_secs(2);
 /// The most bytes that a pull asks for, or one message.
 const PULL_BYTES: usize = 1024 * 1024;
 
-/// A stream that ends before the follower's place is asked again so many times, with [`RETRY_INTERVAL`] between: NATS may answer
-/// from the past while it changes a leader.
+/// A follower asks again this many times, with [`RETRY_INTERVAL`] between, if the stream ends before its place: a new leader
+/// of NATS may answer with an older state.
 const MAX_BEHIND: u32 = 10;
 
 /// A follower's place, and its subscription while it has one.
