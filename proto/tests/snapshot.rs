@@ -19,6 +19,7 @@ fn header(points: u64) -> Header {
         revision: 9,
         next_id: 1000,
         point_count: points,
+        payload_encoding: Default::default(),
     }
 }
 

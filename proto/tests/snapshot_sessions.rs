@@ -22,6 +22,7 @@ fn header(point_count: u64) -> Header {
         revision: REVISION,
         next_id: NEXT_ID,
         point_count,
+        payload_encoding: Default::default(),
     }
 }
 

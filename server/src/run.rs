@@ -29,7 +29,7 @@ use crate::{
     grpc::{self, Callers, GrpcError, Tls, TlsError},
     http::{self, Pages, State},
     identity::{Identities, TableError},
-    lifecycle::{Lifecycle, Phase, PhaseWatch},
+    lifecycle::{Lifecycle, Phase},
     log::{
         Catalogue, FjallLog, Journal, Log, MemoryLog, NatsError, NatsOptions, OpenError,
         PointStore, SYNCS, connect_nats,
@@ -112,6 +112,7 @@ pub enum ServerError {
 }
 
 /// The addresses that a server listens on.
+#[derive(Clone)]
 pub(crate) struct Addresses {
     pub(crate) grpc: SocketAddr,
     /// The pages for operators, if there are any.
@@ -190,8 +191,11 @@ pub(crate) async fn serve(
         AbortOnDropHandle::new(tokio::spawn(serve_pages(
             listener,
             tls,
-            shared.clone(),
-            lifecycle.watch(),
+            Pages {
+                shared: shared.clone(),
+                phases: lifecycle.watch(),
+                addresses: Arc::new(addresses.clone()),
+            },
         )))
     });
     let serve_grpc = |shared, listener| {
@@ -296,13 +300,13 @@ async fn bind_members(config: &ClusterConfig) -> Result<Option<TcpListener>, Clu
 }
 
 /// Serves the pages for operators.
-async fn serve_pages(listener: TcpListener, tls: Option<Tls>, shared: Shared, phases: PhaseWatch) {
-    shared.metrics.add_syncs(SYNCS.clone());
-    shared.metrics.add(State {
-        shared: shared.clone(),
-        phases: phases.clone(),
+async fn serve_pages(listener: TcpListener, tls: Option<Tls>, pages: Pages) {
+    let metrics = &pages.shared.metrics;
+    metrics.add_syncs(SYNCS.clone());
+    metrics.add(State {
+        shared: pages.shared.clone(),
+        phases: pages.phases.clone(),
     });
-    let pages = Pages { shared, phases };
     if let Err(error) = http::serve(listener, tls, pages).await {
         error!(%error, "the pages for operators are not served any more");
     }

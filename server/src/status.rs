@@ -221,6 +221,7 @@ impl Status {
                 name,
                 existing,
                 requested,
+                ..
             } => {
                 self.set("existing", existing);
                 self.set("requested", requested);

@@ -1,6 +1,6 @@
 // OMPL's PRM on one roadmap that many processes grow:
 //
-//     auto index = wayfold::Index::shared(url, "roadmap", wayfold::OmplSpace(space).text());
+//     auto index = wayfold::Index::shared(url, "roadmap", wayfold::OmplSpace(space).roadmap());
 //     auto planner = std::make_shared<wayfold::SharedPRM>(si, index);
 //     setup.setPlanner(planner);
 //

@@ -111,6 +111,22 @@ private:
     std::string ca_certificate_, client_certificate_, client_key_, token_;
 };
 
+// How the payloads of an index hold edges, for programs that show them: the ids at the other ends, 8 bytes each,
+// little-endian; or ids with costs (double), 16 bytes an edge.
+enum class PayloadEncoding : std::uint32_t { none = 0, edges = 1, weighted_edges = 2 };
+
+// An index to create if it is missing.
+struct NewIndex {
+    NewIndex() = default;
+    NewIndex(std::string space_text, PayloadEncoding encoding = PayloadEncoding::none)
+        : space(std::move(space_text)), payload_encoding(encoding) {}
+    NewIndex(const char *space_text) : space(space_text) {}
+
+    // Empty: the index must exist.
+    std::string space;
+    PayloadEncoding payload_encoding{PayloadEncoding::none};
+};
+
 // The state of a shared index's connection.
 struct Status {
     wayfold_status name;

@@ -23,16 +23,16 @@ public:
     }
 
 #ifndef WAYFOLD_NO_NET
-    // A copy of the server's index in this process. An empty `space`: the index must exist. `timeout_ms` is the longest
+    // A copy of the server's index in this process. An empty `create`: the index must exist. `timeout_ms` is the longest
     // time of a call; 0 for the client's own, 30 s.
-    static Index shared(const std::string &uri, const std::string &name, const std::string &space = {},
+    static Index shared(const std::string &uri, const std::string &name, const NewIndex &create = {},
                         const Credentials &credentials = {}, std::uint64_t timeout_ms = 0) {
-        return open(wayfold_index_shared, uri, name, space, credentials, timeout_ms);
+        return open(wayfold_index_shared, uri, name, create, credentials, timeout_ms);
     }
     // Each call is one of the server's.
-    static Index remote(const std::string &uri, const std::string &name, const std::string &space = {},
+    static Index remote(const std::string &uri, const std::string &name, const NewIndex &create = {},
                         const Credentials &credentials = {}, std::uint64_t timeout_ms = 0) {
-        return open(wayfold_index_remote, uri, name, space, credentials, timeout_ms);
+        return open(wayfold_index_remote, uri, name, create, credentials, timeout_ms);
     }
 
     // Waits until the server has acknowledged every write before this call, at most for the index's timeout.
@@ -371,12 +371,13 @@ private:
 
     using Open = wayfold_code (*)(const wayfold_server *, wayfold_index **);
 
-    static Index open(Open open, const std::string &uri, const std::string &name, const std::string &space,
+    static Index open(Open open, const std::string &uri, const std::string &name, const NewIndex &create,
                       const Credentials &credentials, std::uint64_t timeout_ms) {
         wayfold_server server{};
         server.uri = uri.c_str();
         server.name = name.c_str();
-        server.space = space.empty() ? nullptr : space.c_str();
+        server.space = create.space.empty() ? nullptr : create.space.c_str();
+        server.payload_encoding = static_cast<std::uint32_t>(create.payload_encoding);
         server.timeout_ms = timeout_ms;
         credentials.set(server);
         wayfold_index *made = nullptr;

@@ -1,7 +1,7 @@
 //! The two forms of an index that have a server.
 
-use pyo3::prelude::*;
-use wayfold::Credentials;
+use pyo3::{exceptions::PyValueError, prelude::*};
+use wayfold::{Credentials, PayloadEncoding};
 
 use crate::{
     error::OrRaise,
@@ -12,7 +12,7 @@ use crate::{
 
 /// The index of this name on a server, with a copy of it in this process.
 #[pyfunction]
-#[pyo3(signature = (url, name, *, create=None, timeout=30.0, max_pending_bytes=16 << 20, token=None,
+#[pyo3(signature = (url, name, *, create=None, payload_encoding=None, timeout=30.0, max_pending_bytes=16 << 20, token=None,
     ca_certificate=None, client_certificate=None))]
 #[expect(clippy::too_many_arguments, reason = "each has a name in Python")]
 pub(crate) fn shared(
@@ -20,6 +20,7 @@ pub(crate) fn shared(
     url: &str,
     name: &str,
     create: Option<&Bound<'_, PyAny>>,
+    payload_encoding: Option<&str>,
     timeout: f64,
     max_pending_bytes: usize,
     token: Option<String>,
@@ -31,7 +32,8 @@ pub(crate) fn shared(
         .max_pending_bytes(max_pending_bytes)
         .credentials(credentials(token, ca_certificate, client_certificate));
     if let Some(space) = create {
-        open = open.create(&of_argument(space)?);
+        let declared = encoding(payload_encoding)?;
+        open = open.create(&of_argument(space)?).payload_encoding(declared);
     }
     let index = py.detach(|| open.open()).or_raise(py)?;
     Index::of(py, index, Form::Shared)
@@ -39,7 +41,7 @@ pub(crate) fn shared(
 
 /// The index of this name on a server, without a copy: each call goes to the server.
 #[pyfunction]
-#[pyo3(signature = (url, name, *, create=None, timeout=30.0, token=None, ca_certificate=None,
+#[pyo3(signature = (url, name, *, create=None, payload_encoding=None, timeout=30.0, token=None, ca_certificate=None,
     client_certificate=None))]
 #[expect(clippy::too_many_arguments, reason = "each has a name in Python")]
 pub(crate) fn remote(
@@ -47,6 +49,7 @@ pub(crate) fn remote(
     url: &str,
     name: &str,
     create: Option<&Bound<'_, PyAny>>,
+    payload_encoding: Option<&str>,
     timeout: f64,
     token: Option<String>,
     ca_certificate: Option<Vec<u8>>,
@@ -56,10 +59,24 @@ pub(crate) fn remote(
         .timeout(seconds(py, "timeout", timeout)?)
         .credentials(credentials(token, ca_certificate, client_certificate));
     if let Some(space) = create {
-        open = open.create(&of_argument(space)?);
+        let declared = encoding(payload_encoding)?;
+        open = open.create(&of_argument(space)?).payload_encoding(declared);
     }
     let index = py.detach(|| open.open()).or_raise(py)?;
     Index::of(py, index, Form::Remote)
+}
+
+fn encoding(name: Option<&str>) -> PyResult<PayloadEncoding> {
+    match name {
+        None => Ok(PayloadEncoding::Unspecified),
+        Some("edges") => Ok(PayloadEncoding::Edges),
+        Some("weighted-edges") => Ok(PayloadEncoding::WeightedEdges),
+        Some(other) => {
+            let text =
+                format!("payload_encoding: {other:?} is neither \"edges\" nor \"weighted-edges\"");
+            Err(PyValueError::new_err(text))
+        }
+    }
 }
 
 fn credentials(

@@ -29,6 +29,7 @@ pub struct OpenRemote {
     uri: String,
     name: String,
     space: Option<Space>,
+    payload_encoding: PayloadEncoding,
     timeout: Duration,
     credentials: Credentials,
 }
@@ -39,6 +40,7 @@ impl OpenRemote {
             uri: uri.to_owned(),
             name: name.to_owned(),
             space: None,
+            payload_encoding: PayloadEncoding::Unspecified,
             timeout: Duration::from_secs(30),
             credentials: Credentials::default(),
         }
@@ -47,6 +49,13 @@ impl OpenRemote {
     /// Creates the index with this space if it is missing. An index with another space is refused.
     pub fn create(mut self, space: &Space) -> OpenRemote {
         self.space = Some(space.clone());
+        self
+    }
+
+    /// How the payloads of an index that is created here hold edges: nothing is declared unless set. An index that
+    /// declares another encoding is refused.
+    pub fn payload_encoding(mut self, encoding: PayloadEncoding) -> OpenRemote {
+        self.payload_encoding = encoding;
         self
     }
 
@@ -73,7 +82,10 @@ impl OpenRemote {
             let client = client.credentials(self.credentials);
             let client = client.connect(&self.uri).await?;
             match &self.space {
-                Some(space) => client.create_index(&self.name, space).await,
+                Some(space) => {
+                    let declared = self.payload_encoding;
+                    client.create_index_with(&self.name, space, declared).await
+                }
                 None => client.index(&self.name).await,
             }
         })?;

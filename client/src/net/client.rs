@@ -14,7 +14,7 @@ use tonic::Code;
 use wayfold_index::Space;
 use wayfold_proto::{
     space,
-    v1::{self, create_index_request::SpaceForm},
+    v1::{self, PayloadEncoding, create_index_request::SpaceForm},
 };
 
 pub use self::builder::ClientBuilder;
@@ -106,23 +106,39 @@ impl Client {
     /// `ALREADY_EXISTS`: the index has another space. `INVALID_ARGUMENT`: the name. `RESOURCE_EXHAUSTED`: the server
     /// holds its maximum number of indices.
     pub async fn create_index(&self, name: &str, space: &Space) -> Result<IndexHandle, Error> {
-        let (info, _created) = self.ensure_index(name, space).await?;
+        self.create_index_with(name, space, PayloadEncoding::Unspecified)
+            .await
+    }
+
+    /// Acts like [`Client::create_index`]; a new index declares how its payloads hold edges.
+    ///
+    /// # Errors
+    /// The errors of [`Client::create_index`]. `ALREADY_EXISTS`: the index declares another encoding.
+    pub async fn create_index_with(
+        &self,
+        name: &str,
+        space: &Space,
+        payload_encoding: PayloadEncoding,
+    ) -> Result<IndexHandle, Error> {
+        let (info, _created) = self.ensure_index(name, space, payload_encoding).await?;
         Ok(IndexHandle::new(self.clone(), info))
     }
 
-    /// Acts like [`Client::create_index`], but returns the description, and true if this call created the index.
+    /// Acts like [`Client::create_index_with`], but returns the description, and true if this call created the index.
     ///
     /// # Errors
-    /// The errors of [`Client::create_index`].
+    /// The errors of [`Client::create_index_with`].
     pub async fn ensure_index(
         &self,
         name: &str,
         space: &Space,
+        payload_encoding: PayloadEncoding,
     ) -> Result<(IndexInfo, bool), Error> {
         const CALL: &str = "create_index";
         let message = v1::CreateIndexRequest {
             name: name.to_owned(),
             space_form: Some(SpaceForm::Space(space::to_message(space))),
+            payload_encoding: payload_encoding.into(),
         };
         let call = |stub: IndexStub, request| async move { { stub }.create_index(request).await };
         let answer = self.index_call(CALL, message, call).await?;

@@ -55,6 +55,8 @@ pub struct IndexInfo {
     pub dimension: usize,
     /// An estimate of the memory its search structure holds, in bytes.
     pub memory_bytes: u64,
+    /// How its payloads hold edges.
+    pub payload_encoding: PayloadEncoding,
 }
 
 impl IndexInfo {
@@ -64,6 +66,7 @@ impl IndexInfo {
     ) -> Result<IndexInfo, Error> {
         let protocol = |problem| Error::Protocol { call, problem };
         let index = index.ok_or_else(|| protocol("it describes no index".to_owned()))?;
+        let payload_encoding = index.payload_encoding();
         let message = index.space.unwrap_or_default();
         let space = space::from_message(&message).map_err(|error| protocol(error.to_string()))?;
         Ok(IndexInfo {
@@ -73,6 +76,7 @@ impl IndexInfo {
             coordinate_count: space.coordinates(),
             dimension: space.dimension(),
             memory_bytes: index.memory_bytes,
+            payload_encoding,
             space,
         })
     }

@@ -47,4 +47,7 @@ pub use states::States;
 pub use trace::in_trace;
 
 pub use tonic::Code;
-pub use wayfold_proto::snapshot::{Header as SnapshotHeader, SnapshotError};
+pub use wayfold_proto::{
+    snapshot::{Header as SnapshotHeader, SnapshotError},
+    v1::PayloadEncoding,
+};

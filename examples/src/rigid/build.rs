@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use wayfold::{Client, IndexHandle};
+use wayfold::{Client, IndexHandle, PayloadEncoding};
 
 use super::{
     account::Account,
@@ -67,7 +67,9 @@ pub async fn build(
 ) -> Result<Built, PlanningError> {
     let client = Client::connect(uri).await?;
     let name = format!("rigid-{}", uuid::Uuid::new_v4());
-    let index = client.create_index(&name, scene.space()).await?;
+    let index = client
+        .create_index_with(&name, scene.space(), PayloadEncoding::Edges)
+        .await?;
     let built = build_in(scene, uri, server, &index, options, seed).await;
     if !options.keep {
         // If the server is gone, its indices are gone too.

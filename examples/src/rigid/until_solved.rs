@@ -12,7 +12,7 @@ use std::{
 
 use petgraph::unionfind::UnionFind;
 use tokio::sync::mpsc::{self, UnboundedReceiver};
-use wayfold::{Client, Include, IndexHandle, Watch, WatchEvent};
+use wayfold::{Client, Include, IndexHandle, PayloadEncoding, Watch, WatchEvent};
 
 use super::{
     account::Account,
@@ -83,7 +83,9 @@ async fn solve_anew(
 ) -> Result<SolvedRoadmap, PlanningError> {
     let client = Client::connect(uri).await?;
     let name = format!("rigid-{}", uuid::Uuid::new_v4());
-    let index = client.create_index(&name, scene.space()).await?;
+    let index = client
+        .create_index_with(&name, scene.space(), PayloadEncoding::Edges)
+        .await?;
     let solved = solve(scene, uri, &index, options, seed).await;
     // If the server is gone, its indices are gone too.
     let _ = client.delete_index(&name).await;

@@ -15,6 +15,8 @@ use std::io::Read;
 use sha2::{Digest as _, Sha256};
 use wayfold_index::Space;
 
+use crate::v1::PayloadEncoding;
+
 pub use error::{BlockProblem, Place, PointProblem, SessionProblem, SnapshotError};
 pub use file::{FileReader, FileWriter};
 pub use reader::{Content, Reader};
@@ -44,6 +46,8 @@ pub struct Header {
     pub uid: String,
     /// The space of its states.
     pub space: Space,
+    /// How its payloads hold edges.
+    pub payload_encoding: PayloadEncoding,
     /// The revision that was read.
     pub revision: u64,
     /// The least id above every id that the index ever used or reserved.

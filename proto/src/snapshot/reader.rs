@@ -288,6 +288,8 @@ fn check_count(
 }
 
 fn read_header(number: u64, header: v1::SnapshotHeader) -> Result<Header, SnapshotError> {
+    // A value of a later version declares nothing that this one knows.
+    let payload_encoding = header.payload_encoding();
     let space = space::from_message(&header.space.unwrap_or_default()).map_err(|problem| {
         SnapshotError::Space {
             part: number,
@@ -299,6 +301,7 @@ fn read_header(number: u64, header: v1::SnapshotHeader) -> Result<Header, Snapsh
     }
     let revision = header.revision.unwrap_or_default();
     Ok(Header {
+        payload_encoding,
         name: header.name,
         uid: revision.uid,
         space,

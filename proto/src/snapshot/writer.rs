@@ -33,6 +33,7 @@ impl Writer {
             space_text: header.space.to_string(),
             next_id: header.next_id,
             point_count: header.point_count,
+            payload_encoding: header.payload_encoding.into(),
             revision: Some(v1::Revision {
                 uid: header.uid.clone(),
                 number: header.revision,

@@ -145,6 +145,7 @@ mod tests {
             },
             Error::IndexExists {
                 name: long.clone(),
+                what: "space",
                 existing: long.clone(),
                 requested: long.clone(),
             },

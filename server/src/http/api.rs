@@ -9,24 +9,26 @@ use std::{
 };
 
 use axum::{
-    body::{Body, to_bytes},
+    body::Body,
     extract::{Request as HttpRequest, State as Of},
     http::{HeaderMap, StatusCode, header},
     response::{IntoResponse, Response},
 };
-use bytes::Bytes;
+use bytes::{Bytes, BytesMut};
 use futures_util::FutureExt;
 use http_body_util::{BodyExt, Full};
 use tokio::sync::Semaphore;
 use tracing::Instrument;
 use wayfold_proto::v1;
 
+use super::{Pages, streams::MAX_STREAMS};
 use crate::{
     admission::{CALL_BYTES, CallTurns, Flow, HeldBytes},
     faces::Shared,
     grpc::token,
     identity::Denial,
     observe::{CallRecord, Ending, Times},
+    run::Addresses,
     service::{Call, Code, Error},
     status::{self, Status},
     verbs::{Form, Named, Request, Target, dispatch, invalid},
@@ -41,15 +43,15 @@ const MAX_REQUEST_BYTES: usize = 1024 * 1024;
 /// The time of a call.
 const MAX_TIME: Duration = Duration::from_secs(10);
 
-/// The most streams at a time. They leave connections for probes and scrapes.
-pub(super) const MAX_STREAMS: usize = 16;
-
 /// What the calls of this listener share.
 pub(super) struct Api {
     pub(super) shared: Shared,
     /// All of them take the turns and the memory of one connection, so that the page cannot slow planners.
     flow: Arc<Flow>,
     pub(super) streams: Arc<Semaphore>,
+    pub(super) addresses: Arc<Addresses>,
+    /// True if this listener speaks TLS.
+    pub(super) has_tls: bool,
 }
 
 /// A call that was admitted.
@@ -61,11 +63,13 @@ pub(super) struct Admitted {
 }
 
 impl Api {
-    pub(super) fn new(shared: Shared) -> Self {
+    pub(super) fn new(pages: &Pages, has_tls: bool) -> Self {
         Self {
-            flow: shared.admission.open(),
+            flow: pages.shared.admission.open(),
             streams: Arc::new(Semaphore::new(MAX_STREAMS)),
-            shared,
+            shared: pages.shared.clone(),
+            addresses: Arc::clone(&pages.addresses),
+            has_tls,
         }
     }
 
@@ -186,15 +190,30 @@ pub(super) async fn answer(Of(api): Of<Arc<Api>>, request: HttpRequest) -> Respo
     }
 }
 
-async fn receive(body: Body, held: &HeldBytes) -> Result<Bytes, Status> {
-    let body = to_bytes(body, MAX_REQUEST_BYTES).await.map_err(|error| {
-        let text = format!("it cannot be read, or exceeds {MAX_REQUEST_BYTES} bytes: {error}");
-        status::from_error(&invalid("body", "TOO_LARGE", text))
-    })?;
-    match held.take(body.len()) {
-        true => Ok(body),
-        false => Err(status::too_many_bytes(held.flow().max_bytes())),
+/// The bytes of a request, held as they arrive.
+async fn receive(mut body: Body, held: &HeldBytes) -> Result<Bytes, Status> {
+    let refused = |reason, text| status::from_error(&invalid("body", reason, text));
+    let mut received = BytesMut::new();
+    while let Some(frame) = body.frame().await {
+        let data = match frame.map(|frame| frame.into_data()) {
+            Ok(Ok(data)) => data,
+            // Trailers say nothing here.
+            Ok(Err(_)) => continue,
+            Err(error) => {
+                let text = format!("it cannot be read: {error}");
+                return Err(refused("UNREADABLE", text));
+            }
+        };
+        if received.len() + data.len() > MAX_REQUEST_BYTES {
+            let text = format!("it exceeds {MAX_REQUEST_BYTES} bytes");
+            return Err(refused("TOO_LARGE", text));
+        }
+        if !held.take(data.len()) {
+            return Err(status::too_many_bytes(held.flow().max_bytes()));
+        }
+        received.extend_from_slice(&data);
     }
+    Ok(received.freeze())
 }
 
 async fn ask(

@@ -1,14 +1,17 @@
 //! The listener for operators: the page to look at, `/metrics`, and the probes `/healthz` and `/readyz`.
 //!
 //! Probes and the files of the page answer everyone. Everything else needs an identity where the server has identities, as a
-//! bearer token. `api` and `points` are what the page reads; `guard` keeps pages of others away from them.
+//! bearer token. `api`, `points` and `overview` are what the page reads; `guard` keeps pages of others away from them.
 
 mod api;
 mod bounded;
+mod frame;
 mod guard;
+mod overview;
 mod page;
 mod points;
 mod state;
+mod streams;
 
 use std::{fmt, future::pending, io, sync::Arc, time::Duration};
 
@@ -28,8 +31,11 @@ use crate::{
     grpc::{Tls, token},
     identity::Role,
     lifecycle::{Phase, PhaseWatch},
+    run::Addresses,
+    service::Error,
+    status,
 };
-use api::Api;
+use api::{Api, refusal};
 use bounded::Bounded;
 use guard::Guard;
 pub(crate) use state::State;
@@ -48,6 +54,7 @@ const ACCEPT_RETRY_PAUSE: Duration = Duration::from_secs(1);
 pub(crate) struct Pages {
     pub(crate) shared: Shared,
     pub(crate) phases: PhaseWatch,
+    pub(crate) addresses: Arc<Addresses>,
 }
 
 /// Serves the pages on `listener`, over TLS if there is any, until it is dropped.
@@ -64,12 +71,14 @@ pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages)
 fn routes(pages: Pages, has_tls: bool) -> Router {
     let guard = Guard { has_tls };
     let api = Router::new()
+        .route("/api/v1/addresses", post(overview::addresses))
+        .route("/api/v1/overview", post(overview::overview))
         .route("/api/v1/{verb}", post(api::answer))
         .route("/api/v1/{index}/{verb}", post(api::answer))
         // Not by GET: browsers name the origin of every POST, and of some GETs they do not.
         .route("/api/v1/{index}/points", post(points::points))
         .layer(from_fn_with_state(guard, guard::own_origin))
-        .with_state(Arc::new(Api::new(pages.shared.clone())));
+        .with_state(Arc::new(Api::new(&pages, has_tls)));
     Router::new()
         .route("/metrics", get(metrics))
         .route("/healthz", get(async || "alive\n"))
@@ -82,20 +91,27 @@ fn routes(pages: Pages, has_tls: bool) -> Router {
 async fn metrics(Of(pages): Of<Arc<Pages>>, headers: HeaderMap) -> Response {
     let caller = pages.shared.identities.caller(token(&headers), None);
     if let Err(why) = caller.authorize(Role::Read, None) {
-        let challenge = [(header::WWW_AUTHENTICATE, "Bearer")];
-        return (StatusCode::UNAUTHORIZED, challenge, format!("{why}\n")).into_response();
+        return refusal(&status::from_error(&Error::Denied { why }));
     }
     if !caller.oversees() {
         let why = "the metrics name all indices, and the identity may see only some of them\n";
         return (StatusCode::FORBIDDEN, why).into_response();
     }
-    let metrics = pages.shared.metrics.clone();
+    match metrics_text(&pages.shared).await {
+        Ok(text) => ([(header::CONTENT_TYPE, OPEN_METRICS)], text).into_response(),
+        Err(error) => refusal(&status::from_error(&error)),
+    }
+}
+
+/// The metrics as text.
+async fn metrics_text(shared: &Shared) -> Result<String, Error> {
+    let metrics = shared.metrics.clone();
     // Memory and disk are looked at meanwhile: that blocks.
     let text = spawn_blocking(move || metrics.text()).await;
-    match text.unwrap_or(Err(fmt::Error)) {
-        Ok(text) => ([(header::CONTENT_TYPE, OPEN_METRICS)], text).into_response(),
-        Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{error}\n")).into_response(),
-    }
+    text.unwrap_or(Err(fmt::Error))
+        .map_err(|error| Error::Internal {
+            what: format!("the metrics cannot be written: {error}"),
+        })
 }
 
 /// 200 while calls are answered; the text tells whether points can be added too.

@@ -4,31 +4,27 @@
 //! eight bytes. docs/page.md describes the heads. Numbers of a body are columns: `ids`, `revisions` and `tags` (u64), then
 //! the coordinates row by row (f32: for pictures, not for answers).
 
-mod frame;
-
 use std::{sync::Arc, time::Duration};
 
 use axum::{
-    body::Body,
     extract::{Path, RawQuery, State as Of},
-    http::{HeaderMap, header},
-    response::{IntoResponse, Response},
+    http::HeaderMap,
+    response::Response,
 };
-use bytes::Bytes;
-use futures_util::stream;
-use serde_json::{Value, json};
-use tokio::{sync::OwnedSemaphorePermit, time::timeout};
-use tracing::Instrument;
+use serde_json::json;
+use tokio::time::timeout;
 use wayfold_proto::v1;
 
-use super::api::{Admitted, Api, MAX_STREAMS, refusal, text};
+use super::{
+    api::{Admitted, Api, refusal},
+    frame::{Frames, Share},
+    streams::{self, FrameSource, StreamCall},
+};
 use crate::{
-    observe::Ending,
     service::{Error, Scan, Watch},
     status::{self, Status},
     verbs::invalid,
 };
-use frame::{Frames, Share};
 
 /// The default of `max`.
 const DEFAULT_MAX: u64 = 1_000_000;
@@ -40,17 +36,19 @@ const PAUSE: Duration = Duration::from_millis(100);
 const MAX_SILENCE: Duration = Duration::from_secs(10);
 
 /// The parameters of a request.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 struct PointsRequest {
     index: String,
     /// The most points to send first. Of more, an even sample is sent.
     max: u64,
     /// True to send the mutations too.
     follow: bool,
-    /// True to send the edges too, for indices whose payloads are ids.
+    /// True to send the edges too, if the index declares how its payloads hold them.
     edges: bool,
     /// The revision that the caller has, to send only what came after it.
     after: Option<v1::Revision>,
+    /// The part of the points that the caller has.
+    share: Share,
 }
 
 impl PointsRequest {
@@ -61,6 +59,7 @@ impl PointsRequest {
             follow: false,
             edges: false,
             after: None,
+            share: Share::ALL,
         };
         for pair in query.split('&').filter(|pair| !pair.is_empty()) {
             let (name, value) = pair.split_once('=').unwrap_or((pair, ""));
@@ -99,23 +98,17 @@ impl PointsRequest {
                             .map_err(|_| malformed("no revision, UID:NUMBER"))?,
                     });
                 }
+                "share" => {
+                    let share = value.parse().ok().and_then(Share::from_fraction);
+                    asked.share = share.ok_or_else(|| malformed("no number from 0 to 1"))?;
+                }
                 _ => {
-                    let text = "there are max, follow, edges and after";
+                    let text = "there are max, follow, edges, after and share";
                     return Err(invalid(name, "UNKNOWN_PARAMETER", text));
                 }
             }
         }
         Ok(asked)
-    }
-
-    /// The columns that are read.
-    fn include(&self) -> v1::Include {
-        v1::Include {
-            states: true,
-            tags: true,
-            revisions: true,
-            payloads: self.edges,
-        }
     }
 }
 
@@ -126,65 +119,25 @@ pub(super) async fn points(
     RawQuery(query): RawQuery,
     headers: HeaderMap,
 ) -> Response {
-    let Ok(place) = Arc::clone(&api.streams).try_acquire_owned() else {
-        return refusal(&status::too_many_calls("streams", MAX_STREAMS));
-    };
-    let admitted = match api.admit("points", &headers, true) {
-        Ok(admitted) => admitted,
+    let call = match StreamCall::admit(&api, "points", &headers) {
+        Ok(call) => call,
         Err(status) => return refusal(&status),
     };
-    let asked = match PointsRequest::read(index, query.as_deref().unwrap_or_default()) {
-        Ok(asked) => asked,
-        Err(error) => return refusal(&status::from_error(&error)),
-    };
-    let span = admitted.record.span().clone();
-    let mut points = PointStream {
-        source: match asked.after.clone() {
-            Some(after) => Source::After(after),
-            None => Source::All,
-        },
-        asked,
-        api,
-        admitted,
-        share: Share::ALL,
-        reached: 0,
-        _place: place,
-    };
-    // What can be refused at once is an answer of its own, not a stream.
-    let first = match points.step().instrument(span.clone()).await {
-        Ok(first) => first.unwrap_or_default(),
-        Err(status) => {
-            points.admitted.record.end(Ending::Failed(status.code));
-            return refusal(&status);
-        }
-    };
-    let rest = stream::unfold((Some(first), points), move |(first, mut points)| {
-        let span = span.clone();
-        async move {
-            let frames = match first {
-                Some(first) => first,
-                None => points.next().instrument(span).await?,
-            };
-            Some((Ok::<_, std::convert::Infallible>(frames), (None, points)))
-        }
-    });
-    let headers = [
-        (header::CONTENT_TYPE, "application/octet-stream"),
-        (header::CACHE_CONTROL, "no-store"),
-    ];
-    (headers, Body::from_stream(rest)).into_response()
+    match PointsRequest::read(index, query.as_deref().unwrap_or_default()) {
+        Ok(asked) => streams::answer(call, PointStream::new(asked)).await,
+        Err(error) => refusal(&status::from_error(&error)),
+    }
 }
 
 /// A running stream.
 struct PointStream {
-    api: Arc<Api>,
-    admitted: Admitted,
     asked: PointsRequest,
     source: Source,
     share: Share,
+    /// The bytes of an edge in a payload; None if edges are not sent.
+    edge_bytes: Option<usize>,
     /// The last revision that was sent whole.
     reached: u64,
-    _place: OwnedSemaphorePermit,
 }
 
 /// Where the next frames come from.
@@ -198,93 +151,120 @@ enum Source {
     End,
 }
 
-impl PointStream {
-    /// The next frames; None at the end.
-    async fn next(&mut self) -> Option<Bytes> {
-        match self.step().await {
-            Ok(frames) => {
-                if frames.is_none() {
-                    self.admitted.record.end(Ending::Ok);
-                }
-                frames
-            }
-            Err(status) => {
-                self.admitted.record.end(Ending::Failed(status.code));
-                self.source = Source::End;
-                let mut frames = Frames::default();
-                let status: Value = serde_json::from_slice(&text(&status)).unwrap_or_default();
-                frames.push(&json!({ "kind": "failed", "status": status }), &[]);
-                Some(frames.finish())
-            }
-        }
-    }
-
-    async fn step(&mut self) -> Result<Option<Bytes>, Status> {
+impl FrameSource for PointStream {
+    async fn next(&mut self, call: &mut StreamCall) -> Result<Option<Frames>, Status> {
         loop {
             let source = std::mem::replace(&mut self.source, Source::End);
             let (source, frames) = match source {
                 Source::End => return Ok(None),
-                Source::All => (self.scan().await?, Frames::default()),
-                Source::After(after) => {
-                    self.reached = after.number;
-                    (self.watch(after).await?, Frames::default())
+                Source::All => {
+                    self.describe(call).await?;
+                    (self.scan(call).await?, Frames::default())
                 }
-                Source::Scan(scan, revision) => self.scanned(scan, revision).await?,
-                Source::Watch(watch) => self.watched(watch).await?,
+                Source::After(after) => {
+                    self.describe(call).await?;
+                    self.reached = after.number;
+                    (self.watch(call, after).await?, Frames::default())
+                }
+                Source::Scan(scan, revision) => self.scanned(call, scan, revision).await?,
+                Source::Watch(watch) => self.watched(call, watch).await?,
             };
             self.source = source;
             if !frames.is_empty() {
-                return Ok(Some(frames.finish()));
+                return Ok(Some(frames));
             }
         }
     }
+}
 
-    /// Does a part of the work in a turn.
-    async fn in_turn<T>(
-        turns: &mut crate::admission::CallTurns,
-        work: impl Future<Output = Result<T, Error>>,
-    ) -> Result<T, Status> {
-        let done = turns.run(work).await.map_err(status::overloaded)?;
-        done.map_err(|error| status::from_error(&error))
+impl PointStream {
+    fn new(asked: PointsRequest) -> Self {
+        Self {
+            source: match asked.after.clone() {
+                Some(after) => Source::After(after),
+                None => Source::All,
+            },
+            share: asked.share,
+            asked,
+            edge_bytes: None,
+            reached: 0,
+        }
     }
 
-    async fn scan(&mut self) -> Result<Source, Status> {
+    /// Learns how the payloads hold edges.
+    async fn describe(&mut self, call: &mut StreamCall) -> Result<(), Status> {
+        if !self.asked.edges {
+            return Ok(());
+        }
+        let request = v1::GetIndexRequest {
+            index_name: self.asked.index.clone(),
+        };
+        let service = call.api.shared.service.clone();
+        let Admitted { call, turns, .. } = &mut call.admitted;
+        let described = streams::in_turn(turns, service.get_index(call, request)).await?;
+        let index = described.index.unwrap_or_default();
+        self.edge_bytes = match index.payload_encoding() {
+            v1::PayloadEncoding::Unspecified => None,
+            v1::PayloadEncoding::Edges => Some(8),
+            v1::PayloadEncoding::WeightedEdges => Some(16),
+        };
+        Ok(())
+    }
+
+    /// The columns that are read.
+    fn include(&self) -> v1::Include {
+        v1::Include {
+            states: true,
+            tags: true,
+            revisions: true,
+            payloads: self.edge_bytes.is_some(),
+        }
+    }
+
+    async fn scan(&mut self, call: &mut StreamCall) -> Result<Source, Status> {
         let request = v1::ScanRequest {
             index_name: self.asked.index.clone(),
-            include: Some(self.asked.include()),
+            include: Some(self.include()),
             ..Default::default()
         };
-        let Admitted { call, turns, .. } = &mut self.admitted;
-        let scan = Self::in_turn(turns, self.api.shared.service.scan(call, request)).await?;
+        let service = call.api.shared.service.clone();
+        let Admitted { call, turns, .. } = &mut call.admitted;
+        let scan = streams::in_turn(turns, service.scan(call, request)).await?;
         Ok(Source::Scan(Box::new(scan), None))
     }
 
-    async fn watch(&mut self, after: v1::Revision) -> Result<Source, Status> {
+    async fn watch(
+        &mut self,
+        call: &mut StreamCall,
+        after: v1::Revision,
+    ) -> Result<Source, Status> {
         let request = v1::WatchRequest {
             index_name: self.asked.index.clone(),
             after_revision: Some(after),
-            include: Some(self.asked.include()),
+            include: Some(self.include()),
             ..Default::default()
         };
-        let Admitted { call, turns, .. } = &mut self.admitted;
-        let watch = Self::in_turn(turns, self.api.shared.service.watch(call, request)).await?;
+        let service = call.api.shared.service.clone();
+        let Admitted { call, turns, .. } = &mut call.admitted;
+        let watch = streams::in_turn(turns, service.watch(call, request)).await?;
         Ok(Source::Watch(Box::new(watch)))
     }
 
     /// The next part of a scan. `revision` is the one that it reads, once it is known.
     async fn scanned(
         &mut self,
+        call: &mut StreamCall,
         mut scan: Box<Scan>,
         revision: Option<v1::Revision>,
     ) -> Result<(Source, Frames), Status> {
         let mut frames = Frames::default();
         let next = async { scan.next().await.transpose() };
-        let Some(part) = Self::in_turn(&mut self.admitted.turns, next).await? else {
+        let Some(part) = streams::in_turn(&mut call.admitted.turns, next).await? else {
             let revision = revision.unwrap_or_default();
             self.reached = revision.number;
             frames.push(&json!({ "kind": "at", "revision": self.reached }), &[]);
             let source = match self.asked.follow {
-                true => self.watch(revision).await?,
+                true => self.watch(call, revision).await?,
                 false => Source::End,
             };
             return Ok((source, frames));
@@ -295,26 +275,28 @@ impl PointStream {
             None => {
                 self.share = Share::of(self.asked.max, part.point_count);
                 let read = part.revision.unwrap_or_default();
-                let coordinates = scan.coordinates();
                 let head = json!({
-                    "kind": "begin", "uid": read.uid, "revision": read.number, "coordinates": coordinates,
-                    "points": part.point_count, "share": self.share.fraction(),
+                    "kind": "begin", "uid": read.uid, "revision": read.number, "oldest": scan.window_start(),
+                    "coordinates": scan.coordinates(), "points": part.point_count,
+                    "share": self.share.fraction(),
                 });
                 frames.push(&head, &[]);
                 read
             }
         };
         frames.push_points(&points, self.share);
-        if self.asked.edges && !frames.push_edges(&points, self.share) {
-            // Payloads that are no ids may be large: they are not read for nothing.
-            self.asked.edges = false;
-            scan.omit_payloads();
+        if let Some(edge_bytes) = self.edge_bytes {
+            frames.push_edges(&points, self.share, edge_bytes);
         }
         Ok((Source::Scan(scan, Some(read)), frames))
     }
 
     /// The next mutations.
-    async fn watched(&mut self, mut watch: Box<Watch>) -> Result<(Source, Frames), Status> {
+    async fn watched(
+        &mut self,
+        call: &mut StreamCall,
+        mut watch: Box<Watch>,
+    ) -> Result<(Source, Frames), Status> {
         let mut frames = Frames::default();
         let next = async {
             // A wait that is cut loses no message.
@@ -323,7 +305,7 @@ impl PointStream {
                 Err(_) => Ok(None),
             }
         };
-        let message = match Self::in_turn(&mut self.admitted.turns, next).await? {
+        let message = match streams::in_turn(&mut call.admitted.turns, next).await? {
             Some(Some(message)) => message,
             Some(None) => return Ok((Source::End, frames)),
             None => {
@@ -341,8 +323,8 @@ impl PointStream {
             let number = mutation.revision.as_ref().map_or(0, |it| it.number);
             if let Some(stored) = &mutation.stored {
                 frames.push_points(stored, self.share);
-                if self.asked.edges {
-                    self.asked.edges = frames.push_edges(stored, self.share);
+                if let Some(edge_bytes) = self.edge_bytes {
+                    frames.push_edges(stored, self.share, edge_bytes);
                 }
             }
             frames.push_removed(&mutation.removed_ids, number, self.share);

@@ -33,6 +33,7 @@ async fn service() -> Service {
     let request = v1::CreateIndexRequest {
         name: "arm".into(),
         space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R2".into())),
+        payload_encoding: v1::PayloadEncoding::Edges.into(),
     };
     service.create_index(&call, request).await.unwrap();
     for id in 0..POINTS {
@@ -74,7 +75,19 @@ async fn remove(service: &Service, id: u64) {
 fn router(service: &Service, identities: Identities) -> Router {
     let shared = Shared::new(&Config::default(), service.clone(), identities);
     let phases = Lifecycle::starting().watch();
-    routes(Pages { shared, phases }, false)
+    let addresses = Arc::new(Addresses {
+        grpc: ([0, 0, 0, 0], 50051).into(),
+        pages: Some(([127, 0, 0, 1], 8080).into()),
+        has_tls: true,
+        has_identities: false,
+        zenoh: Vec::new(),
+    });
+    let pages = Pages {
+        shared,
+        phases,
+        addresses,
+    };
+    routes(pages, false)
 }
 
 async fn ask(router: &mut Router, request: axum::http::request::Builder, body: &str) -> Response {
@@ -91,8 +104,8 @@ async fn post(router: &mut Router, key: &str, body: Value) -> (StatusCode, Value
     (status, serde_json::from_slice(&bytes).unwrap())
 }
 
-/// The heads of frames, with the ids and the first coordinates of points.
-fn frames(mut bytes: &[u8]) -> Vec<(Value, Vec<u64>, Vec<f32>)> {
+/// The heads and the bodies of frames.
+fn heads(mut bytes: &[u8]) -> Vec<(Value, &[u8])> {
     let mut frames = Vec::new();
     while let Some((lengths, rest)) = bytes.split_first_chunk::<8>() {
         let length = |at: usize| u32::from_le_bytes(lengths[at..at + 4].try_into().unwrap());
@@ -100,7 +113,15 @@ fn frames(mut bytes: &[u8]) -> Vec<(Value, Vec<u64>, Vec<f32>)> {
         let (body, rest) = rest.split_at(length(4) as usize);
         bytes = rest;
         assert_eq!((head.len() % 8, body.len() % 8), (0, 0));
-        let head: Value = serde_json::from_slice(head).unwrap();
+        frames.push((serde_json::from_slice(head).unwrap(), body));
+    }
+    frames
+}
+
+/// The heads of frames, with the ids and the first coordinates of points.
+fn frames(bytes: &[u8]) -> Vec<(Value, Vec<u64>, Vec<f32>)> {
+    let mut frames = Vec::new();
+    for (head, body) in heads(bytes) {
         let count = head["count"].as_u64().unwrap_or(0) as usize;
         let numbers = body
             .chunks_exact(8)
@@ -195,30 +216,85 @@ async fn edges_are_sent_to_those_who_ask_for_them() {
     assert_eq!(frames[2].1, from.chain(to).collect::<Vec<u64>>());
 }
 
-/// Payloads that are no ids are not read for their points' sake.
-#[tokio::test]
-async fn a_payload_of_another_form_ends_the_edges() {
+/// An index `encoded` with one point of this payload, and the edges that are sent of it.
+async fn edges_of(encoding: v1::PayloadEncoding, payload: &[u8]) -> Vec<u64> {
     let service = service().await;
+    let request = v1::CreateIndexRequest {
+        name: "encoded".into(),
+        space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
+        payload_encoding: encoding.into(),
+    };
+    let call = Call::default();
+    service.create_index(&call, request).await.unwrap();
     let request = v1::InsertRequest {
-        index_name: "arm".into(),
-        ids: vec![10],
-        tags: vec![110],
+        index_name: "encoded".into(),
         states: Some(v1::States {
             row_count: 1,
-            coordinates: vec![10.0, 0.5],
+            coordinates: vec![0.5],
         }),
-        payloads: vec!["a name".into()],
+        payloads: vec![payload.to_owned().into()],
         ..Default::default()
     };
-    service.insert(&Call::default(), request).await.unwrap();
-    for id in 11..10_000 {
-        insert(&service, id).await;
-    }
+    service.insert(&call, request).await.unwrap();
     let mut router = router(&service, Identities::default());
-    let frames = all_frames(&mut router, "edges=true").await;
-    let of = |kind: &str| frames.iter().filter(|it| it.0["kind"] == kind).count();
-    assert!(of("points") > 2);
-    assert_eq!(of("edges"), 1);
+    let request = Request::post("/api/v1/encoded/points?edges=true");
+    let answer = ask(&mut router, request, "").await.into_body();
+    let sent = to_bytes(answer, usize::MAX).await.unwrap();
+    let frames = heads(&sent);
+    let edges = frames.iter().find(|(head, _)| head["kind"] == "edges");
+    let numbers = edges.map(|(_, body)| body.as_chunks::<8>().0.iter());
+    let numbers = numbers.into_iter().flatten();
+    numbers.map(|it| u64::from_le_bytes(*it)).collect()
+}
+
+#[tokio::test]
+async fn edges_are_read_as_the_index_declares() {
+    use v1::PayloadEncoding::{Edges, Unspecified, WeightedEdges};
+    let payload = [7_u64, 2.5_f64.to_bits(), 9, 0.5_f64.to_bits()];
+    let payload = payload.map(u64::to_le_bytes).concat();
+    let costs = [2.5, 0.5].map(f64::to_bits);
+    assert_eq!(edges_of(WeightedEdges, &payload).await, [0, 0, 7, 9]);
+    let all = [0, 0, 0, 0, 7, costs[0], 9, costs[1]];
+    assert_eq!(edges_of(Edges, &payload).await, all);
+    assert_eq!(edges_of(Unspecified, &payload).await, [0_u64; 0]);
+    assert_eq!(edges_of(Edges, b"a name").await, [0_u64; 0]);
+    assert_eq!(edges_of(WeightedEdges, &payload[..24]).await, [0_u64; 0]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_overview_has_each_second_what_list_and_metrics_have() {
+    let service = service().await;
+    let mut router = router(&service, Identities::default());
+    let answer = ask(&mut router, Request::post("/api/v1/overview"), "").await;
+    assert_eq!(answer.status(), StatusCode::OK);
+    let mut body = answer.into_body().into_data_stream();
+    for points in [POINTS, POINTS + 1] {
+        let next = futures_util::StreamExt::next(&mut body).await;
+        let sent = next.unwrap().unwrap();
+        let frames = heads(&sent);
+        assert_eq!(frames.len(), 1);
+        let head = &frames[0].0;
+        assert_eq!(head["kind"], "overview");
+        let (_, listed) = post(&mut router, "list", json!({})).await;
+        assert_eq!(head["list"]["indexes"], listed["indexes"]);
+        assert_eq!(head["list"]["indexes"][0]["point_count"], points);
+        let metrics = head["metrics"].as_str().unwrap();
+        assert!(metrics.ends_with("# EOF\n"), "{metrics}");
+        insert(&service, points).await;
+    }
+}
+
+#[tokio::test]
+async fn programs_learn_where_grpc_is() {
+    let mut router = router(&service().await, Identities::default());
+    let (status, found) = post(&mut router, "addresses", json!({})).await;
+    assert_eq!(status, StatusCode::OK);
+    let expected = json!({
+        "grpc": { "address": "0.0.0.0:50051", "tls": true },
+        "http": { "address": "127.0.0.1:8080", "tls": false },
+        "identities": false,
+    });
+    assert_eq!(found, expected);
 }
 
 #[tokio::test]
@@ -303,13 +379,37 @@ async fn more_points_than_asked_for_are_sampled() {
         .sum();
     assert!((120..280).contains(&sent), "{sent}");
     assert_eq!(frames[0].0["points"], 1000);
-    assert!((frames[0].0["share"].as_f64().unwrap() - 0.2).abs() < 1e-9);
+    let begin = &frames[0].0;
+    assert!((begin["share"].as_f64().unwrap() - 0.2).abs() < 1e-9);
+    assert_eq!(begin["oldest"], 0);
+    // The same sample is followed from the beginning, and from a revision on.
+    let mut sampled: Vec<u64> = frames.iter().flat_map(|it| it.1.clone()).collect();
+    let (uid, share) = (begin["uid"].as_str().unwrap(), &begin["share"]);
+    let request = Request::post(format!("/api/v1/arm/points?after={uid}:0&share={share}"));
+    let mut body = ask(&mut router, request, "")
+        .await
+        .into_body()
+        .into_data_stream();
+    let mut followed = Vec::new();
+    let mut reached = Value::Null;
+    while reached != 1000 {
+        let next = futures_util::StreamExt::next(&mut body).await;
+        for (head, ids, _) in self::frames(&next.unwrap().unwrap()) {
+            followed.extend(ids);
+            reached = head["revision"].clone();
+        }
+    }
+    sampled.sort_unstable();
+    followed.sort_unstable();
+    assert_eq!(followed, sampled);
     for query in [
         "max=0",
         "max=x",
         "follow=yes",
         "after=7",
         "after=x:y",
+        "share=2",
+        "share=NaN",
         "k=3",
     ] {
         let request = Request::post(format!("/api/v1/arm/points?{query}"));

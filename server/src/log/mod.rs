@@ -37,6 +37,7 @@ use std::sync::Arc;
 use futures_util::{future::BoxFuture, stream::BoxStream};
 use tokio::sync::watch;
 use wayfold_index::Space;
+use wayfold_proto::v1::PayloadEncoding;
 
 pub(crate) use self::fjall::SYNCS;
 #[cfg(fuzzing)]
@@ -62,6 +63,32 @@ pub struct Entry {
     pub name: String,
     /// Its space.
     pub space: Space,
+    /// How its payloads hold edges.
+    pub payload_encoding: PayloadEncoding,
+}
+
+impl Entry {
+    /// The text that catalogues keep: the space, and the payload encoding on a second line if one is declared.
+    fn content(&self) -> String {
+        match self.payload_encoding {
+            PayloadEncoding::Unspecified => self.space.to_string(),
+            declared => format!("{}\n{}", self.space, declared.as_str_name()),
+        }
+    }
+
+    /// The entry with this [`Entry::content`]; None if this version cannot read it.
+    fn of(uid: Uid, name: String, content: &str) -> Option<Self> {
+        let (space, declared) = match content.split_once('\n') {
+            Some((space, declared)) => (space, PayloadEncoding::from_str_name(declared)?),
+            None => (content, PayloadEncoding::Unspecified),
+        };
+        Some(Self {
+            uid,
+            name,
+            space: space.parse().ok()?,
+            payload_encoding: declared,
+        })
+    }
 }
 
 /// An index whose data is lost. Only its name and uid are left.

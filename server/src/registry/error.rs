@@ -1,7 +1,6 @@
 //! Errors of the registry.
 
 use thiserror::Error;
-use wayfold_index::Space;
 
 use crate::{
     log::{LogError, Uid},
@@ -14,11 +13,15 @@ pub enum RegistryError {
     /// The index does not exist, or no longer.
     #[error("the index was deleted")]
     Deleted,
-    /// An index of this name exists and has another space.
-    #[error("an index of this name exists with the space {space}")]
+    /// An index of this name exists and differs.
+    #[error("an index of this name exists with the {what} {existing}")]
     Exists {
-        /// Its space.
-        space: Space,
+        /// What differs.
+        what: &'static str,
+        /// What it has.
+        existing: String,
+        /// What was requested.
+        requested: String,
     },
     /// An index of this name exists, so none can be restored under it.
     #[error("an index of this name exists")]

@@ -14,6 +14,7 @@ use tokio::{
 };
 use tokio_util::task::AbortOnDropHandle;
 use wayfold_index::{Forest, Snapshot, Space};
+use wayfold_proto::v1::PayloadEncoding;
 
 use super::{
     Host, RegistryError, WriteGuard, Writer,
@@ -46,6 +47,7 @@ pub struct Hosted {
     uid: Uid,
     uid_text: String,
     space: Arc<Space>,
+    payload_encoding: PayloadEncoding,
     pub(super) host: Arc<Host>,
     state: watch::Sender<State>,
     pub(super) writer: Arc<Mutex<Writer>>,
@@ -117,6 +119,7 @@ impl Hosted {
             host: Arc::clone(host),
             writer: Arc::new(Mutex::new(Writer::new(&space, Arc::clone(&published)))),
             space,
+            payload_encoding: entry.payload_encoding,
             applied: Arc::new(Mutex::new(Applied { forest, mergers: 0 })),
             in_flight: parking_lot::Mutex::default(),
             operations: parking_lot::Mutex::new(operations),
@@ -206,6 +209,11 @@ impl Hosted {
     /// Its space.
     pub fn space(&self) -> &Space {
         &self.space
+    }
+
+    /// How its payloads hold edges.
+    pub fn payload_encoding(&self) -> PayloadEncoding {
+        self.payload_encoding
     }
 
     /// The state that readers see.

@@ -44,6 +44,7 @@ use parking_lot::{Mutex, RwLock};
 use tokio::sync::{Semaphore, watch};
 use tracing::info;
 use wayfold_index::{Forest, ForestOptions, Space};
+use wayfold_proto::v1::PayloadEncoding;
 
 use crate::{
     log::{Entry, Log, LogError, RunId, Uid},
@@ -310,31 +311,33 @@ impl Registry {
     }
 
     /// Creates an index, or finds the one of this name with an equal space; the flag is true if it was created.
-    /// [`RegistryError::Exists`] if its space differs, [`RegistryError::Full`] if there are as many indices as `limits`
+    /// [`RegistryError::Exists`] if its space differs, or both declare other payload encodings, [`RegistryError::Full`] if there are as many indices as `limits`
     /// allow. Blocks on the log.
     pub fn create(
         &self,
         name: &str,
         space: Space,
+        payload_encoding: PayloadEncoding,
         limits: &[IndexLimit],
     ) -> Result<(Arc<Hosted>, bool), RegistryError> {
         let _change = self.change_lock.lock();
-        if let Some(hosted) = self.find(name, &space)? {
+        let entry = Entry {
+            uid: Uid::unique(),
+            name: name.into(),
+            space,
+            payload_encoding,
+        };
+        if let Some(hosted) = self.find(&entry)? {
             return Ok((hosted, false));
         }
         for limit in limits {
             limit.check(self.indexes.read().keys())?;
         }
         self.host.watermarks.admit(0)?;
-        let entry = Entry {
-            uid: Uid::unique(),
-            name: name.into(),
-            space,
-        };
         match self.host.log.catalogue.create(entry.clone()) {
             Err(LogError::NameTaken { .. }) => {
                 self.adopt_changes()?;
-                let found = self.find(name, &entry.space)?;
+                let found = self.find(&entry)?;
                 // Another server may have deleted it again.
                 return found.map(|it| (it, false)).ok_or(RegistryError::Deleted);
             }
@@ -350,16 +353,31 @@ impl Registry {
         Ok((hosted, true))
     }
 
-    /// The index of this name, if there is one; [`RegistryError::Exists`] if it has another space.
-    fn find(&self, name: &str, space: &Space) -> Result<Option<Arc<Hosted>>, RegistryError> {
-        match self.get(name) {
-            Ok(hosted) if hosted.space() == space => Ok(Some(hosted)),
-            Ok(hosted) => Err(RegistryError::Exists {
-                space: hosted.space().clone(),
-            }),
-            Err(RegistryError::Deleted) => Ok(None),
-            Err(damaged) => Err(damaged),
+    /// The index of the entry's name, if there is one. [`RegistryError::Exists`] if it has another space, or if both
+    /// declare other payload encodings.
+    fn find(&self, entry: &Entry) -> Result<Option<Arc<Hosted>>, RegistryError> {
+        let hosted = match self.get(&entry.name) {
+            Ok(hosted) => hosted,
+            Err(RegistryError::Deleted) => return Ok(None),
+            Err(damaged) => return Err(damaged),
+        };
+        if *hosted.space() != entry.space {
+            return Err(RegistryError::Exists {
+                what: "space",
+                existing: hosted.space().to_string(),
+                requested: entry.space.to_string(),
+            });
         }
+        let declared = [hosted.payload_encoding(), entry.payload_encoding];
+        if declared[0] != declared[1] && !declared.contains(&PayloadEncoding::Unspecified) {
+            let [existing, requested] = declared.map(|it| it.as_str_name().into());
+            return Err(RegistryError::Exists {
+                what: "payload encoding",
+                existing,
+                requested,
+            });
+        }
+        Ok(Some(hosted))
     }
 
     /// Deletes the index of this name if it has `uid`, or if `uid` is None. Readers keep the snapshots they hold. Calls

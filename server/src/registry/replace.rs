@@ -149,6 +149,7 @@ mod tests {
             uid: Uid::unique(),
             name: "arm".into(),
             space: "R1".parse().unwrap(),
+            payload_encoding: Default::default(),
         };
         let uid = entry.uid;
         peer.create(entry.clone()).unwrap();

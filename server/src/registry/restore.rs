@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use tracing::info;
 use wayfold_index::Space;
+use wayfold_proto::v1::PayloadEncoding;
 
 use super::{
     Host, Hosted, IndexLimit, IndexState, Registry, RegistryError,
@@ -31,7 +32,7 @@ impl Registry {
     pub fn restore(
         &self,
         name: &str,
-        space: Space,
+        (space, payload_encoding): (Space, PayloadEncoding),
         limits: Vec<IndexLimit>,
         origin: Origin,
     ) -> Result<Restore, RegistryError> {
@@ -44,6 +45,7 @@ impl Registry {
             uid: Uid::unique(),
             name: name.into(),
             space,
+            payload_encoding,
         };
         Ok(Restore {
             stored: self.host.log.points.restore(entry.clone(), origin)?,

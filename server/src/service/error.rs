@@ -62,16 +62,18 @@ pub enum Error {
         /// The ids, all of them.
         ids: Vec<u64>,
     },
-    /// An index of this name exists, with another space.
+    /// An index of this name exists, with another space or payload encoding.
     #[error(
-        "index \"{name}\" exists with the space {existing}, not {requested}: take another name, or delete it first"
+        "index \"{name}\" exists with the {what} {existing}, not {requested}: take another name, or delete it first"
     )]
     IndexExists {
         /// The name.
         name: String,
-        /// Its space, as text.
+        /// What differs.
+        what: &'static str,
+        /// What it has, as text.
         existing: String,
-        /// The requested space, as text.
+        /// What was requested, as text.
         requested: String,
     },
     /// The name for a restored index is taken.

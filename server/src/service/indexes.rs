@@ -7,7 +7,7 @@ use tracing::Span;
 use wayfold_index::Space;
 use wayfold_proto::{
     space,
-    v1::{self, create_index_request::SpaceForm},
+    v1::{self, PayloadEncoding, create_index_request::SpaceForm},
 };
 
 use super::{
@@ -92,19 +92,32 @@ impl Service {
         let mut violations = Violations::default();
         check_name(&request.name, &mut violations);
         let space = read_space(request.space_form, &mut violations);
+        let declared = PayloadEncoding::try_from(request.payload_encoding);
+        if declared.is_err() {
+            let text = format!(
+                "{} is no value of PayloadEncoding",
+                request.payload_encoding
+            );
+            violations.add("payload_encoding", "UNKNOWN_VALUE", text);
+        }
         violations.finish()?;
-        let Some(space) = space else {
+        let (Some(space), Ok(payload_encoding)) = (space, declared) else {
             return Err(Error::Internal {
-                what: "a space that was refused without a reason".into(),
+                what: "a request that was refused without a reason".into(),
             });
         };
-        let requested = space.to_string();
         let (name, limits) = (request.name.clone(), self.index_limits(&call.caller));
-        let created = self.blocking(move |registry| registry.create(&name, space, &limits));
+        let created =
+            self.blocking(move |registry| registry.create(&name, space, payload_encoding, &limits));
         let (hosted, created) = created.await?.map_err(|error| match error {
-            RegistryError::Exists { space } => Error::IndexExists {
+            RegistryError::Exists {
+                what,
+                existing,
+                requested,
+            } => Error::IndexExists {
                 name: request.name.clone(),
-                existing: space.to_string(),
+                what,
+                existing,
                 requested,
             },
             RegistryError::Full { setting, most } => too_many_indexes(setting, most),
@@ -251,6 +264,7 @@ pub(super) fn describe(hosted: &Hosted, published: &Published) -> v1::Index {
         coordinate_count: space.coordinates() as u32,
         dimension: space.dimension() as u32,
         memory_bytes: published.snapshot.memory_bytes() as u64,
+        payload_encoding: hosted.payload_encoding().into(),
     }
 }
 

@@ -144,9 +144,12 @@ impl Draft {
                 let limits = service.limits();
                 limits.check_quotas(name, &header.space, header.point_count)?;
                 let limits = service.index_limits(caller);
-                let begun = service
-                    .registry()?
-                    .restore(name, header.space, limits, origin);
+                let begun = service.registry()?.restore(
+                    name,
+                    (header.space, header.payload_encoding),
+                    limits,
+                    origin,
+                );
                 *restore = Some(begun.map_err(|error| not_restored(name, error))?);
             }
             (Content::Points(points, modified), Some(restore)) => {

@@ -95,11 +95,10 @@ impl Scan {
         self.hosted.space().coordinates()
     }
 
-    /// Leaves out the payloads of the next parts.
-    pub(crate) fn omit_payloads(&mut self) {
-        if let Some(include) = &mut self.include {
-            include.payloads = false;
-        }
+    /// The revision after which the log has every record now.
+    pub(crate) fn window_start(&self) -> u64 {
+        let newest = self.hosted.published().revision;
+        newest.saturating_sub(self.hosted.window().records)
     }
 
     /// True if there are no further parts.

@@ -118,6 +118,7 @@ impl Snapshot {
             name: self.hosted.name().into(),
             uid: self.hosted.uid_text().into(),
             space: self.hosted.space().clone(),
+            payload_encoding: self.hosted.payload_encoding(),
             revision: published.revision,
             next_id: published.view.next_id(),
             point_count: published.snapshot.len() as u64,

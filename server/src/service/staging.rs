@@ -233,7 +233,7 @@ mod tests {
             runtime.block_on(async {
                 let registry =
                     Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
-                let (hosted, _) = registry.create("line", space.clone(), &[]).unwrap();
+                let (hosted, _) = registry.create("line", space.clone(), Default::default(), &[]).unwrap();
                 let (mut known, mut under_way) = ((0, Vec::new()), Vec::new());
                 for (slot, (&id, &at)) in stored.iter().enumerate() {
                     let writer = hosted.write().await.unwrap();

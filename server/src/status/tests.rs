@@ -71,6 +71,7 @@ fn every_error() -> Vec<(Error, Code, Option<&'static str>)> {
         (
             Error::IndexExists {
                 name: index.clone(),
+                what: "space",
                 existing: "R3".into(),
                 requested: "SO2".into(),
             },

@@ -36,7 +36,13 @@ fn fill(directory: &Path) {
         let uid = Uid::unique();
         let name = name.into();
         let space = "R1".parse().unwrap();
-        log.create(Entry { uid, name, space }).unwrap();
+        log.create(Entry {
+            uid,
+            name,
+            space,
+            payload_encoding: Default::default(),
+        })
+        .unwrap();
         for revision in 1..=revisions {
             let mut effects = Effects::new(1);
             let point = PointRef {

@@ -178,6 +178,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
             &v1::CreateIndexRequest {
                 name: "other".into(),
                 space_form: Some(SpaceForm::SpaceText("R1".into())),
+                ..Default::default()
             },
         ),
         dynamic(
@@ -187,6 +188,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
                 space_form: Some(SpaceForm::Space(wayfold_proto::space::to_message(
                     &"R1".parse().unwrap(),
                 ))),
+                ..Default::default()
             },
         ),
         dynamic("GetServerRequest", &v1::GetServerRequest {}),

@@ -246,6 +246,7 @@ async fn lists_show_what_the_identity_may_see_and_a_watch_ends_with_its_rights()
         let request = v1::CreateIndexRequest {
             name: name.into(),
             space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
+            ..Default::default()
         };
         let request = with_token(token, request);
         server.indices().create_index(request).await.unwrap();

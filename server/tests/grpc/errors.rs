@@ -50,6 +50,7 @@ async fn missing_and_conflicting_things_are_named() {
     let request = v1::CreateIndexRequest {
         name: "line".into(),
         space_form: Some(v1::create_index_request::SpaceForm::SpaceText("SO3".into())),
+        ..Default::default()
     };
     let status = server.indices().create_index(request).await.unwrap_err();
     assert_eq!(reason(&status, Code::AlreadyExists), "INDEX_EXISTS");

@@ -76,6 +76,7 @@ impl TestServer {
         let request = v1::CreateIndexRequest {
             name: name.into(),
             space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
+            ..Default::default()
         };
         let response = self.indices().create_index(request).await.unwrap();
         response.into_inner().index.unwrap()

@@ -33,6 +33,7 @@ use bytes::Bytes;
 use futures_util::StreamExt;
 use proptest::prelude::*;
 use wayfold_index::PointRef;
+use wayfold_proto::v1::PayloadEncoding;
 use wayfold_server::log::{
     Catalogue, Effects, Entry, Journal, LogError, MemoryLog, Outcome, PointStore, Receipt, Record,
     RecordStream, Retention, StoredPoint, Tip, Uid, View,
@@ -87,6 +88,7 @@ fn entry(name: &str) -> Entry {
         uid: Uid::unique(),
         name: name.into(),
         space: "R1".parse().unwrap(),
+        payload_encoding: PayloadEncoding::Edges,
     }
 }
 

@@ -214,6 +214,7 @@ async fn an_index_is_restored_only_if_its_revisions_leave_room_for_others() {
             revision,
             next_id: 0,
             point_count: 0,
+            payload_encoding: Default::default(),
         });
         let mut restoring = service.restore_index(&CALL).unwrap();
         let begun = restoring

@@ -29,6 +29,7 @@ async fn creating_twice_finds_the_same_index_and_another_space_is_refused() {
     let equal = v1::CreateIndexRequest {
         name: "arm".into(),
         space_form: Some(as_message("R3*RP3:0.15")),
+        ..Default::default()
     };
     let second = service.create_index(&CALL, equal).await.unwrap();
     assert!(!second.created);
@@ -39,6 +40,37 @@ async fn creating_twice_finds_the_same_index_and_another_space_is_refused() {
         refusal(other),
         (Code::AlreadyExists, "INDEX_EXISTS", String::new())
     );
+}
+
+#[tokio::test]
+async fn an_index_keeps_the_payload_encoding_that_it_was_created_with() {
+    let service = service();
+    let create = |name: &str, encoding: i32| {
+        let request = v1::CreateIndexRequest {
+            payload_encoding: encoding,
+            ..creation(name, "R2")
+        };
+        let created = service.create_index(&CALL, request);
+        async { created.await.map(|it| it.index.unwrap().payload_encoding()) }
+    };
+    use v1::PayloadEncoding::{Edges, Unspecified, WeightedEdges};
+    assert_eq!(create("plain", 0).await.unwrap(), Unspecified);
+    assert_eq!(create("plain", 1).await.unwrap(), Unspecified);
+    assert_eq!(create("roadmap", 2).await.unwrap(), WeightedEdges);
+    assert_eq!(create("roadmap", 0).await.unwrap(), WeightedEdges);
+    assert_eq!(
+        info(&service, "roadmap").await.payload_encoding(),
+        WeightedEdges
+    );
+
+    let error = create("roadmap", Edges.into()).await.unwrap_err();
+    assert_eq!(error.reason(), "INDEX_EXISTS");
+    let text = error.to_string();
+    let differ = "the payload encoding PAYLOAD_ENCODING_WEIGHTED_EDGES, not PAYLOAD_ENCODING_EDGES";
+    assert!(text.contains(differ), "{text}");
+    let unknown = refusal(create("roadmap", 3).await);
+    let expected = (Code::InvalidArgument, "UNKNOWN_VALUE", "payload_encoding");
+    assert_eq!(unknown, (expected.0, expected.1, expected.2.to_owned()));
 }
 
 #[tokio::test]

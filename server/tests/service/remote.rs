@@ -65,6 +65,7 @@ pub(crate) fn named_arm() -> Entry {
         uid: Uid::unique(),
         name: "arm".into(),
         space: "R1".parse().unwrap(),
+        payload_encoding: Default::default(),
     }
 }
 

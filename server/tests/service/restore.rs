@@ -322,6 +322,7 @@ async fn parts_that_no_server_writes_are_refused() {
         revision: 5,
         next_id: 9,
         point_count: 1,
+        payload_encoding: Default::default(),
     };
     let point = |id, revision, modified, x| v1::SnapshotPoints {
         points: Some(v1::Points {

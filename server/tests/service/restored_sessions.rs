@@ -179,6 +179,7 @@ async fn an_idle_session_of_a_snapshot_ends_when_another_is_opened() {
         revision: 1,
         next_id: 10,
         point_count: 0,
+        payload_encoding: Default::default(),
     };
     let session = v1::SnapshotSession {
         session: 1,

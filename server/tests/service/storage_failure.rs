@@ -324,6 +324,7 @@ async fn a_store_that_meets_damage_while_it_is_written_is_read_and_asks_for_a_re
         uid: Uid::unique(),
         name: name.into(),
         space: "R1".parse().unwrap(),
+        payload_encoding: Default::default(),
     });
     // The content is in several tables, which fjall rewrites with the next one or two.
     for ids in [1..11, 11..16, 16..21] {

@@ -2,7 +2,7 @@
 
 use std::{ffi::c_char, time::Duration};
 
-use client::{Credentials, Index};
+use client::{Credentials, Index, PayloadEncoding};
 
 use super::{
     index::WayfoldIndex,
@@ -33,6 +33,10 @@ pub struct WayfoldServer {
     pub client_key: *const c_char,
     /// The longest time of a call in milliseconds; 0 for the client's own, 30 s.
     pub timeout_ms: u64,
+    /// How the payloads of an index that is created here hold edges, for programs that show them. 0: nothing is declared.
+    /// 1: 8 bytes an edge, the id at its other end, little-endian. 2: 16 bytes an edge, the id and the cost as an IEEE 754
+    /// double, both little-endian. An index that declares another encoding is refused.
+    pub payload_encoding: u32,
 }
 
 /// Opens an index: the builders of both forms have the same methods.
@@ -41,7 +45,9 @@ macro_rules! open {
         let settings: Settings<'_> = $settings;
         let mut open = $form(settings.uri, settings.name).credentials(settings.credentials);
         if let Some(space) = &settings.space {
-            open = open.create(space);
+            open = open
+                .create(space)
+                .payload_encoding(settings.payload_encoding);
         }
         if let Some(timeout) = settings.timeout {
             open = open.timeout(timeout);
@@ -146,6 +152,7 @@ struct Settings<'a> {
     space: Option<client::Space>,
     credentials: Credentials,
     timeout: Option<Duration>,
+    payload_encoding: PayloadEncoding,
 }
 
 impl<'a> Settings<'a> {
@@ -163,6 +170,12 @@ impl<'a> Settings<'a> {
             space: None,
             credentials: Credentials::default(),
             timeout: (server.timeout_ms > 0).then(|| Duration::from_millis(server.timeout_ms)),
+            payload_encoding: match server.payload_encoding {
+                0 => PayloadEncoding::Unspecified,
+                1 => PayloadEncoding::Edges,
+                2 => PayloadEncoding::WeightedEdges,
+                _ => return Err(Failure::argument("payload_encoding", "none of 0, 1 and 2")),
+            },
         };
         if !server.space.is_null() {
             // SAFETY: the caller's promise.

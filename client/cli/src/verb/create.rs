@@ -1,7 +1,7 @@
 //! `wayfold create`
 
 use serde::Serialize;
-use wayfold::Space;
+use wayfold::{PayloadEncoding, Space};
 
 use super::index_info::InfoLine;
 use crate::{Context, failure::Failure, output::Format};
@@ -31,6 +31,28 @@ pub(crate) struct CreateArgs {
     /// The configuration space of the states: 'R3*SO3:0.15'
     #[arg(long)]
     space: Space,
+    /// How payloads hold edges, so that the server's page can draw them: `edges` (ids of 8 bytes), `weighted-edges` (ids and
+    /// costs, 16 bytes)
+    #[arg(long, value_name = "ENCODING", default_value = "none")]
+    payloads: Payloads,
+}
+
+/// What an index declares of its payloads.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Payloads {
+    None,
+    Edges,
+    WeightedEdges,
+}
+
+impl From<Payloads> for PayloadEncoding {
+    fn from(payloads: Payloads) -> Self {
+        match payloads {
+            Payloads::None => Self::Unspecified,
+            Payloads::Edges => Self::Edges,
+            Payloads::WeightedEdges => Self::WeightedEdges,
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -41,7 +63,13 @@ struct Created<'a> {
 }
 
 pub(crate) async fn create(args: CreateArgs, context: &mut Context) -> Result<(), Failure> {
-    let (index, created) = context.client.ensure_index(&args.name, &args.space).await?;
+    let CreateArgs {
+        name,
+        space,
+        payloads,
+    } = args;
+    let created = context.client.ensure_index(&name, &space, payloads.into());
+    let (index, created) = created.await?;
     match context.output.format {
         Format::Json => context.output.json(&Created {
             index: InfoLine::of(&index),

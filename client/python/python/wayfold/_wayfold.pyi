@@ -301,6 +301,7 @@ def shared(
     name: str,
     *,
     create: str | Space | None = None,
+    payload_encoding: Literal["edges", "weighted-edges"] | None = None,
     timeout: float = 30.0,
     max_pending_bytes: int = 16 << 20,
     token: str | None = None,
@@ -309,7 +310,9 @@ def shared(
 ) -> Index:
     """The index of this name on a server, with a copy of it in this process.
 
-    `create` is the space to create it with if it is missing. The certificates and the key are PEM.
+    `create` is the space to create it with if it is missing, and `payload_encoding` tells programs that show it how its
+    payloads hold edges: "edges" are the ids at the other ends, 8 bytes each, little-endian; "weighted-edges" are 16 bytes
+    each, the id and the cost (float64). The certificates and the key are PEM.
     """
 
 def remote(
@@ -317,6 +320,7 @@ def remote(
     name: str,
     *,
     create: str | Space | None = None,
+    payload_encoding: Literal["edges", "weighted-edges"] | None = None,
     timeout: float = 30.0,
     token: str | None = None,
     ca_certificate: bytes | None = None,

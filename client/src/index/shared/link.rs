@@ -13,7 +13,7 @@ use std::{ops::Range, time::Duration};
 use wayfold_index::Space;
 use wayfold_proto::{
     space,
-    v1::{self, create_index_request::SpaceForm},
+    v1::{self, PayloadEncoding, create_index_request::SpaceForm},
 };
 
 use super::served_index::ServedIndex;
@@ -135,10 +135,15 @@ impl Link {
     }
 
     /// Creates the index if it is missing.
-    pub(super) async fn create(&self, space: &Space) -> Result<ServedIndex, Error> {
+    pub(super) async fn create(
+        &self,
+        space: &Space,
+        payload_encoding: PayloadEncoding,
+    ) -> Result<ServedIndex, Error> {
         let request = v1::CreateIndexRequest {
             name: self.name.clone(),
             space_form: Some(SpaceForm::Space(space::to_message(space))),
+            payload_encoding: payload_encoding.into(),
         };
         self.described(&request, |answer| answer.index).await
     }

@@ -13,7 +13,7 @@ use super::{
     writer::Writer,
 };
 use crate::{
-    Credentials, Error, Index,
+    Credentials, Error, Index, PayloadEncoding,
     index::{
         local::LocalPoints,
         runtime::{runtime, wait_for},
@@ -38,6 +38,7 @@ pub struct OpenShared {
     address: Address,
     name: String,
     space: Option<Space>,
+    payload_encoding: PayloadEncoding,
     timeout: Duration,
     max_pending_bytes: usize,
     credentials: Credentials,
@@ -64,6 +65,7 @@ impl OpenShared {
             address,
             name: name.to_owned(),
             space: None,
+            payload_encoding: PayloadEncoding::Unspecified,
             timeout: Duration::from_secs(30),
             max_pending_bytes: 16 << 20,
             credentials: Credentials::default(),
@@ -73,6 +75,13 @@ impl OpenShared {
     /// Creates the index with this space if it is missing. An index with another space is refused.
     pub fn create(mut self, space: &Space) -> OpenShared {
         self.space = Some(space.clone());
+        self
+    }
+
+    /// How the payloads of an index that is created here hold edges: nothing is declared unless set. An index that
+    /// declares another encoding is refused.
+    pub fn payload_encoding(mut self, encoding: PayloadEncoding) -> OpenShared {
+        self.payload_encoding = encoding;
         self
     }
 
@@ -118,7 +127,7 @@ impl OpenShared {
         let (link, limits) =
             Link::open(self.address, &self.name, self.timeout, &self.credentials).await?;
         let index = Arc::new(match &self.space {
-            Some(space) => link.create(space).await?,
+            Some(space) => link.create(space, self.payload_encoding).await?,
             None => link.index().await?,
         });
         let mut writer = Writer::new(index.coordinates());

@@ -1,7 +1,7 @@
 //! The shared store of the workers: the indices that hold the trees, and the meeting.
 
 use clap::ValueEnum;
-use wayfold::{Client, IndexHandle, Search};
+use wayfold::{Client, IndexHandle, PayloadEncoding, Search};
 
 use super::{
     super::{error::PlanningError, problem::Problem},
@@ -61,7 +61,11 @@ impl Store {
     ) -> Result<Store, PlanningError> {
         let mut indices = Vec::new();
         for name in layout.indices(name) {
-            indices.push(client.create_index(&name, problem.space()).await?);
+            indices.push(
+                client
+                    .create_index_with(&name, problem.space(), PayloadEncoding::Edges)
+                    .await?,
+            );
         }
         let name = meeting::name(name);
         let meeting = client.create_index(&name, problem.space()).await?;

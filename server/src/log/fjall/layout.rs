@@ -3,7 +3,7 @@
 //!
 //! | key | value |
 //! |---|---|
-//! | `e`, index | [`Named`]: its [`Stage`], its uid, its name, its space as text |
+//! | `e`, index | [`Named`]: its [`Stage`], its uid, its name, its content as text |
 //! | `h`, index | [`Head`]: revision, next id, newest trimmed revision, newest digest, [`Sum`] of the points |
 //! | `p`, index, id | the point: see [`point`](super::point) |
 //! | `r`, index, revision | the record, as [`Record`](crate::log::Record) documents it |
@@ -140,7 +140,7 @@ impl Named {
         value.extend_from_slice(self.entry.uid.as_bytes());
         value.extend_from_slice(&(self.entry.name.len() as u64).to_le_bytes());
         value.extend_from_slice(self.entry.name.as_bytes());
-        value.extend_from_slice(self.entry.space.to_string().as_bytes());
+        value.extend_from_slice(self.entry.content().as_bytes());
         seal(&entry_key(number), value)
     }
 
@@ -156,9 +156,8 @@ impl Named {
         let uid = Uid::from_bytes(cursor.array()?);
         let length = cursor.length()?;
         let name = str::from_utf8(cursor.take(length)?).ok()?.into();
-        let space = str::from_utf8(cursor.take(cursor.left())?).ok()?;
-        let space = space.parse().ok()?;
-        let entry = Entry { uid, name, space };
+        let content = str::from_utf8(cursor.take(cursor.left())?).ok()?;
+        let entry = Entry::of(uid, name, content)?;
         Some(Self { entry, stage })
     }
 }
@@ -255,6 +254,7 @@ impl Head {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+    use wayfold_proto::v1::PayloadEncoding;
 
     use super::*;
 
@@ -265,6 +265,7 @@ mod tests {
                 uid: Uid::unique(),
                 name: "arm".into(),
                 space: "sum(R3:0.1, SO3:0.15)".parse().unwrap(),
+                payload_encoding: PayloadEncoding::WeightedEdges,
             },
             stage: Stage::Copied,
         };

@@ -301,6 +301,7 @@ mod tests {
             uid: Uid::unique(),
             name: "arm".into(),
             space: "R1".parse().unwrap(),
+            payload_encoding: Default::default(),
         };
         let index = Index::new(0, entry, State::new(Origin::START, Sum::default()));
         let append = |head| {

@@ -40,7 +40,7 @@ const SET_TIME: Duration = Duration::from_secs(5);
 #[serde(deny_unknown_fields)]
 struct Named {
     name: String,
-    /// The uid and the space; None if the index was deleted.
+    /// The uid and [`Entry::content`]; None if the index was deleted.
     index: Option<(String, String)>,
     /// The uids of the newest deleted indices, oldest first.
     deleted: Vec<String>,
@@ -167,21 +167,19 @@ impl Catalogue for NatsCatalogue {
         }
         let mut entries = Vec::new();
         for (named, _) in known.values() {
-            let Some((uid, space)) = &named.index else {
+            let Some((uid, content)) = &named.index else {
                 continue;
             };
-            let (Ok(uid), Ok(space)) = (uid.parse(), space.parse()) else {
+            let uid = uid.parse().ok();
+            let entry = uid.and_then(|uid| Entry::of(uid, named.name.clone(), content));
+            let Some(entry) = entry else {
                 warn!(
                     ?named,
                     "this version cannot read an index of the catalogue in NATS"
                 );
                 continue;
             };
-            let entry = Entry {
-                uid,
-                name: named.name.clone(),
-                space,
-            };
+            let uid = entry.uid;
             if !stored.contains(&entry.uid)
                 && let Err(error) = self.local.create(entry.clone())
             {
@@ -207,7 +205,7 @@ impl Catalogue for NatsCatalogue {
         };
         let named = Named {
             name: entry.name.clone(),
-            index: Some((entry.uid.to_string(), entry.space.to_string())),
+            index: Some((entry.uid.to_string(), entry.content())),
             deleted,
         };
         self.runtime.block_on(self.set(named, revision))?;

@@ -45,6 +45,7 @@ async fn two_points() -> (Service, String) {
     let request = v1::CreateIndexRequest {
         name: "arm".into(),
         space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
+        ..Default::default()
     };
     let call = Call::default();
     let created = service.create_index(&call, request).await.unwrap();

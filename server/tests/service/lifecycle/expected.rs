@@ -120,6 +120,7 @@ pub(super) fn described(name: &str, model: &Model) -> v1::Index {
         coordinate_count: model.space.coordinates() as u32,
         dimension: model.space.dimension() as u32,
         memory_bytes: 0,
+        payload_encoding: v1::PayloadEncoding::Edges.into(),
     }
 }
 
@@ -136,6 +137,7 @@ pub(super) fn assert_holds(name: &str, parts: &[v1::SnapshotPart], model: &Model
         revision: model.revision,
         next_id: model.next_id,
         point_count: model.points.len() as u64,
+        payload_encoding: v1::PayloadEncoding::Edges,
     };
     let expected = SnapshotContent {
         header,

@@ -95,7 +95,9 @@ impl<'a> ServerRun<'a> {
         {
             text = model.space.to_string();
         }
-        let created = self.service.create_index(&CALL, creation(name, &text));
+        let created = self
+            .service
+            .create_index(&CALL, creation_with_edges(name, &text));
         let created = created.await;
         let space: Space = text.parse().unwrap();
         let Some(model) = held else {

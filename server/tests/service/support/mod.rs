@@ -70,6 +70,15 @@ pub(crate) fn creation(name: &str, space: &str) -> v1::CreateIndexRequest {
     v1::CreateIndexRequest {
         name: name.into(),
         space_form: Some(v1::create_index_request::SpaceForm::SpaceText(space.into())),
+        ..Default::default()
+    }
+}
+
+/// A creation that declares edges in the payloads.
+pub(crate) fn creation_with_edges(name: &str, space: &str) -> v1::CreateIndexRequest {
+    v1::CreateIndexRequest {
+        payload_encoding: v1::PayloadEncoding::Edges.into(),
+        ..creation(name, space)
     }
 }
 

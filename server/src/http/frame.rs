@@ -8,28 +8,32 @@ use xxhash_rust::xxh3::xxh3_64;
 /// The most edges of a point. A payload with more is no list of ids of a roadmap, and would fill the picture alone.
 const MAX_EDGES: usize = 1024;
 
-/// The part of the points that is sent: those whose hashed id is at most this number. So a point that comes later is in
-/// the sample or not by the same rule, and its removal too.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Share(u64);
+/// The part of the points that is sent: those whose hashed id is at most this part of the greatest hash. So a point that comes
+/// later is in the sample or not by the same rule, and its removal too.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Share(f64);
 
 impl Share {
-    pub(super) const ALL: Self = Self(u64::MAX);
+    pub(super) const ALL: Self = Self(1.0);
+
+    pub(super) fn from_fraction(fraction: f64) -> Option<Self> {
+        (0.0..=1.0).contains(&fraction).then_some(Self(fraction))
+    }
 
     /// The share of `count` points of which about `max` are sent.
     pub(super) fn of(max: u64, count: u64) -> Self {
         match max < count {
-            true => Self((max as f64 / count as f64 * u64::MAX as f64) as u64),
+            true => Self(max as f64 / count as f64),
             false => Self::ALL,
         }
     }
 
     pub(super) fn fraction(self) -> f64 {
-        self.0 as f64 / u64::MAX as f64
+        self.0
     }
 
     fn has(self, id: u64) -> bool {
-        self == Self::ALL || xxh3_64(&id.to_le_bytes()) <= self.0
+        self == Self::ALL || xxh3_64(&id.to_le_bytes()) <= (self.0 * u64::MAX as f64) as u64
     }
 }
 
@@ -80,18 +84,18 @@ impl Frames {
         self.push(&json!({ "kind": "points", "count": rows.len() }), &body);
     }
 
-    /// Adds the edges of the points of the share: their payloads are the ids at the other ends, eight bytes each. Returns
-    /// false if a payload has another form or exceeds [`MAX_EDGES`]; it has no edges.
-    pub(super) fn push_edges(&mut self, points: &v1::Points, share: Share) -> bool {
+    /// Adds the edges of the points of the share: a payload has `edge_bytes` an edge, and the id at its other end first. A payload
+    /// of another length, or with more than [`MAX_EDGES`], has no edges.
+    pub(super) fn push_edges(&mut self, points: &v1::Points, share: Share, edge_bytes: usize) {
         let (mut from, mut to) = (Vec::new(), Vec::new());
-        let mut are_ids = true;
         for (id, payload) in points.ids.iter().zip(&points.payloads) {
-            let (others, rest) = payload.as_chunks::<8>();
-            if !rest.is_empty() || others.len() > MAX_EDGES {
-                are_ids = false;
-            } else if share.has(*id) {
-                from.extend(others.iter().flat_map(|_| id.to_le_bytes()));
-                to.extend(others.as_flattened());
+            let is_whole = payload.len().is_multiple_of(edge_bytes);
+            if !is_whole || payload.len() / edge_bytes > MAX_EDGES || !share.has(*id) {
+                continue;
+            }
+            for edge in payload.chunks_exact(edge_bytes) {
+                from.extend(id.to_le_bytes());
+                to.extend(&edge[..8]);
             }
         }
         if !from.is_empty() {
@@ -99,7 +103,6 @@ impl Frames {
             from.append(&mut to);
             self.push(&head, &from);
         }
-        are_ids
     }
 
     /// Adds the removed ids of the share.

@@ -1,0 +1,119 @@
+//! `POST /api/v1/overview`: all indices and the figures of `/metrics`, each second, as frames. `POST /api/v1/addresses`: where
+//! the server is reached.
+
+use std::{net::SocketAddr, sync::Arc, time::Duration};
+
+use axum::{
+    extract::State as Of,
+    http::{HeaderMap, header},
+    response::{IntoResponse, Response},
+};
+use serde_json::{Value, json};
+use tokio::time::{Instant, sleep_until};
+use wayfold_proto::v1;
+
+use super::{
+    api::{Admitted, Api, refusal},
+    frame::Frames,
+    metrics_text,
+    streams::{self, FrameSource, StreamCall},
+};
+use crate::{
+    observe::Ending,
+    service::{Call, Error, Service},
+    status::{self, Status},
+    verbs::{Form, Named},
+};
+
+/// The time between two frames.
+const PERIOD: Duration = Duration::from_secs(1);
+
+/// The part of the time that the frames of a stream take from the server, if they take longer than that part of a period.
+const MAX_SHARE: u32 = 10;
+
+/// Answers with the addresses that the server listens on.
+pub(super) async fn addresses(Of(api): Of<Arc<Api>>, headers: HeaderMap) -> Response {
+    match api.admit("addresses", &headers, false) {
+        Ok(mut admitted) => {
+            admitted.record.end(Ending::Ok);
+            let at = &api.addresses;
+            let http = |at: SocketAddr| json!({ "address": at, "tls": api.has_tls });
+            let text = json!({
+                "grpc": { "address": at.grpc, "tls": at.has_tls },
+                "http": at.pages.map(http),
+                "identities": at.has_identities,
+            });
+            let media = [(header::CONTENT_TYPE, "application/json")];
+            (media, text.to_string()).into_response()
+        }
+        Err(status) => refusal(&status),
+    }
+}
+
+/// Answers with the stream.
+pub(super) async fn overview(Of(api): Of<Arc<Api>>, headers: HeaderMap) -> Response {
+    match StreamCall::admit(&api, "overview", &headers) {
+        Ok(call) => {
+            streams::answer(
+                call,
+                Overview {
+                    next: Instant::now(),
+                },
+            )
+            .await
+        }
+        Err(status) => refusal(&status),
+    }
+}
+
+/// The source of the frames.
+struct Overview {
+    /// The time of the next frame.
+    next: Instant,
+}
+
+impl FrameSource for Overview {
+    async fn next(&mut self, call: &mut StreamCall) -> Result<Option<Frames>, Status> {
+        sleep_until(self.next).await;
+        let began = Instant::now();
+        let shared = call.api.shared.clone();
+        let Admitted { call, turns, .. } = &mut call.admitted;
+        let listed = streams::in_turn(turns, list(&shared.service, call)).await?;
+        let metrics = match call.caller.oversees() {
+            true => Some(
+                metrics_text(&shared)
+                    .await
+                    .map_err(|it| status::from_error(&it))?,
+            ),
+            false => None,
+        };
+        let mut frames = Frames::default();
+        let head = json!({ "kind": "overview", "list": listed, "metrics": metrics });
+        frames.push(&head, &[]);
+        self.next = began + PERIOD.max(MAX_SHARE * began.elapsed());
+        Ok(Some(frames))
+    }
+}
+
+/// All indices that the caller sees, as one answer of the verb `list`.
+async fn list(service: &Service, call: &Call) -> Result<Value, Error> {
+    let mut whole = v1::ListIndexesResponse::default();
+    let mut request = v1::ListIndexesRequest {
+        page_size: 1000,
+        ..Default::default()
+    };
+    loop {
+        let page = service.list_indexes(call, request.clone()).await?;
+        let page = status::listing(page);
+        whole.indexes.extend(page.indexes);
+        whole.damaged.extend(page.damaged);
+        if page.next_page_token.is_empty() {
+            break;
+        }
+        request.page_token = page.next_page_token;
+    }
+    let text = Form::Json.write(v1::ListIndexesResponse::NAME, &whole)?;
+    serde_json::from_slice(&text).map_err(|error| Error::Internal {
+        what: format!("the list of the indices is no JSON: {error}"),
+    })
+}

@@ -1,0 +1,133 @@
+//! Streams of frames: their places, their turns, and the memory of what is not yet read.
+
+use std::{convert::Infallible, sync::Arc};
+
+use axum::{
+    body::Body,
+    http::{HeaderMap, header},
+    response::{IntoResponse, Response},
+};
+use bytes::Bytes;
+use futures_util::stream;
+use serde_json::{Value, json};
+use tokio::sync::OwnedSemaphorePermit;
+use tracing::Instrument;
+
+use super::{
+    api::{Admitted, Api, refusal, text},
+    frame::Frames,
+};
+use crate::{
+    admission::CallTurns,
+    observe::Ending,
+    service::Error,
+    status::{self, Status},
+};
+
+/// The most streams at a time. They leave connections for probes and scrapes.
+pub(super) const MAX_STREAMS: usize = 16;
+
+/// The call of a stream.
+pub(super) struct StreamCall {
+    pub(super) api: Arc<Api>,
+    pub(super) admitted: Admitted,
+    /// The bytes that the reader has not taken yet.
+    unread: usize,
+    is_ended: bool,
+    _place: OwnedSemaphorePermit,
+}
+
+/// A source of frames.
+pub(super) trait FrameSource: Send + 'static {
+    /// The next frames; None at the end.
+    fn next(
+        &mut self,
+        call: &mut StreamCall,
+    ) -> impl Future<Output = Result<Option<Frames>, Status>> + Send;
+}
+
+impl StreamCall {
+    /// Admits a stream, if a place is free.
+    pub(super) fn admit(
+        api: &Arc<Api>,
+        verb: &'static str,
+        headers: &HeaderMap,
+    ) -> Result<Self, Box<Status>> {
+        let place = Arc::clone(&api.streams).try_acquire_owned();
+        let place = place.map_err(|_| status::too_many_calls("streams", MAX_STREAMS))?;
+        Ok(Self {
+            admitted: api.admit(verb, headers, true)?,
+            api: Arc::clone(api),
+            unread: 0,
+            is_ended: false,
+            _place: place,
+        })
+    }
+
+    /// The next frames of `source`, and those of its failure; None at the end.
+    async fn next(&mut self, source: &mut impl FrameSource) -> Option<Bytes> {
+        if self.is_ended {
+            return None;
+        }
+        let held = &self.admitted.held;
+        held.give_back(std::mem::take(&mut self.unread));
+        let frames = match source.next(self).await {
+            Ok(Some(frames)) => frames,
+            Ok(None) => {
+                self.end(Ending::Ok);
+                return None;
+            }
+            Err(status) => {
+                self.end(Ending::Failed(status.code));
+                let mut frames = Frames::default();
+                let status: Value = serde_json::from_slice(&text(&status)).unwrap_or_default();
+                frames.push(&json!({ "kind": "failed", "status": status }), &[]);
+                frames
+            }
+        };
+        let frames = frames.finish();
+        self.unread = frames.len();
+        self.admitted.held.take_anyway(self.unread);
+        Some(frames)
+    }
+
+    fn end(&mut self, ending: Ending) {
+        self.is_ended = true;
+        self.admitted.record.end(ending);
+    }
+}
+
+/// Does a part of the work in a turn.
+pub(super) async fn in_turn<T>(
+    turns: &mut CallTurns,
+    work: impl Future<Output = Result<T, Error>>,
+) -> Result<T, Status> {
+    let done = turns.run(work).await.map_err(status::overloaded)?;
+    done.map_err(|error| status::from_error(&error))
+}
+
+/// Answers with the frames of `source`. What it refuses at once is an answer of its own, not a stream.
+pub(super) async fn answer(mut call: StreamCall, mut source: impl FrameSource) -> Response {
+    let span = call.admitted.record.span().clone();
+    let first = match source.next(&mut call).instrument(span.clone()).await {
+        Ok(first) => first.unwrap_or_default().finish(),
+        Err(status) => {
+            call.end(Ending::Failed(status.code));
+            return refusal(&status);
+        }
+    };
+    let rest = stream::unfold((call, source), move |(mut call, mut source)| {
+        let span = span.clone();
+        async move {
+            let frames = call.next(&mut source).instrument(span).await?;
+            Some((frames, (call, source)))
+        }
+    });
+    let frames = futures_util::StreamExt::chain(stream::iter([first]), rest);
+    let frames = futures_util::StreamExt::map(frames, Ok::<_, Infallible>);
+    let headers = [
+        (header::CONTENT_TYPE, "application/octet-stream"),
+        (header::CACHE_CONTROL, "no-store"),
+    ];
+    (headers, Body::from_stream(frames)).into_response()
+}
