@@ -58,6 +58,7 @@ impl Stubs {
         let request = CreateIndexRequest {
             name: name.to_owned(),
             space_form: Some(SpaceForm::SpaceText(space.to_owned())),
+            ..Default::default()
         };
         let response = self.indexes.create_index(request).await;
         let index = response.expect("an index").into_inner().index;

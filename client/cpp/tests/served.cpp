@@ -107,6 +107,11 @@ int main(int count, char **arguments) {
     CHECK(missing.find("missing") != std::string::npos);
     const auto other = message_of<wayfold::Error>([&] { wayfold::Index::shared(uri, "cell", "R3"); });
     CHECK(other.find("cell") != std::string::npos);
+    using wayfold::NewIndex, wayfold::PayloadEncoding;
+    wayfold::Index::remote(uri, "roadmap", NewIndex("R2", PayloadEncoding::edges));
+    const auto otherwise = message_of<wayfold::Error>(
+        [&] { wayfold::Index::shared(uri, "roadmap", NewIndex("R2", PayloadEncoding::weighted_edges)); });
+    CHECK(otherwise.find("PAYLOAD_ENCODING_EDGES, not PAYLOAD_ENCODING_WEIGHTED_EDGES") != std::string::npos);
     CHECK(!message_of<wayfold::Error>([&] { remote.clear(); }).empty());
 
     // The server refuses an id that it has reserved for another session: the writes from there on come back.

@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     Client, Code, Credentials, Error, Filter, Include, Index, IndexHandle, NeighborSpec, Neighbors,
-    Outcome, Radius, ResetReason, ScaledRadius, WatchEvent,
+    Outcome, PayloadEncoding, Radius, ResetReason, ScaledRadius, WatchEvent,
     net::request::LONGEST_WAIT,
     search::{Bounds, K},
 };

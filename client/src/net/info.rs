@@ -1,7 +1,10 @@
 //! The description of an index.
 
 use wayfold_index::Space;
-use wayfold_proto::{space, v1};
+use wayfold_proto::{
+    space,
+    v1::{self, PayloadEncoding},
+};
 
 use crate::{Error, Refusal, Revision};
 

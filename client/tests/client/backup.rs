@@ -22,6 +22,7 @@ fn parts(parts: &[&[f64]]) -> Vec<v1::SnapshotPart> {
         revision: 4,
         next_id: points as u64,
         point_count: points as u64,
+        payload_encoding: Default::default(),
     })];
     let mut id = 0..;
     for part in parts {

@@ -102,6 +102,7 @@ async fn write(batch: usize, round: u64) -> WriterRates {
     let request = CreateIndexRequest {
         name: INDEX.into(),
         space_form: Some(SpaceForm::SpaceText(SPACE.into())),
+        ..Default::default()
     };
     let created = service.create_index(&Call::default(), request).await;
     created.expect("an index");

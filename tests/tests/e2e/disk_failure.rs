@@ -101,6 +101,7 @@ impl Scene {
         let request = CreateIndexRequest {
             name: "other".into(),
             space_form: Some(SpaceForm::SpaceText("R1".into())),
+            ..Default::default()
         };
         let refused = stubs.indexes.create_index(request).await.unwrap_err();
         assert!(refused.message().contains(reason), "{refused:?}");

@@ -10,7 +10,7 @@ use crate::{
     failure::Failure,
     output::{Column, Format, JsonRevision, Output, table},
 };
-use wayfold::{DamagedIndex, IndexInfo, IndexList, coordinate_names};
+use wayfold::{DamagedIndex, IndexInfo, IndexList, PayloadEncoding, coordinate_names};
 
 /// Describes an index
 #[derive(Debug, clap::Args)]
@@ -59,6 +59,17 @@ pub(super) struct InfoLine<'a> {
     coordinate_count: usize,
     dimension: usize,
     memory_bytes: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    payload_encoding: Option<&'static str>,
+}
+
+/// The name of a declared encoding, as `wayfold create` takes it.
+fn encoding_name(index: &IndexInfo) -> Option<&'static str> {
+    match index.payload_encoding {
+        PayloadEncoding::Unspecified => None,
+        PayloadEncoding::Edges => Some("edges"),
+        PayloadEncoding::WeightedEdges => Some("weighted-edges"),
+    }
 }
 
 impl InfoLine<'_> {
@@ -71,6 +82,7 @@ impl InfoLine<'_> {
             coordinate_count: index.coordinate_count,
             dimension: index.dimension,
             memory_bytes: index.memory_bytes,
+            payload_encoding: encoding_name(index),
         }
     }
 }
@@ -96,6 +108,9 @@ pub(crate) async fn info(args: InfoArgs, context: &mut Context) -> Result<(), Fa
         "memory       {}",
         HumanBytes(index.memory_bytes)
     ))?;
+    if let Some(encoding) = encoding_name(&index) {
+        output.text(format_args!("payloads     {encoding}"))?;
+    }
     Ok(())
 }
 

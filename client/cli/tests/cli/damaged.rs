@@ -29,6 +29,7 @@ fn lose_a_mutation(directory: &Path) -> Vec<String> {
             let request = v1::CreateIndexRequest {
                 name: name.into(),
                 space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
+                ..Default::default()
             };
             let created = service.create_index(&call, request).await.unwrap();
             uids.push(created.index.unwrap().revision.unwrap().uid);

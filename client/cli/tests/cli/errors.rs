@@ -68,8 +68,14 @@ fn refusals_of_the_server_are_status_3() {
     let server = Server::start();
     server.run(&["create", "line", "--space", "R1"]);
     server.run_with(&["insert", "line", "-", "--ids", "id"], "id,x\n1,0\n");
+    let roadmap = ["create", "roadmap", "--space", "R1", "--payloads"];
+    server.run(&[&roadmap[..], &["edges"]].concat());
     for (args, expected) in [
-        (&["info", "nope"][..], "(NOT_FOUND)"),
+        (
+            &[&roadmap[..], &["weighted-edges"]].concat()[..],
+            "PAYLOAD_ENCODING_EDGES, not PAYLOAD_ENCODING_WEIGHTED_EDGES",
+        ),
+        (&["info", "nope"], "(NOT_FOUND)"),
         (&["knn", "nope", "-k", "1", "--state", "0"], "(NOT_FOUND)"),
         (&["delete", "nope"], "(NOT_FOUND)"),
         (&["get", "line", "1", "5"], "id 5 (NOT_FOUND)"),

@@ -28,6 +28,7 @@ async fn an_interrupted_snapshot_leaves_no_file() {
         revision: 4,
         next_id: 1,
         point_count: 1,
+        payload_encoding: Default::default(),
     };
     // The rest of the scan never arrives.
     fake.snapshots(&[Writer::new().header(&header)], false);

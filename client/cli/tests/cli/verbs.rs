@@ -32,6 +32,12 @@ fn an_index_is_created_listed_described_and_deleted() {
             .contains("exists already")
     );
 
+    let edges = ["create", "roadmap", "--space", "R2", "--payloads", "edges"];
+    assert_eq!(server.json(&edges).line()["payload_encoding"], "edges");
+    let described = server.run(&["info", "roadmap"]).stdout;
+    assert!(described.contains("payloads     edges"), "{described}");
+    server.run(&["delete", "roadmap"]);
+
     let info = server.json(&["info", "arm"]).line();
     let expected = json!({
         "name": "arm", "space": "R3*SO3:0.15", "point_count": 0,

@@ -10,7 +10,8 @@ use std::{
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
 use wayfold::{
-    Client, Error, Index, InsertOptions, OpenShared, RetryPolicy, Search, Space, Status,
+    Client, Code, Error, Index, InsertOptions, OpenShared, PayloadEncoding, RetryPolicy, Search,
+    Space, Status,
 };
 
 use super::{conformance, model::Model};
@@ -91,6 +92,7 @@ tests!(
     another_process_holds_the_same,
     racing_writers_agree,
     no_edge_between_processes_is_missed,
+    payloads_are_declared,
     writes_to_an_index_that_is_gone_come_back,
     an_index_of_another_space_is_refused,
     it_may_be_used_and_dropped_in_a_task,
@@ -343,6 +345,28 @@ fn no_edge_between_processes_is_missed(way: Way) {
     assert_eq!(pairs.len(), points * (points - 1) / 2);
     // Each pair once: the earlier point of two is never told of the later one.
     assert_eq!(once, pairs.len());
+}
+
+/// An index declares how its payloads hold edges, and refuses another declaration.
+fn payloads_are_declared(way: Way) {
+    let space: Space = "R1".parse().unwrap();
+    let open = |encoding| {
+        way.index("index")
+            .create(&space)
+            .payload_encoding(encoding)
+            .open()
+    };
+    open(PayloadEncoding::Edges).unwrap();
+    open(PayloadEncoding::Unspecified).unwrap();
+    let refused = open(PayloadEncoding::WeightedEdges).unwrap_err();
+    assert_eq!(refused.code(), Code::AlreadyExists, "{refused}");
+    let remote = Index::remote(&way.server.uri, "index").create(&space);
+    let remote = remote.payload_encoding(PayloadEncoding::WeightedEdges);
+    assert_eq!(remote.open().unwrap_err().code(), Code::AlreadyExists);
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let info = async { way.server.client().await.index_info("index").await };
+    let info = runtime.block_on(info).unwrap();
+    assert_eq!(info.payload_encoding, PayloadEncoding::Edges);
 }
 
 /// An index that was made again refuses what is pending, which comes back in order.

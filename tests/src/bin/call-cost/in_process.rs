@@ -88,6 +88,7 @@ async fn service(round: usize) -> Service {
     let create = CreateIndexRequest {
         name: INDEX.into(),
         space_form: Some(SpaceForm::SpaceText(SPACE.into())),
+        ..Default::default()
     };
     let created = service.create_index(&Call::default(), create).await;
     created.expect("an index");

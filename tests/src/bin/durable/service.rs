@@ -41,6 +41,7 @@ impl DurableService {
         let request = CreateIndexRequest {
             name: name.into(),
             space_form: Some(SpaceForm::SpaceText(SPACE.into())),
+            ..Default::default()
         };
         let created = self.0.create_index(&Call::default(), request).await;
         created.expect("an index");

@@ -35,6 +35,7 @@ impl Builder {
                 let request = CreateIndexRequest {
                     name: name.clone(),
                     space_form: Some(SpaceForm::SpaceText("R2".into())),
+                    ..Default::default()
                 };
                 let created = stubs.indexes.create_index(request).await.is_ok();
                 let row = InsertRequest {

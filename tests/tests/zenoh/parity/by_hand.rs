@@ -12,6 +12,7 @@ pub(crate) fn by_hand() -> Vec<Op> {
         Op::Create(v1::CreateIndexRequest {
             name: name.into(),
             space_form: Some(SpaceForm::SpaceText(space.into())),
+            ..Default::default()
         })
     };
     let so3 = |name: &str| {
@@ -20,11 +21,13 @@ pub(crate) fn by_hand() -> Vec<Op> {
         Op::Create(v1::CreateIndexRequest {
             name: name.into(),
             space_form: Some(SpaceForm::Space(so3)),
+            ..Default::default()
         })
     };
     let spaceless = Op::Create(v1::CreateIndexRequest {
         name: "hand".into(),
         space_form: None,
+        ..Default::default()
     });
     let list = |page_size, page_token: &str| {
         Op::List(v1::ListIndexesRequest {

@@ -274,6 +274,7 @@ fn read_index(it: &Value) -> v1::Index {
         coordinate_count: read_integer(&it["coordinate_count"]) as u32,
         dimension: read_integer(&it["dimension"]) as u32,
         memory_bytes: 0,
+        payload_encoding: Default::default(),
     }
 }
 
