@@ -1,0 +1,219 @@
+//! Streams of frames.
+
+use super::*;
+
+#[tokio::test]
+async fn all_points_are_sent_once_with_their_columns() {
+    let service = service().await;
+    let mut router = router(&service, Identities::default());
+    let frames = all_frames(&mut router, "").await;
+    let kinds: Vec<&Value> = frames.iter().map(|(head, ..)| &head["kind"]).collect();
+    assert_eq!(kinds, ["begin", "points", "at"]);
+    assert_eq!(frames[0].0["coordinates"], 2);
+    assert_eq!(frames[0].0["points"], POINTS);
+    assert_eq!(frames[0].0["share"], 1.0);
+    assert_eq!(frames[1].1, (0..POINTS).collect::<Vec<_>>());
+    assert_eq!(frames[1].2[6..8], [3.0, 0.5]);
+    assert_eq!(frames[2].0["revision"], POINTS);
+}
+
+#[tokio::test]
+async fn edges_are_sent_to_those_who_ask_for_them() {
+    let mut router = router(&service().await, Identities::default());
+    let frames = all_frames(&mut router, "edges=true").await;
+    let kinds: Vec<&Value> = frames.iter().map(|(head, ..)| &head["kind"]).collect();
+    assert_eq!(kinds, ["begin", "points", "edges", "at"]);
+    assert_eq!(frames[2].0["count"], 2 * POINTS);
+    let from = (0..POINTS).flat_map(|id| [id; 2]);
+    let to = (0..POINTS).flat_map(|id| [(id + 1) % 10, (id + 9) % 10]);
+    assert_eq!(frames[2].1, from.chain(to).collect::<Vec<u64>>());
+}
+
+/// An index `encoded` with one point of this payload, and the edges that are sent of it.
+async fn edges_of(encoding: v1::PayloadEncoding, payload: &[u8]) -> Vec<u64> {
+    let service = service().await;
+    let request = v1::CreateIndexRequest {
+        name: "encoded".into(),
+        space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
+        payload_encoding: encoding.into(),
+    };
+    let call = Call::default();
+    service.create_index(&call, request).await.unwrap();
+    let request = v1::InsertRequest {
+        index_name: "encoded".into(),
+        states: Some(v1::States {
+            row_count: 1,
+            coordinates: vec![0.5],
+        }),
+        payloads: vec![payload.to_owned().into()],
+        ..Default::default()
+    };
+    service.insert(&call, request).await.unwrap();
+    let mut router = router(&service, Identities::default());
+    let request = Request::post("/api/v1/encoded/points?edges=true");
+    let answer = ask(&mut router, request, "").await.into_body();
+    let sent = to_bytes(answer, usize::MAX).await.unwrap();
+    let frames = heads(&sent);
+    let edges = frames.iter().find(|(head, _)| head["kind"] == "edges");
+    let numbers = edges.map(|(_, body)| body.as_chunks::<8>().0.iter());
+    let numbers = numbers.into_iter().flatten();
+    numbers.map(|it| u64::from_le_bytes(*it)).collect()
+}
+
+#[tokio::test]
+async fn edges_are_read_as_the_index_declares() {
+    use v1::PayloadEncoding::{Edges, Unspecified, WeightedEdges};
+    let payload = [7_u64, 2.5_f64.to_bits(), 9, 0.5_f64.to_bits()];
+    let payload = payload.map(u64::to_le_bytes).concat();
+    let costs = [2.5, 0.5].map(f64::to_bits);
+    assert_eq!(edges_of(WeightedEdges, &payload).await, [0, 0, 7, 9]);
+    let all = [0, 0, 0, 0, 7, costs[0], 9, costs[1]];
+    assert_eq!(edges_of(Edges, &payload).await, all);
+    assert_eq!(edges_of(Unspecified, &payload).await, [0_u64; 0]);
+    assert_eq!(edges_of(Edges, b"a name").await, [0_u64; 0]);
+    assert_eq!(edges_of(WeightedEdges, &payload[..24]).await, [0_u64; 0]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_overview_has_each_second_what_list_and_metrics_have() {
+    let service = service().await;
+    let mut router = router(&service, Identities::default());
+    let answer = ask(&mut router, Request::post("/api/v1/overview"), "").await;
+    assert_eq!(answer.status(), StatusCode::OK);
+    let mut body = answer.into_body().into_data_stream();
+    for points in [POINTS, POINTS + 1] {
+        let next = futures_util::StreamExt::next(&mut body).await;
+        let sent = next.unwrap().unwrap();
+        let frames = heads(&sent);
+        assert_eq!(frames.len(), 1);
+        let head = &frames[0].0;
+        assert_eq!(head["kind"], "overview");
+        let (_, listed) = post(&mut router, "list", json!({})).await;
+        assert_eq!(head["list"]["indexes"], listed["indexes"]);
+        assert_eq!(head["list"]["indexes"][0]["point_count"], points);
+        let metrics = head["metrics"].as_str().unwrap();
+        assert!(metrics.ends_with("# EOF\n"), "{metrics}");
+        insert(&service, points).await;
+    }
+}
+
+#[tokio::test]
+async fn a_stream_goes_on_after_the_revision_of_its_caller() {
+    let service = service().await;
+    let mut router = router(&service, Identities::default());
+    let begun = all_frames(&mut router, "").await;
+    let uid = begun[0].0["uid"].as_str().unwrap();
+    remove(&service, 3).await;
+    let request = Request::post(format!(
+        "/api/v1/arm/points?follow=true&after={uid}:{}",
+        POINTS - 1
+    ));
+    let mut body = ask(&mut router, request, "")
+        .await
+        .into_body()
+        .into_data_stream();
+    let mut seen = Vec::new();
+    while seen
+        .last()
+        .is_none_or(|(head, ..): &(Value, _, _)| head["revision"] != POINTS + 1)
+    {
+        let next = futures_util::StreamExt::next(&mut body)
+            .await
+            .unwrap()
+            .unwrap();
+        seen.extend(frames(&next));
+    }
+    let kinds: Vec<&Value> = seen.iter().map(|(head, ..)| &head["kind"]).collect();
+    assert_eq!(kinds, ["at", "points", "removed", "at"]);
+    assert_eq!((&seen[1].1, &seen[2].1), (&vec![POINTS - 1], &vec![3]));
+
+    // Another uid begins anew.
+    let request = Request::post(
+        "/api/v1/arm/points?follow=true&after=00000000-0000-0000-0000-000000000000:7",
+    );
+    let mut body = ask(&mut router, request, "")
+        .await
+        .into_body()
+        .into_data_stream();
+    let next = futures_util::StreamExt::next(&mut body)
+        .await
+        .unwrap()
+        .unwrap();
+    assert_eq!(
+        frames(&next)[0].0,
+        json!({ "kind": "reset", "reason": "UID_CHANGED" })
+    );
+    let next = futures_util::StreamExt::next(&mut body)
+        .await
+        .unwrap()
+        .unwrap();
+    assert_eq!(frames(&next)[0].0["kind"], "begin");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_without_mutations_says_that_it_lives() {
+    let mut router = router(&service().await, Identities::default());
+    let request = Request::post("/api/v1/arm/points?follow=true");
+    let answer = ask(&mut router, request, "").await;
+    let mut body = answer.into_body().into_data_stream();
+    let mut ends = 0;
+    while ends < 4 {
+        let next = futures_util::StreamExt::next(&mut body).await;
+        let frames = frames(&next.unwrap().unwrap());
+        ends += frames.iter().filter(|it| it.0["kind"] == "at").count();
+    }
+}
+
+/// A sample has about as many points as asked for, and a wrong parameter is refused with its name.
+#[tokio::test]
+async fn more_points_than_asked_for_are_sampled() {
+    let service = service().await;
+    for id in POINTS..1000 {
+        insert(&service, id).await;
+    }
+    let mut router = router(&service, Identities::default());
+    let frames = all_frames(&mut router, "max=200").await;
+    let sent: usize = frames
+        .iter()
+        .map(|(_, ids, coordinates)| coordinates.len().min(ids.len()))
+        .sum();
+    assert!((120..280).contains(&sent), "{sent}");
+    assert_eq!(frames[0].0["points"], 1000);
+    let begin = &frames[0].0;
+    assert!((begin["share"].as_f64().unwrap() - 0.2).abs() < 1e-9);
+    assert_eq!(begin["oldest"], 0);
+    // The same sample is followed from the beginning, and from a revision on.
+    let mut sampled: Vec<u64> = frames.iter().flat_map(|it| it.1.clone()).collect();
+    let (uid, share) = (begin["uid"].as_str().unwrap(), &begin["share"]);
+    let request = Request::post(format!("/api/v1/arm/points?after={uid}:0&share={share}"));
+    let mut body = ask(&mut router, request, "")
+        .await
+        .into_body()
+        .into_data_stream();
+    let mut followed = Vec::new();
+    let mut reached = Value::Null;
+    while reached != 1000 {
+        let next = futures_util::StreamExt::next(&mut body).await;
+        for (head, ids, _) in self::frames(&next.unwrap().unwrap()) {
+            followed.extend(ids);
+            reached = head["revision"].clone();
+        }
+    }
+    sampled.sort_unstable();
+    followed.sort_unstable();
+    assert_eq!(followed, sampled);
+    for query in [
+        "max=0",
+        "max=x",
+        "follow=yes",
+        "after=7",
+        "after=x:y",
+        "share=2",
+        "share=NaN",
+        "k=3",
+    ] {
+        let request = Request::post(format!("/api/v1/arm/points?{query}"));
+        let refused = ask(&mut router, request, "").await;
+        assert_eq!(refused.status(), StatusCode::BAD_REQUEST, "{query}");
+    }
+}
