@@ -1,5 +1,7 @@
 //! The parts of the server that both faces use.
 
+use std::net::SocketAddr;
+
 use tokio::runtime::Handle;
 
 use crate::{
@@ -36,4 +38,18 @@ impl Shared {
             metrics: Metrics::new(config.http.listen != OFF),
         }
     }
+}
+
+/// The addresses that a server listens on.
+#[derive(Clone)]
+pub(crate) struct Addresses {
+    pub(crate) grpc: SocketAddr,
+    /// The pages for operators, if there are any.
+    pub(crate) pages: Option<SocketAddr>,
+    /// True if gRPC speaks TLS.
+    pub(crate) has_tls: bool,
+    /// True if callers need an identity.
+    pub(crate) has_identities: bool,
+    /// Zenoh's locators; empty if Zenoh is off.
+    pub(crate) zenoh: Vec<String>,
 }

@@ -25,7 +25,7 @@ use crate::{
     cluster::{self, Cluster, ClusterError},
     config::{ClusterConfig, Config, DataConfig, HttpConfig, OFF, ON},
     exposure::{self, Exposed, ExposedError},
-    faces::Shared,
+    faces::{Addresses, Shared},
     grpc::{self, Callers, GrpcError, Tls, TlsError},
     http::{self, Pages, State},
     identity::{Identities, TableError},
@@ -109,20 +109,6 @@ pub enum ServerError {
         /// The time they had to finish, in milliseconds.
         grace_ms: u64,
     },
-}
-
-/// The addresses that a server listens on.
-#[derive(Clone)]
-pub(crate) struct Addresses {
-    pub(crate) grpc: SocketAddr,
-    /// The pages for operators, if there are any.
-    pub(crate) pages: Option<SocketAddr>,
-    /// True if gRPC speaks TLS.
-    pub(crate) has_tls: bool,
-    /// True if callers need an identity.
-    pub(crate) has_identities: bool,
-    /// Zenoh's locators; empty if Zenoh is off.
-    pub(crate) zenoh: Vec<String>,
 }
 
 /// Serves gRPC on `listener`, and Zenoh as configured, until `shutdown` resolves. Then it finishes the accepted calls

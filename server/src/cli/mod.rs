@@ -17,8 +17,9 @@ use tokio::{net::TcpListener, runtime};
 
 use crate::{
     config::{Config, DEFAULTS},
+    faces::Addresses,
     observe, pages,
-    run::{self, Addresses, ServerError},
+    run::{self, ServerError},
     zenoh,
 };
 use flags::{Command, Flags};

@@ -7,7 +7,7 @@ use std::{
     path::Path,
 };
 
-use crate::run::Addresses;
+use crate::faces::Addresses;
 
 /// The port that the client connects to by default.
 const DEFAULT_PORT: u16 = 50051;

@@ -24,11 +24,10 @@ use wayfold_proto::v1;
 use super::{Pages, streams::MAX_STREAMS};
 use crate::{
     admission::{CALL_BYTES, CallTurns, Flow, HeldBytes},
-    faces::Shared,
+    faces::{Addresses, Shared},
     grpc::token,
     identity::Denial,
     observe::{CallRecord, Ending, Times},
-    run::Addresses,
     service::{Call, Code, Error},
     status::{self, Status},
     verbs::{Form, Named, Request, Target, dispatch, invalid},

@@ -27,11 +27,10 @@ use axum::{
 use tokio::{net::TcpListener, sync::Semaphore, task::spawn_blocking, time::timeout};
 
 use crate::{
-    faces::Shared,
+    faces::{Addresses, Shared},
     grpc::{Tls, token},
     identity::Role,
     lifecycle::{Phase, PhaseWatch},
-    run::Addresses,
     service::Error,
     status,
 };
