@@ -26,6 +26,8 @@ pub(crate) struct Identities {
 #[derive(Debug)]
 struct Source {
     file: PathBuf,
+    /// The state of the file before it was first read: a change since then shows.
+    first: Stamp,
     table: RwLock<Table>,
 }
 
@@ -47,11 +49,13 @@ impl Identities {
         let Some(file) = file else {
             return Ok(Self::default());
         };
+        let first = Stamp::of(file);
         let table = Table::read(file)?;
         info!(file = %file.display(), identities = table.len(), "identities read");
         Ok(Self {
             source: Some(Arc::new(Source {
                 file: file.to_owned(),
+                first,
                 table: RwLock::new(table),
             })),
         })
@@ -88,7 +92,7 @@ impl Identities {
         let Some(source) = self.source else {
             return;
         };
-        let mut known = Stamp::of(&source.file);
+        let mut known = source.first;
         let mut looks = interval(LOOK_INTERVAL);
         loop {
             looks.tick().await;

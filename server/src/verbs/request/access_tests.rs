@@ -1,6 +1,6 @@
 //! Every key against every kind of caller. A key without a row fails the test.
 
-use std::{fs, sync::Arc};
+use std::{fs, sync::Arc, time::Duration};
 
 use sha2::{Digest, Sha256};
 
@@ -32,14 +32,16 @@ fn row(verb: Verb) -> (Role, &'static str) {
     }
 }
 
-#[tokio::test]
-async fn every_key_refuses_every_wrong_caller() {
-    let file = tempfile::NamedTempFile::new().unwrap();
+/// The names of the identities, which are their tokens too.
+const NAMES: [&str; 4] = ["read", "write", "admin", "leg"];
+
+/// A file with the identities, one that has expired, and `others`.
+fn identities(others: &[&str]) -> String {
     let mut text = String::new();
-    let names = ["read", "write", "admin", "leg"];
-    for name in names {
+    for &name in NAMES.iter().chain(&["expired"]).chain(others) {
         let (role, pattern) = match name {
             "leg" => ("admin", "leg"),
+            "expired" | "revoked" => ("admin", "arm"),
             role => (role, "arm"),
         };
         let digest = Sha256::digest(name);
@@ -47,9 +49,26 @@ async fn every_key_refuses_every_wrong_caller() {
         text += &format!(
             "[[identity]]\nname = \"{name}\"\nrole = \"{role}\"\nindexes = [\"{pattern}\"]\ntoken_sha256 = \"{digest}\"\n"
         );
+        if name == "expired" {
+            text += "expires = \"2001-01-01T00:00:00Z\"\n";
+        }
     }
-    fs::write(file.path(), text).unwrap();
+    text
+}
+
+#[tokio::test(start_paused = true)]
+async fn every_key_refuses_every_wrong_caller() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    fs::write(file.path(), identities(&["revoked"])).unwrap();
     let identities = Identities::open(Some(file.path())).unwrap();
+    let revoked = identities.caller(Some(b"revoked"), None);
+    assert_eq!(revoked.check(), Ok(()));
+    fs::write(file.path(), self::identities(&[])).unwrap();
+    let following = tokio::spawn(identities.clone().follow());
+    while revoked.check().is_ok() {
+        tokio::time::advance(Duration::from_secs(1)).await;
+    }
+    following.abort();
     let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
     let service = Service::new(registry, Limits::default());
     service.set_ready();
@@ -72,12 +91,20 @@ async fn every_key_refuses_every_wrong_caller() {
             let answer = dispatch(&service, &call, verb, &request, 1 << 20).await;
             answer.map_err(|error| error.reason()).err()
         };
-        for (token, expected) in [(None, "NO_CREDENTIAL"), (Some("x"), "WRONG_CREDENTIAL")] {
+        for (token, expected) in [
+            (None, "NO_CREDENTIAL"),
+            (Some("x"), "WRONG_CREDENTIAL"),
+            (Some("expired"), "IDENTITY_EXPIRED"),
+            (Some("revoked"), "WRONG_CREDENTIAL"),
+        ] {
             let stranger = identities.caller(token.map(str::as_bytes), None);
             assert_eq!(ask(stranger).await, Some(expected), "{}", verb.name());
         }
+        // A call that began before its identity was revoked.
+        let refused = ask(revoked.clone()).await;
+        assert_eq!(refused, Some("IDENTITY_REVOKED"), "{}", verb.name());
         for (name, role) in
-            names
+            NAMES
                 .into_iter()
                 .zip([Role::Read, Role::Write, Role::Admin, Role::Admin])
         {
