@@ -66,6 +66,8 @@ pub enum TlsError {
 #[derive(Clone)]
 pub(crate) struct Tls {
     files: Arc<Files>,
+    /// The states of the files before they were first read: a change since then shows.
+    first: [Stamp; 3],
     acceptor: Arc<RwLock<TlsAcceptor>>,
 }
 
@@ -123,9 +125,11 @@ impl Tls {
             key,
             client_ca,
         };
+        let first = files.stamps();
         let acceptor = Arc::new(RwLock::new(files.read()?));
         Ok(Self {
             files: Arc::new(files),
+            first,
             acceptor,
         })
     }
@@ -149,7 +153,7 @@ impl Tls {
 
     /// Reads the certificates again whenever their files change. Files that are wrong change nothing.
     pub(crate) async fn follow(self) {
-        let mut known = self.files.stamps();
+        let mut known = self.first;
         let mut looks = interval(LOOK_INTERVAL);
         loop {
             looks.tick().await;
