@@ -9,7 +9,16 @@ mod roadmap;
 mod silent;
 
 use std::{
-    collections::BTreeSet, path::Path, process::Command, sync::mpsc, thread, time::Duration,
+    collections::BTreeSet,
+    path::Path,
+    process::Command,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+        mpsc,
+    },
+    thread,
+    time::Duration,
 };
 
 use rand::{RngExt, SeedableRng};
@@ -18,7 +27,9 @@ use wayfold::{Index, Status};
 use wayfold_index::Space;
 use wayfold_tests::{Process, ServerProcess, Signal, States};
 
-use history::{Content, History, Writer, check_copies, content, store_common, wait_for_all};
+use history::{
+    Content, History, Writer, check_copies, check_meanwhile, content, store_common, wait_for_all,
+};
 use proxy::Proxy;
 
 const SPACE: &str = "R2*SO2*SO3:0.15";
@@ -80,6 +91,14 @@ fn every_write_is_there_once_after_kills() {
         })
         .collect();
     drop(turn);
+    let done = Arc::new(AtomicBool::new(false));
+    let comparers: Vec<thread::JoinHandle<u64>> = [&reader, &indexes[0]]
+        .into_iter()
+        .map(|index| {
+            let (index, done) = (index.clone(), Arc::clone(&done));
+            thread::spawn(move || check_meanwhile(&index, &done, SEED))
+        })
+        .collect();
     let write = |turns: &mpsc::Receiver<()>, count: u64| {
         for _ in 0..count {
             turns.recv().expect("a writer");
@@ -114,6 +133,10 @@ fn every_write_is_there_once_after_kills() {
     }
     drop(turns);
     let histories: Vec<History> = writers.into_iter().map(|w| w.join().unwrap()).collect();
+    done.store(true, Relaxed);
+    let compared = comparers.into_iter().map(|it| it.join().unwrap());
+    let compared: Vec<u64> = compared.collect();
+    assert!(compared.iter().all(|count| *count > kills), "{compared:?}");
     check_all(&uri, &space, &common, &histories, (&reader, &indexes));
     for history in &histories {
         history.check_prefixes(&of_reader);
@@ -123,7 +146,7 @@ fn every_write_is_there_once_after_kills() {
     }
     server.stop(Signal::Terminate);
     println!(
-        "{killed} kills, {starting} of them of a starting server; {} cuts",
+        "{killed} kills, {starting} of them of a starting server; {} cuts; {compared:?} answers compared",
         shaky.cuts()
     );
 }

@@ -2,13 +2,17 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    sync::{Arc, mpsc::SyncSender},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+        mpsc::SyncSender,
+    },
     time::Duration,
 };
 
 use rand::{RngExt, seq::IndexedRandom};
 use wayfold::{Error, Index, InsertOptions, Meanwhile, Search};
-use wayfold_index::{Linear, PointRef, Space};
+use wayfold_index::{Filter, Linear, PointRef, Space};
 use wayfold_tests::{
     States, bits,
     brute_force::{self, pairs},
@@ -249,9 +253,48 @@ impl History {
     }
 }
 
-/// Asserts that an index answers like brute force over its points.
-pub(super) fn check_answers(index: &Index, space: &Space, seed: u64) {
-    let mut points = Linear::new(space.clone());
+/// Compares answers of an index with brute force over its points, at random moments until `done`. Returns how many were
+/// compared. An answer counts if the copy has not changed between it and the scan of the points.
+pub(super) fn check_meanwhile(index: &Index, done: &AtomicBool, seed: u64) -> u64 {
+    let mut states = States::new(index.space().clone(), seed);
+    let mut compared = 0;
+    loop {
+        let is_last = done.load(Relaxed);
+        let state = states.row();
+        let k = states.rng().random_range(1..20);
+        let mask = states.rng().random_range(0..4);
+        let value = mask & states.rng().random_range(0..4);
+        let asked = Search::k(k).tag(mask, value);
+        let found = index.search(&state[..], &asked).unwrap();
+        let points = points_of(index);
+        let again = index.search(&state[..], &asked).unwrap();
+        if again.seen == found.seen {
+            let filter = Filter {
+                tag_mask: mask,
+                tag_value: value,
+                ..Filter::default()
+            };
+            let asked = wayfold_index::Search {
+                filter,
+                ..wayfold_index::Search::nearest_k(k as usize)
+            };
+            let expected = brute_force::search(&points, &state, &asked);
+            assert_eq!(
+                pairs(found.neighbors),
+                expected,
+                "k {k}, tag {mask} {value}"
+            );
+            compared += 1;
+        }
+        if is_last {
+            return compared;
+        }
+    }
+}
+
+/// The points of an index, for brute force.
+fn points_of(index: &Index) -> Linear {
+    let mut points = Linear::new(index.space().clone());
     for point in index.scan().unwrap() {
         let point = point.unwrap();
         let point = PointRef {
@@ -262,6 +305,12 @@ pub(super) fn check_answers(index: &Index, space: &Space, seed: u64) {
         };
         points.insert(point).unwrap();
     }
+    points
+}
+
+/// Asserts that an index answers like brute force over its points.
+pub(super) fn check_answers(index: &Index, space: &Space, seed: u64) {
+    let points = points_of(index);
     assert_eq!(index.len().unwrap(), points.len());
     let mut states = States::new(space.clone(), seed);
     for _ in 0..20 {
