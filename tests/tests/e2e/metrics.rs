@@ -20,7 +20,7 @@ const QUERIES: u64 = 4;
 const MISSED: u64 = 2;
 
 /// The status and the body of a page.
-fn page(address: &str, path: &str, header: &str) -> (u16, String) {
+pub(crate) fn page(address: &str, path: &str, header: &str) -> (u16, String) {
     let mut socket = TcpStream::connect(address).unwrap();
     let request = format!("GET {path} HTTP/1.1\r\nHost: here\r\n{header}Connection: close\r\n\r\n");
     socket.write_all(request.as_bytes()).unwrap();

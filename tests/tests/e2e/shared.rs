@@ -1,6 +1,7 @@
 //! A shared index keeps its writes despite failures of its server and of the connection: each write is there
 //! exactly once, in the order of the calls.
 
+mod asleep;
 mod failover;
 mod history;
 mod outage;
