@@ -1,9 +1,11 @@
 //! The form of an index without a copy: each call goes to the server.
 
+mod open;
+
 use std::{
     collections::{BTreeMap, VecDeque},
-    sync::{Arc, mpsc},
-    time::{Duration, Instant},
+    sync::mpsc,
+    time::Instant,
 };
 
 use wayfold_index::{
@@ -16,82 +18,12 @@ use super::{
     runtime::{runtime, wait_for},
 };
 use crate::{
-    Client, Code, Credentials, Error, Filter, Include, Index, IndexHandle, NeighborSpec, Neighbors,
-    Outcome, PayloadEncoding, Radius, ResetReason, ScaledRadius, WatchEvent,
-    net::request::LONGEST_WAIT,
+    Code, Error, Filter, Include, IndexHandle, NeighborSpec, Neighbors, Outcome, Radius,
+    ResetReason, ScaledRadius, WatchEvent,
     search::{Bounds, K},
 };
 
-/// Settings of a remote index: [`OpenRemote::open`] connects and returns it.
-#[derive(Clone, Debug)]
-#[must_use = "call open"]
-pub struct OpenRemote {
-    uri: String,
-    name: String,
-    space: Option<Space>,
-    payload_encoding: PayloadEncoding,
-    timeout: Duration,
-    credentials: Credentials,
-}
-
-impl OpenRemote {
-    pub(super) fn new(uri: &str, name: &str) -> OpenRemote {
-        OpenRemote {
-            uri: uri.to_owned(),
-            name: name.to_owned(),
-            space: None,
-            payload_encoding: PayloadEncoding::Unspecified,
-            timeout: Duration::from_secs(30),
-            credentials: Credentials::default(),
-        }
-    }
-
-    /// Creates the index with this space if it is missing. An index with another space is refused.
-    pub fn create(mut self, space: &Space) -> OpenRemote {
-        self.space = Some(space.clone());
-        self
-    }
-
-    /// How the payloads of an index that is created here hold edges: nothing is declared unless set. An index that
-    /// declares another encoding is refused.
-    pub fn payload_encoding(mut self, encoding: PayloadEncoding) -> OpenRemote {
-        self.payload_encoding = encoding;
-        self
-    }
-
-    /// The longest time of a call: 30 s unless set.
-    pub fn timeout(mut self, timeout: Duration) -> OpenRemote {
-        self.timeout = timeout.min(LONGEST_WAIT);
-        self
-    }
-
-    /// The certificates and the token of the connection: none unless set.
-    pub fn credentials(mut self, credentials: Credentials) -> OpenRemote {
-        self.credentials = credentials;
-        self
-    }
-
-    /// Connects to the first server that answers, and opens the index.
-    ///
-    /// # Errors
-    /// [`Error::Address`], [`Error::Connection`], [`Error::Timeout`]. `NOT_FOUND`: there is no index of this name.
-    /// `ALREADY_EXISTS`: it has another space.
-    pub fn open(self) -> Result<Index, Error> {
-        let index = wait_for(async move {
-            let client = Client::builder().timeout(self.timeout);
-            let client = client.credentials(self.credentials);
-            let client = client.connect(&self.uri).await?;
-            match &self.space {
-                Some(space) => {
-                    let declared = self.payload_encoding;
-                    client.create_index_with(&self.name, space, declared).await
-                }
-                None => client.index(&self.name).await,
-            }
-        })?;
-        Ok(Index::of(Arc::new(Remote { index })))
-    }
-}
+pub use open::OpenRemote;
 
 /// An index on a server.
 #[derive(Debug)]
