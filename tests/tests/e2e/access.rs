@@ -131,7 +131,10 @@ async fn a_certificate_or_a_token_is_an_identity_and_nothing_else_is() {
                  certificate = \"planner.example\"\n";
     let before = fs::read_to_string(&identities).unwrap();
     fs::write(&identities, before + entry).unwrap();
-    let server = ServerProcess::ready(Process::spawn(&mut authority.command()));
+    // The most that the server and its libraries write.
+    let mut command = authority.command();
+    command.env("WAYFOLD_LOG__FILTER", "trace,zenoh=trace");
+    let server = ServerProcess::ready(Process::spawn(&mut command));
     let uri = server.uri().to_owned();
     let connect = async |credentials: Credentials| {
         let builder = Client::builder().credentials(credentials);
@@ -192,6 +195,7 @@ async fn a_certificate_or_a_token_is_an_identity_and_nothing_else_is() {
         assert_eq!(failed.code(), Code::Unavailable, "{failed}");
     }
     let log = server.stop(Signal::Terminate).stderr;
+    assert!(log.contains("TRACE"), "{log}");
     for token in [&*admin, "wayfold_of_a_stranger"] {
         assert!(!log.contains(token), "a token is in the log: {log}");
     }
@@ -346,7 +350,8 @@ async fn over_zenoh_a_token_is_the_attachment_and_events_stay_unpublished_unless
                 "WAYFOLD_ACCESS__IDENTITIES",
                 authority.file("identities", "toml"),
             )
-            .env("WAYFOLD_ACCESS__PUBLISH_EVENTS", publishes);
+            .env("WAYFOLD_ACCESS__PUBLISH_EVENTS", publishes)
+            .env("WAYFOLD_LOG__FILTER", "trace,zenoh=trace");
         let mut server = ServerProcess::ready(Process::spawn(&mut command));
         let session = measuring::connect(&server.zenoh()).await;
         let events = session.declare_subscriber("wayfold/v1/*/events").await;
@@ -362,10 +367,8 @@ async fn over_zenoh_a_token_is_the_attachment_and_events_stay_unpublished_unless
         };
         let stranger = open(Credentials::new()).await.unwrap().unwrap_err();
         assert_eq!(stranger.reason(), Some("NO_CREDENTIAL"), "{stranger}");
-        let index = open(Credentials::new().token(token))
-            .await
-            .unwrap()
-            .unwrap();
+        let index = open(Credentials::new().token(&*token)).await.unwrap();
+        let index = index.unwrap();
         let written = tokio::task::spawn_blocking(move || {
             // A server that publishes has sent the first mutations before it acknowledges the last.
             (0..20).try_for_each(|number| {
@@ -381,5 +384,8 @@ async fn over_zenoh_a_token_is_the_attachment_and_events_stay_unpublished_unless
             "on" => drop(events.recv_async().await.unwrap()),
             _ => assert!(events.try_recv().unwrap().is_none()),
         }
+        let log = server.stop(Signal::Terminate).stderr;
+        assert!(log.contains("TRACE"), "{log}");
+        assert!(!log.contains(&*token), "the token is in the log");
     }
 }
