@@ -4,10 +4,12 @@ use std::io::{self, IsTerminal};
 
 use serde::Deserialize;
 use thiserror::Error;
+use tracing::{Level, Metadata};
 use tracing_subscriber::{
-    EnvFilter,
-    filter::ParseError,
+    EnvFilter, Layer,
+    filter::{ParseError, filter_fn},
     fmt,
+    layer::SubscriberExt,
     util::{SubscriberInitExt, TryInitError},
 };
 
@@ -67,13 +69,19 @@ pub(crate) fn start(filter: &str, format: LogFormat) -> Result<(), LoggingError>
         filter: filter.to_owned(),
         source,
     })?;
-    let lines = fmt()
-        .with_env_filter(filter)
+    let lines = fmt::layer()
         .with_writer(io::stderr)
         .with_ansi(io::stderr().is_terminal());
-    match format {
-        LogFormat::Text => lines.finish().try_init()?,
-        LogFormat::Json => lines.json().finish().try_init()?,
-    }
+    let lines = match format {
+        LogFormat::Text => lines.boxed(),
+        LogFormat::Json => lines.json().boxed(),
+    };
+    let registry = tracing_subscriber::registry().with(lines).with(filter);
+    registry.with(filter_fn(has_no_secrets)).try_init()?;
     Ok(())
+}
+
+/// At the level trace Zenoh writes whole messages, and a caller's token is a part of them.
+fn has_no_secrets(lines: &Metadata<'_>) -> bool {
+    *lines.level() < Level::TRACE || !lines.target().starts_with("zenoh")
 }
