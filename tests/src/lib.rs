@@ -10,6 +10,7 @@ pub mod ledger;
 pub mod measuring;
 mod model;
 pub mod nats;
+mod page;
 mod process;
 mod refusal;
 mod states;
@@ -17,6 +18,7 @@ mod stubs;
 
 pub use content::{Content, StoredPoint};
 pub use model::Model;
+pub use page::page;
 pub use process::{Process, ProcessOutput, ServerProcess, Signal};
 pub use refusal::Refusal;
 pub use states::States;

@@ -50,6 +50,8 @@ pub(crate) struct Admission {
     all: Arc<ByteBudget>,
     /// The most bytes of one flow.
     share: usize,
+    /// The calls that were refused because too many were under way.
+    excess: Arc<AtomicU64>,
     /// The flow of administration, whose bytes are its own: no load takes them.
     admin: Arc<Flow>,
 }
@@ -90,6 +92,7 @@ impl Admission {
             turns,
             all,
             share,
+            excess: Arc::default(),
         }
     }
 
@@ -125,16 +128,22 @@ impl Admission {
         }
     }
 
+    /// Counts a call that is refused because too many are under way.
+    pub(crate) fn count_excess(&self) {
+        self.excess.fetch_add(1, Relaxed);
+    }
+
     /// The bytes that are held, and the most.
     pub(crate) fn bytes(&self) -> (u64, u64) {
         (self.all.held() as u64, self.all.max() as u64)
     }
 
     /// The numbers of calls that were refused so far, by reason.
-    pub(crate) fn refused(&self) -> [(&'static str, u64); 2] {
+    pub(crate) fn refused(&self) -> [(&'static str, u64); 3] {
         [
             ("OVERLOADED", self.turns.refused()),
             ("TOO_MANY_BYTES", self.all.refused()),
+            ("TOO_MANY_CALLS", self.excess.load(Relaxed)),
         ]
     }
 

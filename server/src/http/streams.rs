@@ -54,7 +54,10 @@ impl StreamCall {
         headers: &HeaderMap,
     ) -> Result<Self, Box<Status>> {
         let place = Arc::clone(&api.streams).try_acquire_owned();
-        let place = place.map_err(|_| status::too_many_calls("streams", MAX_STREAMS))?;
+        let place = place.map_err(|_| {
+            api.shared.admission.count_excess();
+            status::too_many_calls("streams", MAX_STREAMS)
+        })?;
         Ok(Self {
             admitted: api.admit(verb, headers, true)?,
             api: Arc::clone(api),

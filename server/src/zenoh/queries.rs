@@ -82,6 +82,7 @@ impl Queries {
             return self.refuse(query, form, under_way, status);
         }
         let Ok(place) = Arc::clone(&self.places).try_acquire_owned() else {
+            self.shared.admission.count_excess();
             let status = status::too_many_calls("zenoh.max_calls", self.max_calls);
             return self.refuse(query, form, under_way, status);
         };

@@ -9,7 +9,7 @@ use std::{
 
 use tonic::Code;
 use wayfold_proto::v1;
-use wayfold_tests::{ServerProcess, Signal, Stubs, measuring, row_states, server};
+use wayfold_tests::{ServerProcess, Signal, Stubs, measuring, page, row_states, server};
 
 const KNNS: u64 = 37;
 const INSERTS: u64 = 5;
@@ -18,18 +18,6 @@ const REVISIONS: u64 = INSERTS + 1;
 const MISSING: u64 = 3;
 const QUERIES: u64 = 4;
 const MISSED: u64 = 2;
-
-/// The status and the body of a page.
-pub(crate) fn page(address: &str, path: &str, header: &str) -> (u16, String) {
-    let mut socket = TcpStream::connect(address).unwrap();
-    let request = format!("GET {path} HTTP/1.1\r\nHost: here\r\n{header}Connection: close\r\n\r\n");
-    socket.write_all(request.as_bytes()).unwrap();
-    let mut answer = String::new();
-    socket.read_to_string(&mut answer).unwrap();
-    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-    let status = head.split(' ').nth(1).unwrap().parse().unwrap();
-    (status, body.to_owned())
-}
 
 /// The figures of `/metrics` by name and labels.
 pub(crate) fn figures(address: &str) -> BTreeMap<String, f64> {

@@ -179,7 +179,8 @@ async fn oversized_requests_are_refused_with_a_message() {
         ("WAYFOLD_ZENOH__MAX_MESSAGE_BYTES", "1000"),
         ("WAYFOLD_ZENOH__MAX_CALLS", "1"),
     ];
-    let (_server, locator) = server_with(&[], &settings);
+    let (mut server, locator) = server_with(&["--http", "127.0.0.1:0"], &settings);
+    let pages = server.pages();
     let robot = Robot::connect(&locator).await;
     with_indices(&robot, &["arm"]).await;
     let large = json!({ "states": vec![[0.5, 0.5]; 100] });
@@ -206,7 +207,10 @@ async fn oversized_requests_are_refused_with_a_message() {
         };
         assert_eq!(reason(&refused), (8, "TOO_MANY_CALLS"));
         assert!(refused.to_string().contains("google.rpc.RetryInfo"));
-        let mut stubs = wayfold_tests::Stubs::connect(_server.uri()).await;
+        let (_, metrics) = wayfold_tests::page(&pages, "/metrics", "");
+        let counted = "wayfold_refused_calls_total{reason=\"TOO_MANY_CALLS\"} 1\n";
+        assert!(metrics.contains(counted), "{metrics}");
+        let mut stubs = wayfold_tests::Stubs::connect(server.uri()).await;
         let request = v1::InsertRequest {
             index_name: "arm".into(),
             states: Some(wayfold_tests::row_states(&[1.0, 2.0], 2)),

@@ -3,14 +3,14 @@
 use std::process::Command;
 
 use wayfold::{Client, Space};
-use wayfold_tests::{Process, ServerProcess, Signal, States};
+use wayfold_tests::{Process, ServerProcess, Signal, States, page};
 
 /// The records of a second connection that the log forgets meanwhile.
 const OTHERS: usize = 500;
 
 /// The number of followers of the index, as `/metrics` tells it.
 fn followers(address: &str) -> String {
-    let (status, text) = crate::metrics::page(address, "/metrics", "");
+    let (status, text) = page(address, "/metrics", "");
     assert_eq!(status, 200);
     let line = text
         .lines()
