@@ -46,6 +46,16 @@ pub(super) struct ConnectionArgs {
 }
 
 impl ConnectionArgs {
+    /// The certificates as Zenoh's configuration names them. A link over TCP reads none.
+    pub(super) fn zenoh_tls(&self) -> serde_json::Value {
+        serde_json::json!({
+            "root_ca_certificate": self.ca,
+            "connect_certificate": self.cert,
+            "connect_private_key": self.key,
+            "enable_mtls": self.cert.is_some(),
+        })
+    }
+
     /// Reads the files.
     pub(super) fn credentials(&self) -> Result<Credentials, Failure> {
         let mut credentials = Credentials::new();

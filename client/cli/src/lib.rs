@@ -103,8 +103,7 @@ impl Context {
 async fn execute(args: Args) -> Result<(), Failure> {
     let mut output = Output::stdout(args.format());
     if let Command::Load(load) = args.command {
-        let credentials = args.connection.credentials()?;
-        let to = (&*args.server, credentials);
+        let to = (&*args.server, &args.connection);
         let done = load::load(*load, to, args.timeout, &mut output).await;
         return finish(done, &mut output, args.timeout);
     }

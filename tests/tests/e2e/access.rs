@@ -344,6 +344,60 @@ fn beyond_this_machine_nothing_is_served_without_both() {
     assert!(log.contains("without identities"), "{log}");
 }
 
+/// The links of Zenoh are encrypted, and the command line finds the server only with the certificate of its authority.
+#[test]
+fn over_zenoh_there_is_tls_too() {
+    let directory = tempfile::tempdir().unwrap();
+    let authority = Authority::new(directory.path());
+    authority.certify("server");
+    authority.token("robot", "admin", "*");
+    let links = serde_json::json!({ "transport": { "link": { "tls": {
+        "listen_certificate": authority.file("server", "pem"),
+        "listen_private_key": authority.file("server", "key"),
+    } } } });
+    let mut command = authority.command();
+    command
+        .args(["--zenoh", "tls/127.0.0.1:0"])
+        .env("WAYFOLD_ZENOH__CONFIG", links.to_string())
+        .env("WAYFOLD_ACCESS__PUBLISH_EVENTS", "on");
+    let mut server = ServerProcess::ready(Process::spawn(&mut command));
+    let locator = server.zenoh();
+    assert!(locator.starts_with("tls/127.0.0.1:"), "{locator}");
+    let ca = authority.file("ca", "pem");
+    let token = authority.file("robot", "token");
+    let (ca, token) = (ca.to_str().unwrap(), token.to_str().unwrap());
+    let known = ["--ca", ca, "--token-file", token];
+    let create = ["--server", server.uri(), "create", "arm", "--space", "R2"];
+    let created = wayfold(&[&create[..], &known].concat());
+    assert!(created.status.success(), "{}", created.stderr);
+    let load = [
+        "load",
+        "arm",
+        "--face",
+        "zenoh",
+        "--locator",
+        &locator,
+        "--calls",
+        "100",
+        "--json",
+    ];
+    let loaded = wayfold(&[&load[..], &known].concat());
+    assert!(loaded.status.success(), "{}", loaded.stderr);
+    let result: serde_json::Value = serde_json::from_str(&loaded.stdout.join("\n")).unwrap();
+    assert_eq!(result["total"]["answered"], 100, "{result}");
+    let other = tempfile::tempdir().unwrap();
+    Authority::new(other.path());
+    let wrong = other.path().join("ca.pem");
+    let wrong = ["--ca", wrong.to_str().unwrap(), "--token-file", token];
+    let refused = wayfold(&[&load[..], &wrong].concat());
+    assert!(!refused.status.success());
+    assert!(
+        refused.stderr.contains("tls/127.0.0.1"),
+        "{}",
+        refused.stderr
+    );
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn over_zenoh_a_token_is_the_attachment_and_events_stay_unpublished_unless_allowed() {
     for publishes in ["off", "on"] {

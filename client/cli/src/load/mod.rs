@@ -26,6 +26,7 @@ use std::{path::PathBuf, thread, time::Duration};
 use tokio::sync::{oneshot, watch};
 
 use crate::{
+    connection::ConnectionArgs,
     failure::Failure,
     interrupt,
     output::{Format, Output},
@@ -37,7 +38,6 @@ use report::ReportFile;
 use run::Plan;
 use scenario::Scenario;
 use settings::{Address, PhaseSettings, RunSettings};
-use wayfold::Credentials;
 
 fn after_long_help() -> String {
     format!("{EXAMPLES}\n\n{}", json::FIELDS)
@@ -99,7 +99,7 @@ impl LoadArgs {
 
 pub(crate) async fn load(
     args: LoadArgs,
-    (servers, credentials): (&[String], Credentials),
+    (servers, connection): (&[String], &ConnectionArgs),
     timeout: Duration,
     output: &mut Output,
 ) -> Result<(), Failure> {
@@ -113,7 +113,8 @@ pub(crate) async fn load(
     let plan = Plan {
         index: args.name,
         address: Address {
-            credentials,
+            credentials: connection.credentials()?,
+            zenoh_tls: connection.zenoh_tls(),
             ..settings.address(server)?
         },
         phases,

@@ -3,7 +3,7 @@
 use std::{ffi::OsString, time::Duration};
 
 use clap::{Args, Command, ValueEnum};
-
+use serde_json::Value;
 use wayfold::Credentials;
 
 use super::{error::LoadError, mix::Mix, states::Range};
@@ -192,6 +192,7 @@ impl RunSettings {
                         server: server.to_owned(),
                         prefix: None,
                         credentials: Credentials::default(),
+                        zenoh_tls: Value::Null,
                     });
                 }
             };
@@ -203,6 +204,7 @@ impl RunSettings {
             server: self.locator.clone().ok_or(LoadError::NoLocator)?,
             prefix: Some(prefix.to_owned()),
             credentials: Credentials::default(),
+            zenoh_tls: Value::Null,
         })
     }
 
@@ -236,6 +238,12 @@ pub(super) struct Address {
     /// The prefix of the keys, of Zenoh alone.
     pub(super) prefix: Option<String>,
     pub(super) credentials: Credentials,
+    /// The certificates in Zenoh's words.
+    #[cfg_attr(
+        not(feature = "zenoh"),
+        expect(dead_code, reason = "of the other build")
+    )]
+    pub(super) zenoh_tls: Value,
 }
 
 fn workers(text: &str) -> Result<usize, String> {

@@ -34,6 +34,7 @@ fn outcome(calls: u64) -> Outcome {
             server: "\"><script>3</script>".into(),
             prefix: None,
             credentials: Default::default(),
+            zenoh_tls: Default::default(),
         },
         server: None,
         machine: Machine {

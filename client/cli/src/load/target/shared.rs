@@ -24,7 +24,7 @@ impl SharedTarget {
     ) -> Result<SharedTarget, Failure> {
         let index = match &address.prefix {
             None => Index::shared(&address.server, index),
-            Some(prefix) => over_zenoh(&address.server, prefix, index)?,
+            Some(prefix) => over_zenoh(address, prefix, index)?,
         };
         Ok(SharedTarget {
             runtime: OwnRuntime::new()?,
@@ -126,13 +126,19 @@ impl Target for SharedTarget {
 }
 
 #[cfg(feature = "zenoh")]
-fn over_zenoh(locator: &str, prefix: &str, index: &str) -> Result<wayfold::OpenShared, LoadError> {
+fn over_zenoh(
+    address: &Address,
+    prefix: &str,
+    index: &str,
+) -> Result<wayfold::OpenShared, LoadError> {
     use zenoh::{Config, Wait};
 
+    let locator = &address.server;
     let config = serde_json::json!({
         "mode": "client",
         "connect": { "endpoints": [locator] },
         "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
+        "transport": { "link": { "tls": address.zenoh_tls } },
     });
     let failed = |error: zenoh::Error| {
         // The rest names a line of Zenoh's source.
@@ -149,6 +155,6 @@ fn over_zenoh(locator: &str, prefix: &str, index: &str) -> Result<wayfold::OpenS
 }
 
 #[cfg(not(feature = "zenoh"))]
-fn over_zenoh(_: &str, _: &str, _: &str) -> Result<wayfold::OpenShared, LoadError> {
+fn over_zenoh(_: &Address, _: &str, _: &str) -> Result<wayfold::OpenShared, LoadError> {
     Err(LoadError::NoZenoh)
 }
