@@ -212,3 +212,14 @@ pub enum LogError {
     #[error("the store was closed or reopened during the call: retry it")]
     Closed,
 }
+
+impl LogError {
+    /// The journal has lost the record of a revision that this server has applied, and another one took its place.
+    pub(crate) const fn replaced(uid: Uid, revision: u64) -> Self {
+        Self::Damaged {
+            uid,
+            revision,
+            what: "the journal has another one in its place",
+        }
+    }
+}

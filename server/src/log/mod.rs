@@ -174,6 +174,12 @@ pub trait Journal: Send + Sync {
     /// The records after the revision `after`, once they are as durable as this journal makes them.
     fn follow(&self, uid: Uid, after: u64) -> RecordStream;
 
+    /// The same after a record that this server has applied. A journal elsewhere may have lost it, and have another one in its
+    /// place: then the stream ends with [`LogError::Damaged`].
+    fn follow_applied(&self, uid: Uid, applied: Tip) -> RecordStream {
+        self.follow(uid, applied.revision)
+    }
+
     /// The records after the revision `after` that the journal holds, durable or not; all records if `after` is None.
     /// Returns the first records that fit into `max_bytes` (see [`Effects::bytes`]), but at least one.
     /// [`LogError::Trimmed`] if some of them are no longer held. Blocks.

@@ -237,11 +237,10 @@ impl Hosted {
         let found = self.read(base.revision - 1, 1).await?;
         match found.first().is_none_or(|found| found.tip() == base) {
             true => Ok(head),
-            false => Err(RegistryError::Log(LogError::Damaged {
-                uid: self.uid(),
-                revision: base.revision,
-                what: "the journal has another one in its place",
-            })),
+            false => Err(RegistryError::Log(LogError::replaced(
+                self.uid(),
+                base.revision,
+            ))),
         }
     }
 

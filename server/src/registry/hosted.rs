@@ -27,7 +27,7 @@ use super::{
     payload_sizes::PayloadSizes,
     recent::RecentRecords,
 };
-use crate::log::{Effects, Entry, LogError, Retention, Uid, View, Window};
+use crate::log::{Effects, Entry, LogError, Retention, Tip, Uid, View, Window};
 
 /// One frozen revision of an index. It does not change while it is held.
 pub struct Published {
@@ -110,7 +110,7 @@ impl Hosted {
             view,
         });
         let space = Arc::new(entry.space.clone());
-        let after = (entry.uid, published.revision);
+        let applied = (entry.uid, published.view.tip());
         let hosted = Arc::new(Self {
             name: entry.name.clone(),
             label: host.label(&entry.name),
@@ -142,7 +142,7 @@ impl Hosted {
             }),
         });
         // A loop that began before the index exists could not tell it of an error.
-        *hosted.apply_loop.lock() = ApplyLoop::start(0, Arc::downgrade(&hosted), host, after);
+        *hosted.apply_loop.lock() = ApplyLoop::start(0, Arc::downgrade(&hosted), host, applied);
         hosted
     }
 
@@ -334,8 +334,7 @@ impl Hosted {
             let hosted = Arc::downgrade(self);
             let mut apply_loop = self.apply_loop.lock();
             let next = apply_loop.number + 1;
-            let after = (self.uid, stored.revision);
-            *apply_loop = ApplyLoop::start(next, hosted, &self.host, after);
+            *apply_loop = ApplyLoop::start(next, hosted, &self.host, (self.uid, stored));
             self.state.send_modify(|state| state.closed = None);
         }
         is_resumed
@@ -381,9 +380,9 @@ impl Hosted {
 }
 
 impl ApplyLoop {
-    fn start(number: u64, hosted: Weak<Hosted>, host: &Host, (uid, after): (Uid, u64)) -> Self {
+    fn start(number: u64, hosted: Weak<Hosted>, host: &Host, (uid, applied): (Uid, Tip)) -> Self {
         let (receipts, awaited) = mpsc::unbounded_channel();
-        let records = host.log.journal.follow(uid, after);
+        let records = host.log.journal.follow_applied(uid, applied);
         let task = tokio::spawn(apply::run(hosted, number, records, awaited));
         Self {
             number,

@@ -21,6 +21,7 @@ mod pin;
 mod rebuilt;
 mod remote;
 mod replaced;
+mod replaced_in_nats;
 mod shared_files;
 mod suite;
 mod test_log;

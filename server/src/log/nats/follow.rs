@@ -10,9 +10,9 @@ use tracing::debug;
 use super::{
     RETRY_INTERVAL,
     connection::{Connection, unreachable, within},
-    message::Unpacker,
+    message::{Position, Unpacker},
 };
-use crate::log::{LogError, Record, RecordStream, Uid};
+use crate::log::{Digest, LogError, Record, RecordStream, Uid};
 
 /// A pull of this length notices a lost server of NATS after about as long.
 const PULL_TIME: Duration = Duration::from_secs(2);
@@ -30,6 +30,8 @@ struct Follower {
     uid: Uid,
     /// The newest revision that was returned.
     after: u64,
+    /// The digest of its record, if it is known.
+    digest: Option<Digest>,
     messages: Option<pull::Stream>,
     unpacker: Unpacker,
     /// True if the last subscription brought a gap or damage next, and no record has come since.
@@ -40,12 +42,18 @@ struct Follower {
     attempts: Option<Interval>,
 }
 
-/// The records after the revision `after`. It waits for new ones, and while NATS cannot be reached.
-pub(super) fn follow(connection: Arc<Connection>, uid: Uid, after: u64) -> RecordStream {
+/// The records after the revision `after`, whose record has this digest if it is known. It waits for new ones, and while NATS
+/// cannot be reached.
+pub(super) fn follow(
+    connection: Arc<Connection>,
+    uid: Uid,
+    (after, digest): (u64, Option<Digest>),
+) -> RecordStream {
     let follower = Follower {
         connection,
         uid,
         after,
+        digest,
         messages: None,
         unpacker: Unpacker::default(),
         is_suspect: false,
@@ -82,7 +90,8 @@ impl Follower {
                     attempts
                 });
                 attempts.tick().await;
-                let subscribed = subscribe(&self.connection, self.uid, self.after).await;
+                let subscribed =
+                    subscribe(&self.connection, self.uid, self.after, self.digest).await;
                 if let Err(LogError::JournalBehind { .. }) = &subscribed
                     && self.behind < MAX_BEHIND
                 {
@@ -124,7 +133,7 @@ impl Follower {
         }
         let records = taken?;
         if let Some(last) = records.last() {
-            self.after = last.revision();
+            (self.after, self.digest) = (last.revision(), Some(*last.digest()));
             self.is_suspect = false;
         }
         Ok(records)
@@ -137,8 +146,14 @@ async fn subscribe(
     connection: &Connection,
     uid: Uid,
     after: u64,
+    digest: Option<Digest>,
 ) -> Result<pull::Stream, LogError> {
-    let sequence = place_after(connection, uid, after).await?;
+    let last = connection.last(uid).await?;
+    // A record after it would name the digest of the record before it; the newest one has none yet.
+    if last.last.revision == after && digest.is_some_and(|digest| digest != last.last.digest) {
+        return Err(LogError::replaced(uid, after));
+    }
+    let sequence = place_behind(connection, uid, after, last).await?;
     let config = pull::Config {
         filter_subject: connection.subject(uid),
         deliver_policy: DeliverPolicy::ByStartSequence {
@@ -216,6 +231,16 @@ pub(super) async fn forget(connection: &Connection, uid: Uid, up_to: u64) -> Res
 /// A sequence number from which on an index's first message is the one with the record after the revision `after`.
 async fn place_after(connection: &Connection, uid: Uid, after: u64) -> Result<u64, LogError> {
     let last = connection.last(uid).await?;
+    place_behind(connection, uid, after, last).await
+}
+
+/// The same if `last` is the newest message.
+async fn place_behind(
+    connection: &Connection,
+    uid: Uid,
+    after: u64,
+    last: Position,
+) -> Result<u64, LogError> {
     if last.last.revision < after {
         return Err(LogError::JournalBehind {
             uid,

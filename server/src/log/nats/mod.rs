@@ -29,8 +29,8 @@ use self::{
     publisher::{Publisher, Submission},
 };
 use super::{
-    Catalogue, Journal, Log, LogError, PointStore, Receipt, Record, RecordStream, Retention, Uid,
-    Window,
+    Catalogue, Journal, Log, LogError, PointStore, Receipt, Record, RecordStream, Retention, Tip,
+    Uid, Window,
 };
 
 /// The time between two attempts of a follower to read a stream.
@@ -145,6 +145,11 @@ impl Journal for NatsJournal {
     }
 
     fn follow(&self, uid: Uid, after: u64) -> RecordStream {
+        follow::follow(Arc::clone(&self.connection), uid, (after, None))
+    }
+
+    fn follow_applied(&self, uid: Uid, applied: Tip) -> RecordStream {
+        let after = (applied.revision, Some(applied.digest));
         follow::follow(Arc::clone(&self.connection), uid, after)
     }
 
@@ -178,11 +183,7 @@ impl Journal for NatsJournal {
                 return Ok(repaired);
             };
             if records.first().is_some_and(|first| !first.follows(tip)) {
-                return Err(LogError::Damaged {
-                    uid,
-                    revision: tip.revision,
-                    what: "the journal has another one in its place",
-                });
+                return Err(LogError::replaced(uid, tip.revision));
             }
             let mut receipts = Vec::new();
             for record in records {
