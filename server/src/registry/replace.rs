@@ -15,6 +15,8 @@ impl Registry {
     /// of that revision. Readers keep the old points until [`Registry::host_replaced`]. [`RegistryError::Follows`] if the
     /// index is not closed. Blocks on the log.
     pub fn replace(&self, uid: Uid, origin: Origin) -> Result<Restore, RegistryError> {
+        // A shared catalogue creates and deletes indices of the point store while it is read.
+        let _change = self.change_lock.lock();
         let entries = self.host.log.catalogue.indexes()?;
         let entry = entries.into_iter().find(|entry| entry.uid == uid);
         let entry = entry.ok_or(RegistryError::Deleted)?;
@@ -91,6 +93,11 @@ impl Registry {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::{
+        OnceLock, Weak,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    };
+
     use bytes::Bytes;
     use wayfold_index::PointRef;
 
@@ -125,6 +132,32 @@ mod tests {
         journal.apply(uid, &[record]).unwrap();
     }
 
+    /// A catalogue that notes if its registry reads it without the lock on changes.
+    #[derive(Default)]
+    struct Watched {
+        local: Arc<MemoryLog>,
+        registry: OnceLock<Weak<Registry>>,
+        is_unlocked: AtomicBool,
+    }
+
+    impl Catalogue for Watched {
+        fn indexes(&self) -> Result<Vec<Entry>, LogError> {
+            let registry = self.registry.get().and_then(Weak::upgrade);
+            if registry.is_some_and(|registry| registry.change_lock.try_lock().is_some()) {
+                self.is_unlocked.store(true, Relaxed);
+            }
+            self.local.indexes()
+        }
+
+        fn create(&self, entry: Entry) -> Result<(), LogError> {
+            self.local.create(entry)
+        }
+
+        fn delete(&self, uid: Uid) -> Result<(), LogError> {
+            self.local.delete(uid)
+        }
+    }
+
     /// A copy of all that a peer has.
     fn copy(registry: &Registry, peer: &MemoryLog, uid: Uid) -> Result<Arc<Hosted>, RegistryError> {
         let view = peer.view(uid).unwrap();
@@ -154,10 +187,14 @@ mod tests {
         let uid = entry.uid;
         peer.create(entry.clone()).unwrap();
         local.create(entry).unwrap();
+        let catalogue = Arc::new(Watched {
+            local: Arc::clone(&local),
+            ..Watched::default()
+        });
         let log = Log {
             journal: Arc::clone(&peer) as Arc<dyn Journal>,
-            points: Arc::clone(&local) as Arc<dyn PointStore>,
-            catalogue: local,
+            points: local,
+            catalogue: Arc::clone(&catalogue) as Arc<dyn Catalogue>,
         };
         (0..5).for_each(|_| submit(&peer, uid));
         let retention = Retention {
@@ -175,6 +212,7 @@ mod tests {
             matches!(trimmed, Some(RegistryError::Log(LogError::Trimmed { .. }))),
             "{trimmed:?}"
         );
+        catalogue.registry.set(Arc::downgrade(&registry)).unwrap();
         let copying = {
             let (registry, peer) = (Arc::clone(&registry), Arc::clone(&peer));
             move || copy(&registry, &peer, uid)
@@ -202,5 +240,6 @@ mod tests {
         assert_eq!(hosted.reached(6).await.unwrap().snapshot.len(), 6);
         let refused = tokio::task::spawn_blocking(again).await.unwrap().err();
         assert_eq!(refused, Some(RegistryError::Follows));
+        assert!(!catalogue.is_unlocked.load(Relaxed));
     }
 }
