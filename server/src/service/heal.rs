@@ -41,6 +41,9 @@ const GRACE: Duration = Duration::from_secs(5);
 /// The longest wait before the members are asked again for a copy of an index.
 const MAX_WAIT: Duration = Duration::from_secs(15);
 
+/// The same if a copy failed after its transfer had begun: a large one is not sent again and again.
+const MAX_WAIT_AFTER_PARTS: Duration = Duration::from_secs(300);
+
 /// A member that sends no part of a copy for this long does not answer.
 const PART_TIME: Duration = Duration::from_secs(10);
 
@@ -52,10 +55,51 @@ struct Attempts {
     why: String,
 }
 
+impl Attempts {
+    /// The first one is after this time.
+    fn starting(after: Duration) -> Self {
+        Self {
+            next: Instant::now() + after,
+            wait: LOOK_INTERVAL,
+            why: String::new(),
+        }
+    }
+
+    /// Notes that one failed.
+    fn failed(&mut self, why: NoCopy) {
+        let most = match why.is_late {
+            true => MAX_WAIT_AFTER_PARTS,
+            false => MAX_WAIT,
+        };
+        self.wait = (2 * self.wait).min(most);
+        self.next = Instant::now() + self.wait;
+        self.why = why.why;
+    }
+}
+
+/// No member has given a copy.
+#[derive(Debug)]
+struct NoCopy {
+    why: String,
+    /// True if a copy failed after its transfer had begun.
+    is_late: bool,
+}
+
+impl From<String> for NoCopy {
+    fn from(why: String) -> Self {
+        Self {
+            why,
+            is_late: false,
+        }
+    }
+}
+
 /// A member gave no copy.
 enum Failure {
     /// It has applied another record of this revision.
     Contradicts(u64),
+    /// The copy failed after its transfer had begun.
+    Late(String),
     /// Another reason.
     Other(String),
 }
@@ -101,31 +145,26 @@ impl Service {
         let uids: HashSet<Uid> = stopped.iter().map(|it| it.uid).collect();
         attempts.retain(|uid, _| uids.contains(uid));
         for index in stopped {
-            let now = Instant::now();
-            let attempt = attempts.entry(index.uid).or_insert_with(|| Attempts {
-                next: match index.may_pass {
-                    true => now + GRACE,
-                    false => now,
-                },
-                wait: LOOK_INTERVAL,
-                why: String::new(),
-            });
-            if attempt.next > now {
+            let after = match index.may_pass {
+                true => GRACE,
+                false => Duration::ZERO,
+            };
+            let start = || Attempts::starting(after);
+            let attempt = attempts.entry(index.uid).or_insert_with(start);
+            if attempt.next > Instant::now() {
                 continue;
             }
-            if let Err(why) = heal_index(registry, self, peers, &index).await {
-                let (index, uid) = (&index.name, index.uid);
+            if let Err(no_copy) = heal_index(registry, self, peers, &index).await {
+                let (index, uid, why) = (&index.name, index.uid, &no_copy.why);
                 // It may last for days: log it only when it changes.
-                match attempt.why == why {
+                match attempt.why == *why {
                     true => debug!(index, %uid, why, "no member gives a copy of an index"),
                     false => {
                         warn!(index, %uid, why, "no member gives a copy of an index yet; trying again");
                     }
                 }
-                attempt.why = why;
+                attempt.failed(no_copy);
             }
-            attempt.wait = (2 * attempt.wait).min(MAX_WAIT);
-            attempt.next = Instant::now() + attempt.wait;
         }
     }
 }
@@ -136,14 +175,14 @@ async fn heal_index(
     service: &Service,
     peers: &dyn Peers,
     index: &Stopped,
-) -> Result<(), String> {
+) -> Result<(), NoCopy> {
     let mut min_revision = index.seen;
     if index.tip.is_none() {
         // The revision that its readers saw is unknown. They cannot have seen more than the journal has.
         let newest = blocking(registry, |registry, uid| registry.newest(uid), index.uid).await;
         match newest {
             Ok(newest) => min_revision = min_revision.max(newest),
-            Err(Failure::Other(why)) => return Err(why),
+            Err(Failure::Other(why) | Failure::Late(why)) => return Err(why.into()),
             Err(Failure::Contradicts(_)) => {}
         }
     }
@@ -152,13 +191,16 @@ async fn heal_index(
         applied: index.tip.map(Into::into),
         min_revision,
     };
-    let mut failures = Vec::new();
+    let (mut failures, mut late) = (Vec::new(), HashSet::new());
     let members = peers.peers(index.uid);
     // A member that knows the newest record of this server speaks before one that does not: it may contradict.
     let compared = members.iter().map(|member| (member, true));
     let others = members.iter().map(|member| (member, false));
     let is_comparable = index.tip.is_some();
     for (member, must_compare) in compared.filter(|_| is_comparable).chain(others) {
+        if late.contains(member) {
+            continue;
+        }
         let asked = (index, &request, must_compare);
         let copied = copy_from(registry, service, (peers, member), asked).await;
         match copied {
@@ -175,18 +217,24 @@ async fn heal_index(
             }
             Err(Failure::Contradicts(revision)) => {
                 registry.contradicted(index.uid, revision, member);
-                return Err(format!(
-                    "{member} has another record of revision {revision}"
-                ));
+                let why = format!("{member} has another record of revision {revision}");
+                return Err(why.into());
             }
             Err(Failure::Other(_)) if must_compare => {}
             Err(Failure::Other(why)) => failures.push(format!("{member}: {why}")),
+            Err(Failure::Late(why)) => {
+                failures.push(format!("{member}: {why}"));
+                late.insert(member);
+            }
         }
     }
-    match failures.is_empty() {
-        true => Err("there is no other live member".into()),
-        false => Err(failures.join("; ")),
+    if failures.is_empty() {
+        failures.push("there is no other live member".into());
     }
+    Err(NoCopy {
+        why: failures.join("; "),
+        is_late: !late.is_empty(),
+    })
 }
 
 /// Takes a copy of a member in the place of an index. Returns its revision; the flag is true if the member
@@ -234,14 +282,19 @@ async fn copy_from(
         sessions: Sessions::default(),
         operations: Vec::new(),
     };
-    while !draft.is_whole(start.operations) {
-        let part = next(&mut parts).await?;
-        let read = tokio::task::spawn_blocking(move || draft.read(part).map(|()| draft));
-        draft = read.await??;
+    let rest = async {
+        while !draft.is_whole(start.operations) {
+            let part = next(&mut parts).await?;
+            let read = tokio::task::spawn_blocking(move || draft.read(part).map(|()| draft));
+            draft = read.await??;
+        }
+        tokio::task::spawn_blocking(move || draft.host()).await?
+    };
+    match rest.await {
+        Ok(()) => Ok((tip.revision, start.is_compared)),
+        Err(Failure::Other(why)) => Err(Failure::Late(why)),
+        Err(failure) => Err(failure),
     }
-    let hosting = tokio::task::spawn_blocking(move || draft.host());
-    hosting.await??;
-    Ok((tip.revision, start.is_compared))
 }
 
 /// The next part of a copy.
