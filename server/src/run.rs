@@ -216,35 +216,44 @@ pub(crate) async fn serve(
     let live = async {
         let (registry, nats) = opening.await?;
         let registry = Arc::new(registry);
-        registry.catch_up().await;
-        service.set_registry(Arc::clone(&registry));
-        if let Some((nats, own)) = nats.zip(own) {
-            info!(address = ?members_at, advertised = own, "joining the cluster");
-            let cluster = Arc::new(Cluster::join(&config.cluster, &config.tls, nats, own));
-            service.set_owners(Arc::clone(&cluster) as Arc<dyn Owners>);
-            let _ = joined.set(cluster);
-        }
-        let _of_members = match joined.get() {
-            Some(cluster) => Some(cluster.serve(&service).await),
-            None => None,
-        };
-        service.set_ready();
-        // If the store cannot be opened, every call fails with the cause.
-        if registry.failure().is_none() {
-            lifecycle.advance(Phase::Serving);
-            info!(%address, "serving");
-        }
-        if let Some(face) = &mut zenoh {
-            face.announce(publishes).await?;
-        }
-        ready(&addresses);
-        let _snapshots = schedule.map(|schedule| {
-            AbortOnDropHandle::new(tokio::spawn(schedule.run(service.clone(), metrics)))
+        // The journal gets back the records that it has lost while this server still starts: others may wait for them.
+        let maintaining = Arc::clone(&registry).maintain(|| {
+            if service.is_serving() {
+                lifecycle.advance(Phase::Serving);
+            }
         });
-        registry
-            .maintain(|| lifecycle.advance(Phase::Serving))
-            .await;
-        std::future::pending::<Result<Infallible, ServerError>>().await
+        let starting = async {
+            registry.catch_up().await;
+            service.set_registry(Arc::clone(&registry));
+            if let Some((nats, own)) = nats.zip(own) {
+                info!(address = ?members_at, advertised = own, "joining the cluster");
+                let cluster = Arc::new(Cluster::join(&config.cluster, &config.tls, nats, own));
+                service.set_owners(Arc::clone(&cluster) as Arc<dyn Owners>);
+                let _ = joined.set(cluster);
+            }
+            let _of_members = match joined.get() {
+                Some(cluster) => Some(cluster.serve(&service).await),
+                None => None,
+            };
+            service.set_ready();
+            // If the store cannot be opened, every call fails with the cause.
+            if registry.failure().is_none() {
+                lifecycle.advance(Phase::Serving);
+                info!(%address, "serving");
+            }
+            if let Some(face) = &mut zenoh {
+                face.announce(publishes).await?;
+            }
+            ready(&addresses);
+            let _snapshots = schedule.map(|schedule| {
+                AbortOnDropHandle::new(tokio::spawn(schedule.run(service.clone(), metrics)))
+            });
+            std::future::pending::<Result<Infallible, ServerError>>().await
+        };
+        tokio::select! {
+            failed = starting => failed,
+            () = maintaining => Err(ServerError::Ended),
+        }
     };
     tokio::select! {
         ended = &mut serving => return ended.map_err(ServerError::from).and(Err(ServerError::Ended)),
