@@ -68,7 +68,7 @@ impl UnaryService<StoredRequest> for MemberFace {
 
     fn call(&mut self, request: Request<StoredRequest>) -> Self::Future {
         let service = self.service.clone();
-        async move { respond(service.stored(request.into_inner())) }.boxed()
+        async move { respond(service.stored(request.into_inner()).await) }.boxed()
     }
 }
 

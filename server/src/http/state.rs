@@ -35,7 +35,7 @@ type Index = [(&'static str, Arc<str>); 1];
 type OfIndices = (&'static str, &'static str, Vec<(Index, u64)>);
 
 /// The gauges of an index, in the order of its figures.
-const OF_INDEX: [(&str, &str); 13] = [
+const OF_INDEX: [(&str, &str); 14] = [
     ("index_points", "The points of an index"),
     ("index_revision", "The newest readable revision of an index"),
     ("index_memory_bytes", "About the memory of an index"),
@@ -72,6 +72,11 @@ const OF_INDEX: [(&str, &str); 13] = [
     (
         "index_owned",
         "1 if this server evaluates the mutations of an index, 0 if another server of the cluster does",
+    ),
+    (
+        "index_held_records",
+        "Records in NATS that are outside of all windows and not forgotten, because a server does not store them; \
+         at the owner of the index",
     ),
 ];
 
@@ -198,6 +203,7 @@ impl State {
                 window.records,
                 window.bytes,
                 u64::from(self.shared.service.owns(hosted.uid_text())),
+                hosted.held(),
             ];
             for (gauge, figure) in gauges.iter_mut().zip(figures) {
                 gauge.2.push(([("index", Arc::clone(label))], figure));

@@ -202,6 +202,17 @@ pub trait Journal: Send + Sync {
         }
     }
 
+    /// The oldest revision of the records that this server keeps itself; None if it keeps none. Blocks.
+    fn oldest_kept(&self, uid: Uid) -> Result<Option<u64>, LogError> {
+        let oldest = self.read(uid, None, 1)?;
+        Ok(oldest.first().map(|oldest| oldest.revision()))
+    }
+
+    /// The oldest revision that the journal has; None if it has no record. Blocks.
+    fn oldest(&self, uid: Uid) -> Result<Option<u64>, LogError> {
+        self.oldest_kept(uid)
+    }
+
     /// The newest revision that the journal has, durable or not. Blocks.
     fn newest(&self, uid: Uid) -> Result<u64, LogError>;
 

@@ -66,6 +66,8 @@ pub struct Hosted {
     followers: Followers,
     /// The records that subscribers read from the log because no publication brought them.
     missed: AtomicU64,
+    /// The records of a journal elsewhere that are outside of all windows and not forgotten, if this server trims it.
+    pub(super) held: AtomicU64,
     /// Each batch of a writer session holds a reference while it is under way.
     pub(super) batches: Arc<()>,
     apply_loop: parking_lot::Mutex<ApplyLoop>,
@@ -131,6 +133,7 @@ impl Hosted {
             recent: parking_lot::Mutex::new(RecentRecords::new(host.options.window_bytes)),
             followers: Followers::default(),
             missed: AtomicU64::new(0),
+            held: AtomicU64::new(0),
             fences: Fences::default(),
             is_reported: AtomicBool::new(false),
             is_retired: AtomicBool::new(false),

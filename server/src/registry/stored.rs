@@ -2,7 +2,7 @@
 
 use std::{
     collections::{BTreeSet, HashMap},
-    sync::Arc,
+    sync::{Arc, atomic::Ordering::Relaxed},
     time::{Duration, SystemTime},
 };
 
@@ -20,6 +20,8 @@ pub(crate) struct Stored {
     pub(crate) revision: u64,
     /// True if it survives a loss of power.
     pub(crate) is_durable: bool,
+    /// The oldest revision in its window; None if that has no record, as after a copy.
+    pub(crate) oldest: Option<u64>,
 }
 
 impl Registry {
@@ -29,7 +31,7 @@ impl Registry {
         window.clamp(MIN_TRIM_INTERVAL, MAX_TRIM_INTERVAL)
     }
 
-    /// What this server stores of those of its indices that have these uids.
+    /// What this server stores of those of its indices that have these uids. Blocks.
     pub(crate) fn stored(&self, uids: &BTreeSet<Uid>) -> HashMap<Uid, Stored> {
         let hosted = self.hosted().into_iter();
         let asked = hosted.filter(|hosted| uids.contains(&hosted.uid()));
@@ -53,6 +55,7 @@ impl Hosted {
             revision: durable.map_or(applied, |durable| durable.min(applied)),
             // A server that has stopped may store records that the journal does not have.
             is_durable: durable.is_some() && self.follows(),
+            oldest: self.host.log.journal.oldest_kept(self.uid())?,
         })
     }
 
@@ -60,5 +63,24 @@ impl Hosted {
     pub(crate) fn forget(&self, up_to: u64) -> Result<(), LogError> {
         self.trim(SystemTime::now())?;
         self.host.log.journal.forget(self.uid(), up_to)
+    }
+
+    /// Counts the records of a journal elsewhere up to this revision, which are kept although all windows are behind them.
+    /// Blocks.
+    pub(crate) fn count_held(&self, outside: u64) -> Result<u64, LogError> {
+        let oldest = self.host.log.journal.oldest(self.uid())?;
+        let held = oldest.map_or(0, |oldest| (outside + 1).saturating_sub(oldest));
+        self.held.store(held, Relaxed);
+        Ok(held)
+    }
+
+    /// Notes that no record is kept beyond the windows, or that another server counts them.
+    pub(crate) fn count_none_held(&self) {
+        self.held.store(0, Relaxed);
+    }
+
+    /// The records that were counted last.
+    pub(crate) fn held(&self) -> u64 {
+        self.held.load(Relaxed)
     }
 }

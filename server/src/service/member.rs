@@ -178,6 +178,9 @@ pub struct StoredIndex {
     /// True if the revision survives a loss of power.
     #[prost(bool, tag = "3")]
     pub is_durable: bool,
+    /// The oldest revision in its window; absent if that has no record.
+    #[prost(uint64, optional, tag = "4")]
+    pub oldest: Option<u64>,
 }
 
 /// The parts of a copy as they arrive.

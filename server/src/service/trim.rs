@@ -31,6 +31,31 @@ const ANSWER_TIME: Duration = Duration::from_secs(10);
 /// The most indices in a request.
 const MAX_INDEXES: usize = 1000;
 
+/// The member that holds back the trimming of an index.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Holder {
+    /// Its address, or a description.
+    member: String,
+    /// The newest revision outside of all windows when it was found.
+    outside: u64,
+    /// True once it was logged.
+    is_warned: bool,
+}
+
+/// The part of a journal that may be forgotten.
+#[derive(Debug, PartialEq, Eq)]
+struct Bounds {
+    /// The newest revision that may be forgotten; None if none may.
+    up_to: Option<u64>,
+    /// The newest revision outside of the windows of all members that answered.
+    outside: u64,
+    /// The member by which the first is less than the second.
+    held_by: Option<String>,
+}
+
+/// The name of this server among the members.
+const OWN: &str = "this server";
+
 impl Service {
     /// Trims the journal from time to time, until it is dropped.
     pub(crate) async fn trim_journal(self, owners: Arc<dyn Owners>, peers: Arc<dyn Peers>) {
@@ -39,34 +64,36 @@ impl Service {
         };
         let mut ticks = interval(registry.trim_interval());
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut holders = HashMap::new();
         loop {
             ticks.tick().await;
-            if owners.members() < MIN_STORES {
+            let members = owners.members();
+            if members < MIN_STORES {
                 debug!("no other server is live, so the journal is not trimmed");
-                continue;
             }
-            let mut owned = registry.following();
-            owned.retain(|hosted| owners.owner(hosted.uid()).is_none());
+            let (owned, others): (Vec<_>, Vec<_>) = registry
+                .following()
+                .into_iter()
+                .partition(|hosted| members > 0 && owners.owner(hosted.uid()).is_none());
+            others.iter().for_each(|hosted| hosted.count_none_held());
+            let uids: BTreeSet<Uid> = owned.iter().map(|hosted| hosted.uid()).collect();
+            holders.retain(|uid, _| uids.contains(uid));
             for indexes in owned.chunks(MAX_INDEXES) {
-                if let Err(why) = trim(registry, &*peers, indexes).await {
-                    debug!(why, "the journal is not trimmed now");
-                }
+                trim(registry, &*peers, indexes, &mut holders).await;
             }
         }
     }
 
     /// What this server stores of some indices.
-    pub(crate) fn stored(&self, request: StoredRequest) -> Result<StoredResponse, Error> {
-        let uids: BTreeSet<Uid> = request
-            .uids
-            .iter()
-            .filter_map(|it| it.parse().ok())
-            .collect();
-        let stored = self.registry()?.stored(&uids);
+    pub(crate) async fn stored(&self, request: StoredRequest) -> Result<StoredResponse, Error> {
+        let uids = request.uids.iter().filter_map(|it| it.parse().ok());
+        let uids: BTreeSet<Uid> = uids.collect();
+        let stored = stored(self.registry()?, uids).await;
         let stored = stored.into_iter().map(|(uid, stored)| StoredIndex {
             uid: uid.to_string(),
             revision: stored.revision,
             is_durable: stored.is_durable,
+            oldest: stored.oldest,
         });
         Ok(StoredResponse {
             indexes: stored.collect(),
@@ -74,34 +101,92 @@ impl Service {
     }
 }
 
-/// Trims the journal of these indices. The error says which member did not answer.
+/// What this server stores of some indices.
+async fn stored(registry: &Arc<Registry>, uids: BTreeSet<Uid>) -> HashMap<Uid, Stored> {
+    let registry = Arc::clone(registry);
+    let stored = tokio::task::spawn_blocking(move || registry.stored(&uids)).await;
+    // The join fails only if the task panicked; the panic hook has printed it.
+    stored.unwrap_or_default()
+}
+
+/// Trims the journal of these indices.
 async fn trim(
     registry: &Arc<Registry>,
     peers: &dyn Peers,
     indexes: &[Arc<Hosted>],
-) -> Result<(), String> {
+    holders: &mut HashMap<Uid, Holder>,
+) {
     let uids: BTreeSet<Uid> = indexes.iter().map(|hosted| hosted.uid()).collect();
-    let mut stores = vec![registry.stored(&uids)];
+    let own = stored(registry, uids.clone()).await;
+    let mut stores = vec![(OWN.to_owned(), Some(own))];
     for member in peers.all() {
         let request = StoredRequest {
             uids: uids.iter().map(Uid::to_string).collect(),
         };
         let answer = timeout(ANSWER_TIME, peers.stored(&member, request)).await;
-        let answer = answer.map_err(|_| format!("{member} does not answer in time"))?;
-        stores.push(read(answer.map_err(|error| format!("{member}: {error}"))?));
+        let store = match answer {
+            Ok(Ok(answer)) => Some(read(answer)),
+            Ok(Err(error)) => {
+                debug!(member, %error, "the journal is not trimmed now");
+                None
+            }
+            Err(_) => {
+                debug!(member, "the journal is not trimmed now: no answer in time");
+                None
+            }
+        };
+        stores.push((member, store));
     }
     for hosted in indexes {
-        let Some(up_to) = stored_by_all(&stores, hosted.uid()) else {
-            continue;
-        };
-        let forgetting = Arc::clone(hosted);
-        let forgotten = tokio::task::spawn_blocking(move || forgetting.forget(up_to)).await;
+        let bounds = bounds(&stores, hosted.uid());
+        let (trimming, up_to, outside) = (Arc::clone(hosted), bounds.up_to, bounds.outside);
+        let is_held = bounds.held_by.is_some();
+        let trimmed = tokio::task::spawn_blocking(move || {
+            if let Some(up_to) = up_to {
+                trimming.forget(up_to)?;
+            }
+            if is_held {
+                return trimming.count_held(outside);
+            }
+            trimming.count_none_held();
+            Ok(0)
+        });
         // The join fails only if the task panicked; the panic hook has printed it.
-        if let Ok(Err(error)) = forgotten {
-            warn!(index = hosted.name(), %error, "cannot trim the journal");
+        match trimmed.await {
+            Ok(Ok(held)) => note_holder(hosted, bounds, held, holders),
+            Ok(Err(error)) => warn!(index = hosted.name(), %error, "cannot trim the journal"),
+            Err(_) => {}
         }
     }
-    Ok(())
+}
+
+/// Notes which member holds back the trimming of an index. It is logged once what was outside of all windows in the round
+/// before is still held: until then the member may only be a little behind.
+fn note_holder(hosted: &Hosted, bounds: Bounds, held: u64, holders: &mut HashMap<Uid, Holder>) {
+    let Some(member) = bounds.held_by.filter(|_| held > 0) else {
+        holders.remove(&hosted.uid());
+        return;
+    };
+    let is_known =
+        |holder: &&mut Holder| holder.member == member && bounds.up_to < Some(holder.outside);
+    let Some(holder) = holders.get_mut(&hosted.uid()).filter(is_known) else {
+        let holder = Holder {
+            member,
+            outside: bounds.outside,
+            is_warned: false,
+        };
+        holders.insert(hosted.uid(), holder);
+        return;
+    };
+    if !std::mem::replace(&mut holder.is_warned, true) {
+        warn!(
+            index = hosted.name(),
+            uid = %hosted.uid(),
+            member,
+            held,
+            "a server holds back the trimming of the journal in NATS"
+        );
+    }
 }
 
 /// What a member stores. An index whose uid does not parse counts as missing.
@@ -110,49 +195,108 @@ fn read(answer: StoredResponse) -> HashMap<Uid, Stored> {
         let stored = Stored {
             revision: index.revision,
             is_durable: index.is_durable,
+            oldest: index.oldest,
         };
         Some((index.uid.parse().ok()?, stored))
     });
     read.collect()
 }
 
-/// The revision of an index that each of the members stores; None if one does not, or if too few store it durably.
-fn stored_by_all(stores: &[HashMap<Uid, Stored>], uid: Uid) -> Option<u64> {
-    let stored: Option<Vec<&Stored>> = stores.iter().map(|store| store.get(&uid)).collect();
-    let stored = stored?;
-    let durable = stored.iter().filter(|stored| stored.is_durable);
-    if durable.count() < MIN_STORES {
-        return None;
+/// The part of an index's journal that each of the members stores, two of them durably, and that no window has. A member
+/// without an answer stores nothing.
+fn bounds(stores: &[(String, Option<HashMap<Uid, Stored>>)], uid: Uid) -> Bounds {
+    let stored: Vec<(&String, Option<&Stored>)> = stores
+        .iter()
+        .map(|(member, store)| (member, store.as_ref().and_then(|store| store.get(&uid))))
+        .collect();
+    let known = || stored.iter().filter_map(|(_, stored)| *stored);
+    let before = |stored: &Stored| stored.oldest.map(|oldest| oldest.saturating_sub(1));
+    // A member whose window is empty asks for no record.
+    let newest = known().map(|stored| stored.revision).max();
+    let outside = known().filter_map(before).min().or(newest).unwrap_or(0);
+    let held = |member: &str, up_to| Bounds {
+        up_to,
+        outside,
+        held_by: Some(member.to_owned()),
+    };
+    if let Some((member, _)) = stored.iter().find(|(_, stored)| stored.is_none()) {
+        return held(member, None);
     }
-    stored.iter().map(|stored| stored.revision).min()
+    if known().filter(|stored| stored.is_durable).count() < MIN_STORES {
+        let volatile = stored
+            .iter()
+            .find(|(_, stored)| stored.is_some_and(|stored| !stored.is_durable));
+        return match volatile {
+            Some((member, _)) => held(member, None),
+            None => held("no other live server", None),
+        };
+    }
+    let least = stored
+        .iter()
+        .filter_map(|(member, stored)| Some((stored.as_ref()?.revision, member)))
+        .min();
+    match least {
+        Some((revision, member)) if revision < outside => held(member, Some(revision)),
+        _ => Bounds {
+            up_to: Some(outside),
+            outside,
+            held_by: None,
+        },
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn stored(revision: u64, is_durable: bool, oldest: Option<u64>) -> Option<Stored> {
+        Some(Stored {
+            revision,
+            is_durable,
+            oldest,
+        })
+    }
+
+    /// The bounds by what the members "0", "1" … store.
+    fn of(members: &[Option<Stored>]) -> (Option<u64>, u64, Option<String>) {
+        let uid = Uid::unique();
+        let stores = members.iter().enumerate().map(|(number, member)| {
+            let store = member.map(|stored| HashMap::from([(uid, stored)]));
+            (number.to_string(), store)
+        });
+        let bounds = bounds(&stores.collect::<Vec<_>>(), uid);
+        (bounds.up_to, bounds.outside, bounds.held_by)
+    }
+
     #[test]
     fn the_least_revision_of_all_counts_if_two_store_it_durably() {
-        let uid = Uid::unique();
-        let of = |members: &[Option<(u64, bool)>]| {
-            let stores = members.iter().map(|member| {
-                let stored = member.map(|(revision, is_durable)| Stored {
-                    revision,
-                    is_durable,
-                });
-                stored.map(|stored| (uid, stored)).into_iter().collect()
-            });
-            stored_by_all(&stores.collect::<Vec<_>>(), uid)
-        };
         let (disk, memory) = (
-            |revision| Some((revision, true)),
-            |revision| Some((revision, false)),
+            |revision| stored(revision, true, None),
+            |revision| stored(revision, false, None),
         );
-        assert_eq!(of(&[disk(7), disk(5)]), Some(5));
-        assert_eq!(of(&[disk(7), disk(9), memory(3)]), Some(3));
-        assert_eq!(of(&[disk(7)]), None);
-        assert_eq!(of(&[disk(7), memory(7)]), None);
-        assert_eq!(of(&[disk(7), disk(7), None]), None);
-        assert_eq!(of(&[]), None);
+        let by = |member: &str| Some(member.to_owned());
+        assert_eq!(of(&[disk(7), disk(5)]), (Some(5), 7, by("1")));
+        assert_eq!(of(&[disk(7), disk(9), memory(3)]), (Some(3), 9, by("2")));
+        assert_eq!(of(&[disk(7)]), (None, 7, by("no other live server")));
+        assert_eq!(of(&[disk(7), memory(7)]), (None, 7, by("1")));
+        assert_eq!(of(&[disk(7), disk(7), None]), (None, 7, by("2")));
+        assert_eq!(of(&[]), (None, 0, by("no other live server")));
+    }
+
+    #[test]
+    fn the_windows_of_all_members_are_kept() {
+        let with = |revision, oldest| stored(revision, true, oldest);
+        assert_eq!(
+            of(&[with(9, Some(8)), with(9, Some(4))]),
+            (Some(3), 3, None)
+        );
+        // The window of a member is empty after a copy.
+        assert_eq!(of(&[with(9, None), with(9, Some(4))]), (Some(3), 3, None));
+        let held = Some("1".to_owned());
+        assert_eq!(
+            of(&[with(9, Some(8)), with(2, Some(1))]),
+            (Some(0), 0, None)
+        );
+        assert_eq!(of(&[with(9, Some(8)), with(5, None)]), (Some(5), 7, held));
     }
 }

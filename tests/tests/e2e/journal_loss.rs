@@ -36,7 +36,7 @@ impl Cluster {
     pub(crate) fn start_with(&self, number: usize, settings: &[(&str, &str)]) -> ServerProcess {
         let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
         command
-            .args(["--grpc", "127.0.0.1:0", "--data"])
+            .args(["--grpc", "127.0.0.1:0", "--http", "127.0.0.1:0", "--data"])
             .arg(self.data(number))
             .envs(self.nats.member_settings())
             .envs(settings.iter().copied());

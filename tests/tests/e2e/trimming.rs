@@ -7,6 +7,7 @@ use wayfold_tests::{ServerProcess, Signal, Stubs};
 use crate::{
     healing::{HEALED, JOINS, latest_content},
     journal_loss::{Cluster, MAX_WAIT, insert},
+    metrics::figures,
 };
 
 /// Records are old after a second, and the journal is trimmed each second.
@@ -23,6 +24,9 @@ const ROUNDS: u64 = 3;
 const POINTS_A_ROUND: u64 = 100;
 /// The newest message, and what a round of the members had not trimmed yet.
 const MOST_MESSAGES: usize = 10;
+
+const ALONE: &str = "no other server is live, so the journal is not trimmed";
+const HELD: &str = "a server holds back the trimming of the journal";
 
 fn start(cluster: &Cluster, number: usize) -> ServerProcess {
     cluster.start_with(number, &SETTINGS)
@@ -68,9 +72,9 @@ async fn the_journal_keeps_what_the_servers_do_not_store() {
 
     // Alone it trims nothing. Two rounds: one may have begun with the other server.
     first.stop(Signal::Kill);
-    second.log_until("a server of the cluster is not heard");
+    let mut log = second.log_until("a server of the cluster is not heard");
     for _ in 0..2 {
-        second.log_until("no other server is live, so the journal is not trimmed");
+        log.extend(second.log_until(ALONE));
     }
     let oldest = cluster.nats.messages(&uid).await.1[0].sequence;
     for _ in 0..POINTS_A_ROUND {
@@ -78,8 +82,16 @@ async fn the_journal_keeps_what_the_servers_do_not_store() {
         points += 1;
     }
     for _ in 0..2 {
-        second.log_until("no other server is live, so the journal is not trimmed");
+        log.extend(second.log_until(ALONE));
     }
+    // The log tells of it once, and the metric as long as it lasts.
+    if !log.iter().any(|line| line.contains(HELD)) {
+        second.log_until(HELD);
+    }
+    let pages = second.pages();
+    let held = "wayfold_index_held_records{index=\"arm\"}";
+    let counted = figures(&pages)[held];
+    assert!(counted > 0.0, "{counted}");
     let (_, messages) = cluster.nats.messages(&uid).await;
     assert_eq!(messages[0].sequence, oldest);
     assert!(messages.len() as u64 > POINTS_A_ROUND);
@@ -92,6 +104,12 @@ async fn the_journal_keeps_what_the_servers_do_not_store() {
         }
     };
     timeout(MAX_WAIT, trimmed).await.unwrap();
+    let none_held = async {
+        while figures(&pages)[held] > MOST_MESSAGES as f64 {
+            tokio::task::yield_now().await;
+        }
+    };
+    timeout(MAX_WAIT, none_held).await.unwrap();
     let expected = latest_content(&mut others).await.points;
     assert_eq!(expected.len() as u64, points);
     let mut stubs = Stubs::connect(first.uri()).await;

@@ -119,8 +119,29 @@ struct NatsJournal {
     publishers: Mutex<BTreeMap<Uid, Publisher>>,
     /// The records that this server has applied, as far as it keeps them.
     local: Arc<dyn Journal>,
-    /// The revisions up to which records were forgotten.
-    forgotten: Mutex<BTreeMap<Uid, u64>>,
+    forgotten: Mutex<Forgotten>,
+}
+
+/// The most indices of which [`Forgotten`] knows something.
+const MAX_FORGOTTEN: usize = 10_000;
+
+/// The revisions up to which this server has forgotten records, so that it does not ask NATS for the same again.
+#[derive(Default)]
+struct Forgotten(BTreeMap<Uid, u64>);
+
+impl Forgotten {
+    /// True if the records of an index up to this revision are forgotten.
+    fn has(&self, uid: Uid, up_to: u64) -> bool {
+        self.0.get(&uid) >= Some(&up_to)
+    }
+
+    fn note(&mut self, uid: Uid, up_to: u64) {
+        // Deleted indices are among them. A request for each of the others is cheaper than to find out which.
+        if self.0.len() >= MAX_FORGOTTEN {
+            self.0.clear();
+        }
+        self.0.insert(uid, up_to);
+    }
 }
 
 impl Journal for NatsJournal {
@@ -129,6 +150,10 @@ impl Journal for NatsJournal {
         let (answer, outcome) = oneshot::channel();
         let mut submission = Submission::new(record, answer);
         let mut publishers = self.publishers.lock();
+        if !publishers.contains_key(&uid) {
+            // Those that have ended may be of deleted indices.
+            publishers.retain(|_, publisher| !publisher.is_closed());
+        }
         let start = || Publisher::start(uid, Arc::clone(&self.connection), &self.runtime);
         while let Err(back) = publishers.entry(uid).or_insert_with(start).send(submission) {
             submission = back;
@@ -165,6 +190,15 @@ impl Journal for NatsJournal {
 
     fn kept(&self, uid: Uid, revision: u64) -> Result<Option<Arc<Record>>, LogError> {
         self.local.kept(uid, revision)
+    }
+
+    fn oldest_kept(&self, uid: Uid) -> Result<Option<u64>, LogError> {
+        self.local.oldest_kept(uid)
+    }
+
+    fn oldest(&self, uid: Uid) -> Result<Option<u64>, LogError> {
+        let first = self.runtime.block_on(self.connection.next(uid, 1))?;
+        Ok(first.map(|(first, _)| first.first))
     }
 
     fn newest(&self, uid: Uid) -> Result<u64, LogError> {
@@ -206,15 +240,14 @@ impl Journal for NatsJournal {
 
     fn forget(&self, uid: Uid, up_to: u64) -> Result<(), LogError> {
         // None is kept after a copy.
-        let oldest = self.local.read(uid, None, 1)?;
-        let oldest = oldest.first().map_or(u64::MAX, |oldest| oldest.revision());
+        let oldest = self.local.oldest_kept(uid)?.unwrap_or(u64::MAX);
         let up_to = up_to.min(oldest.saturating_sub(1));
-        if self.forgotten.lock().get(&uid) >= Some(&up_to) {
+        if self.forgotten.lock().has(uid, up_to) {
             return Ok(());
         }
         let forget = follow::forget(&self.connection, uid, up_to);
         self.runtime.block_on(forget)?;
-        self.forgotten.lock().insert(uid, up_to);
+        self.forgotten.lock().note(uid, up_to);
         Ok(())
     }
 
@@ -230,5 +263,22 @@ impl Journal for NatsJournal {
 
     fn is_shared(&self) -> bool {
         true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_forgotten_is_known_of_a_bounded_number_of_indices() {
+        let mut forgotten = Forgotten::default();
+        for _ in 0..=MAX_FORGOTTEN {
+            let uid = Uid::unique();
+            assert!(!forgotten.has(uid, 1));
+            forgotten.note(uid, 7);
+            assert!(forgotten.has(uid, 7) && !forgotten.has(uid, 8));
+            assert!(forgotten.0.len() <= MAX_FORGOTTEN);
+        }
     }
 }
