@@ -7,7 +7,7 @@ use std::{
     collections::BTreeMap,
     sync::{
         Arc,
-        atomic::{AtomicBool, Ordering::Relaxed},
+        atomic::{AtomicBool, AtomicU64, Ordering::Relaxed},
     },
     time::{Duration, Instant},
 };
@@ -53,6 +53,8 @@ pub(super) struct Members {
     address: String,
     run: String,
     live: Arc<watch::Sender<Live>>,
+    /// The number of times that they changed, from 1 on.
+    changes: Arc<AtomicU64>,
     /// False until the server serves.
     is_serving: Arc<AtomicBool>,
     following: Mutex<Option<AbortOnDropHandle<()>>>,
@@ -66,11 +68,13 @@ impl Members {
             Arc::new(watch::Sender::default()),
             Arc::new(AtomicBool::new(false)),
         );
+        let changes = Arc::new(AtomicU64::new(1));
         let following = follow(
             nats.clone(),
             subject.clone(),
             (address.clone(), run.clone()),
-            (Arc::clone(&live), Arc::clone(&is_serving)),
+            (Arc::clone(&live), Arc::clone(&changes)),
+            Arc::clone(&is_serving),
         );
         Self {
             nats,
@@ -78,6 +82,7 @@ impl Members {
             address,
             run,
             live,
+            changes,
             is_serving,
             following: Mutex::new(Some(AbortOnDropHandle::new(tokio::spawn(following)))),
         }
@@ -116,6 +121,11 @@ impl Members {
         let mut others: Vec<String> = others.cloned().collect();
         others.sort_by_key(|address| Reverse(weight(address, uid)));
         others
+    }
+
+    /// The number of times that the live members changed, from 1 on.
+    pub(super) fn changes(&self) -> u64 {
+        self.changes.load(Relaxed)
     }
 
     /// The number of live members, this one among them; 0 if it is cut off.
@@ -158,7 +168,8 @@ async fn follow(
     nats: Client,
     subject: String,
     (address, run): (String, String),
-    (live, is_serving): (Arc<watch::Sender<Live>>, Arc<AtomicBool>),
+    (live, changes): (Arc<watch::Sender<Live>>, Arc<AtomicU64>),
+    is_serving: Arc<AtomicBool>,
 ) {
     let mut heard = match nats.subscribe(subject.clone()).await {
         Ok(heard) => heard.boxed(),
@@ -192,13 +203,15 @@ async fn follow(
                         );
                     }
                     let is_own = member.run == own.run;
-                    if is_own || !is_twin {
-                        note(&live, member, is_own);
+                    if (is_own || !is_twin) && note(&live, member, is_own) {
+                        changes.fetch_add(1, Relaxed);
                     }
                 }
             }
         }
-        expire(&live, Instant::now());
+        if expire(&live, Instant::now()) {
+            changes.fetch_add(1, Relaxed);
+        }
     }
 }
 
@@ -208,8 +221,8 @@ fn read(message: &Message) -> Option<Announcement> {
         .ok()
 }
 
-/// Notes a member. One that does not serve is gone; this server serves once it hears itself.
-fn note(live: &watch::Sender<Live>, member: Announcement, is_own: bool) {
+/// Notes a member. One that does not serve is gone; this server serves once it hears itself. True if that changes the members.
+fn note(live: &watch::Sender<Live>, member: Announcement, is_own: bool) -> bool {
     live.send_if_modified(|live| {
         if !member.serves && !is_own {
             let is_gone = live.remove(&member.address).is_some();
@@ -224,11 +237,11 @@ fn note(live: &watch::Sender<Live>, member: Announcement, is_own: bool) {
         }
         live.insert(member.address, Instant::now());
         is_new
-    });
+    })
 }
 
-/// Forgets the members that have been silent for too long.
-fn expire(live: &watch::Sender<Live>, now: Instant) {
+/// Forgets the members that have been silent for too long; true if there are such.
+fn expire(live: &watch::Sender<Live>, now: Instant) -> bool {
     live.send_if_modified(|live| {
         let before = live.len();
         live.retain(|address, heard| {
@@ -239,7 +252,7 @@ fn expire(live: &watch::Sender<Live>, now: Instant) {
             is_live
         });
         live.len() < before
-    });
+    })
 }
 
 #[cfg(test)]
@@ -274,13 +287,14 @@ mod tests {
             run: String::new(),
             serves,
         };
-        note(&live, said("a:1", true), false);
-        note(&live, said("b:1", true), false);
-        note(&live, said("b:1", false), false);
+        assert!(note(&live, said("a:1", true), false));
+        assert!(note(&live, said("b:1", true), false));
+        assert!(!note(&live, said("b:1", true), false));
+        assert!(note(&live, said("b:1", false), false));
         assert_eq!(live.borrow().keys().collect::<Vec<_>>(), ["a:1"]);
-        expire(&live, Instant::now());
+        assert!(!expire(&live, Instant::now()));
         assert_eq!(live.borrow().len(), 1);
-        expire(&live, Instant::now() + LEASE);
+        assert!(expire(&live, Instant::now() + LEASE));
         assert!(live.borrow().is_empty());
     }
 }

@@ -105,6 +105,7 @@ impl Cluster {
     pub(crate) async fn serve(self: &Arc<Self>, service: &Service) -> [AbortOnDropHandle<()>; 2] {
         let (tried, is_tried) = oneshot::channel();
         let peers = Arc::clone(self) as Arc<dyn Peers>;
+        service.set_peers(Arc::clone(&peers));
         let healing = service.clone().heal(Arc::clone(&peers), tried);
         let healing = AbortOnDropHandle::new(tokio::spawn(healing));
         if timeout(HEAL_TIME, is_tried).await.is_err() {
@@ -176,6 +177,10 @@ impl Owners for Cluster {
 
     fn members(&self) -> usize {
         self.members.count()
+    }
+
+    fn changes(&self) -> u64 {
+        self.members.changes()
     }
 
     fn forward<'a>(

@@ -26,6 +26,7 @@ use super::{
     operations::Operations,
     payload_sizes::PayloadSizes,
     recent::RecentRecords,
+    stored::FirstWrite,
 };
 use crate::log::{Effects, Entry, LogError, Retention, Tip, Uid, View, Window};
 
@@ -68,6 +69,7 @@ pub struct Hosted {
     missed: AtomicU64,
     /// The records of a journal elsewhere that are outside of all windows and not forgotten, if this server trims it.
     pub(super) held: AtomicU64,
+    pub(super) first_write: FirstWrite,
     /// Each batch of a writer session holds a reference while it is under way.
     pub(super) batches: Arc<()>,
     apply_loop: parking_lot::Mutex<ApplyLoop>,
@@ -134,6 +136,7 @@ impl Hosted {
             followers: Followers::default(),
             missed: AtomicU64::new(0),
             held: AtomicU64::new(0),
+            first_write: FirstWrite::default(),
             fences: Fences::default(),
             is_reported: AtomicBool::new(false),
             is_retired: AtomicBool::new(false),

@@ -1,13 +1,18 @@
 //! The revisions that a server stores of its indices, by which the servers that share a journal trim it.
 
 use std::{
-    collections::{BTreeSet, HashMap},
-    sync::{Arc, atomic::Ordering::Relaxed},
+    collections::{BTreeMap, HashMap},
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering::Relaxed},
+    },
     time::{Duration, SystemTime},
 };
 
-use super::{Hosted, Registry};
-use crate::log::{LogError, Uid};
+use tokio::sync::Mutex;
+
+use super::{Hosted, Registry, RegistryError};
+use crate::log::{LogError, Tip, Uid};
 
 /// The bounds of the time between two trims of old records.
 const MIN_TRIM_INTERVAL: Duration = Duration::from_secs(1);
@@ -22,6 +27,10 @@ pub(crate) struct Stored {
     pub(crate) is_durable: bool,
     /// The oldest revision in its window; None if that has no record, as after a copy.
     pub(crate) oldest: Option<u64>,
+    /// The newest record that it has applied.
+    pub(crate) applied: Tip,
+    /// The record of the revision that was asked for, if the server keeps it.
+    pub(crate) asked: Option<Tip>,
 }
 
 impl Registry {
@@ -31,11 +40,14 @@ impl Registry {
         window.clamp(MIN_TRIM_INTERVAL, MAX_TRIM_INTERVAL)
     }
 
-    /// What this server stores of those of its indices that have these uids. Blocks.
-    pub(crate) fn stored(&self, uids: &BTreeSet<Uid>) -> HashMap<Uid, Stored> {
+    /// What this server stores of those of its indices that have these uids, with the record of the revision that is named
+    /// for an index. Blocks.
+    pub(crate) fn stored(&self, asked: &BTreeMap<Uid, Option<u64>>) -> HashMap<Uid, Stored> {
         let hosted = self.hosted().into_iter();
-        let asked = hosted.filter(|hosted| uids.contains(&hosted.uid()));
-        let stored = asked.filter_map(|hosted| Some((hosted.uid(), hosted.stored().ok()?)));
+        let stored = hosted.filter_map(|hosted| {
+            let revision = asked.get(&hosted.uid())?;
+            Some((hosted.uid(), hosted.stored(*revision).ok()?))
+        });
         stored.collect()
     }
 
@@ -47,15 +59,38 @@ impl Registry {
     }
 }
 
+/// The first mutation of an index at a server: before it the server compares its records with those of the others.
+#[derive(Default)]
+pub(crate) struct FirstWrite {
+    /// The number of changes of the live servers as of which the records were compared; 0 if they never were.
+    pub(crate) compared: AtomicU64,
+    /// Held while they are compared.
+    pub(crate) turn: Mutex<()>,
+}
+
 impl Hosted {
-    fn stored(&self) -> Result<Stored, LogError> {
-        let applied = self.published().revision;
+    /// See [`FirstWrite`].
+    pub(crate) fn first_write(&self) -> &FirstWrite {
+        &self.first_write
+    }
+
+    fn stored(&self, asked: Option<u64>) -> Result<Stored, RegistryError> {
+        let tip = self.published().view.tip();
+        let applied = tip.revision;
+        let asked = match asked {
+            Some(revision) => self
+                .digest_at(revision)?
+                .map(|digest| Tip { revision, digest }),
+            None => None,
+        };
         let durable = self.host.log.points.durable(self.uid())?;
         Ok(Stored {
             revision: durable.map_or(applied, |durable| durable.min(applied)),
             // A server that has stopped may store records that the journal does not have.
             is_durable: durable.is_some() && self.follows(),
             oldest: self.host.log.journal.oldest_kept(self.uid())?,
+            applied: tip,
+            asked,
         })
     }
 

@@ -156,6 +156,9 @@ pub struct StoredRequest {
     /// The uids of the indices.
     #[prost(string, repeated, tag = "1")]
     pub uids: Vec<String>,
+    /// For each of them a revision whose digest is asked for, or nothing for all.
+    #[prost(uint64, repeated, tag = "2")]
+    pub revisions: Vec<u64>,
 }
 
 /// The indices that the member serves, in any order.
@@ -181,6 +184,12 @@ pub struct StoredIndex {
     /// The oldest revision in its window; absent if that has no record.
     #[prost(uint64, optional, tag = "4")]
     pub oldest: Option<u64>,
+    /// The newest record that it has applied.
+    #[prost(message, optional, tag = "5")]
+    pub applied: Option<Place>,
+    /// The record of the revision that was asked for; absent if the member does not keep it.
+    #[prost(message, optional, tag = "6")]
+    pub asked: Option<Place>,
 }
 
 /// The parts of a copy as they arrive.

@@ -11,6 +11,7 @@
 //! - `prefetch`: the searches of an insert before its turn to write;
 //! - `staging`: rows that see the rows before them;
 //! - `forward`: mutations that another server of a cluster evaluates;
+//! - `first_write`: an owner compares its records with those of the others before it writes;
 //! - `member`, `copy`, `heal`: copies for servers of a cluster that cannot follow their journal;
 //! - `trim`: forgets the records of a shared journal that the servers have stored;
 //! - `mutation`: from an evaluated mutation to its acknowledgement;
@@ -27,6 +28,7 @@ mod code;
 mod copy;
 mod error;
 mod error_map;
+mod first_write;
 mod forward;
 mod get;
 mod heal;
@@ -102,6 +104,8 @@ struct Inner {
     limits: Limits,
     /// Set in a cluster.
     owners: OnceLock<Arc<dyn Owners>>,
+    /// Set in a cluster.
+    peers: OnceLock<Arc<dyn Peers>>,
     /// The durability of an acknowledged mutation; None without a data directory.
     durability: Option<Durability>,
     ready: AtomicBool,
@@ -131,6 +135,7 @@ impl Service {
                 registry: OnceLock::new(),
                 limits,
                 owners: OnceLock::new(),
+                peers: OnceLock::new(),
                 durability,
                 ready: AtomicBool::new(false),
                 stopping: CancellationToken::new(),
@@ -150,6 +155,12 @@ impl Service {
     pub fn set_owners(&self, owners: Arc<dyn Owners>) {
         // The cell returns the second ones.
         let _ = self.inner.owners.set(owners);
+    }
+
+    /// Sets the other members of a cluster; a second call changes nothing.
+    pub(crate) fn set_peers(&self, peers: Arc<dyn Peers>) {
+        // The cell returns the second ones.
+        let _ = self.inner.peers.set(peers);
     }
 
     /// Begins to answer calls; call it once the registry has replayed its log.

@@ -122,6 +122,7 @@ impl Service {
         hosted: &Arc<Hosted>,
         claim: Option<&Claim>,
     ) -> Result<Start<R>, Error> {
+        self.may_write(call, hosted).await?;
         let mut is_caught_up = false;
         loop {
             let writer = call

@@ -53,6 +53,8 @@ impl Service {
             match self.latest_of_owner(call, hosted).await? {
                 Some(latest) => revision = revision.max(latest),
                 None => {
+                    // It is a record too.
+                    self.may_write(call, hosted).await?;
                     let caught_up =
                         call.bound("while waiting for the latest revision", hosted.latest());
                     let caught_up = caught_up.await?;

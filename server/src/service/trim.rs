@@ -5,7 +5,8 @@
 //! was away for longer takes a copy of another (`heal`).
 
 use std::{
-    collections::{BTreeSet, HashMap},
+    collections::{BTreeMap, BTreeSet, HashMap},
+    iter::repeat,
     sync::Arc,
     time::Duration,
 };
@@ -53,6 +54,25 @@ struct Bounds {
     held_by: Option<String>,
 }
 
+/// What a member stores of an index, as far as it counts here.
+#[derive(Clone, Copy)]
+struct Store {
+    revision: u64,
+    is_durable: bool,
+    /// The oldest revision in its window.
+    oldest: Option<u64>,
+}
+
+impl From<Stored> for Store {
+    fn from(stored: Stored) -> Self {
+        Self {
+            revision: stored.revision,
+            is_durable: stored.is_durable,
+            oldest: stored.oldest,
+        }
+    }
+}
+
 /// The name of this server among the members.
 const OWN: &str = "this server";
 
@@ -86,14 +106,18 @@ impl Service {
 
     /// What this server stores of some indices.
     pub(crate) async fn stored(&self, request: StoredRequest) -> Result<StoredResponse, Error> {
-        let uids = request.uids.iter().filter_map(|it| it.parse().ok());
-        let uids: BTreeSet<Uid> = uids.collect();
-        let stored = stored(self.registry()?, uids).await;
+        let revisions = request.revisions.iter().copied().map(Some);
+        let revisions = revisions.chain(repeat(None));
+        let asked = request.uids.iter().zip(revisions);
+        let asked = asked.filter_map(|(uid, revision)| Some((uid.parse().ok()?, revision)));
+        let stored = stored(self.registry()?, asked.collect()).await;
         let stored = stored.into_iter().map(|(uid, stored)| StoredIndex {
             uid: uid.to_string(),
             revision: stored.revision,
             is_durable: stored.is_durable,
             oldest: stored.oldest,
+            applied: Some(stored.applied.into()),
+            asked: stored.asked.map(Into::into),
         });
         Ok(StoredResponse {
             indexes: stored.collect(),
@@ -102,9 +126,12 @@ impl Service {
 }
 
 /// What this server stores of some indices.
-async fn stored(registry: &Arc<Registry>, uids: BTreeSet<Uid>) -> HashMap<Uid, Stored> {
+async fn stored(
+    registry: &Arc<Registry>,
+    asked: BTreeMap<Uid, Option<u64>>,
+) -> HashMap<Uid, Stored> {
     let registry = Arc::clone(registry);
-    let stored = tokio::task::spawn_blocking(move || registry.stored(&uids)).await;
+    let stored = tokio::task::spawn_blocking(move || registry.stored(&asked)).await;
     // The join fails only if the task panicked; the panic hook has printed it.
     stored.unwrap_or_default()
 }
@@ -116,12 +143,14 @@ async fn trim(
     indexes: &[Arc<Hosted>],
     holders: &mut HashMap<Uid, Holder>,
 ) {
-    let uids: BTreeSet<Uid> = indexes.iter().map(|hosted| hosted.uid()).collect();
-    let own = stored(registry, uids.clone()).await;
-    let mut stores = vec![(OWN.to_owned(), Some(own))];
+    let uids = || indexes.iter().map(|hosted| hosted.uid());
+    let own = stored(registry, uids().map(|uid| (uid, None)).collect()).await;
+    let own = own.into_iter().map(|(uid, stored)| (uid, stored.into()));
+    let mut stores = vec![(OWN.to_owned(), Some(own.collect()))];
     for member in peers.all() {
         let request = StoredRequest {
-            uids: uids.iter().map(Uid::to_string).collect(),
+            uids: uids().map(|uid| uid.to_string()).collect(),
+            revisions: Vec::new(),
         };
         let answer = timeout(ANSWER_TIME, peers.stored(&member, request)).await;
         let store = match answer {
@@ -190,9 +219,9 @@ fn note_holder(hosted: &Hosted, bounds: Bounds, held: u64, holders: &mut HashMap
 }
 
 /// What a member stores. An index whose uid does not parse counts as missing.
-fn read(answer: StoredResponse) -> HashMap<Uid, Stored> {
+fn read(answer: StoredResponse) -> HashMap<Uid, Store> {
     let read = answer.indexes.into_iter().filter_map(|index| {
-        let stored = Stored {
+        let stored = Store {
             revision: index.revision,
             is_durable: index.is_durable,
             oldest: index.oldest,
@@ -204,13 +233,13 @@ fn read(answer: StoredResponse) -> HashMap<Uid, Stored> {
 
 /// The part of an index's journal that each of the members stores, two of them durably, and that no window has. A member
 /// without an answer stores nothing.
-fn bounds(stores: &[(String, Option<HashMap<Uid, Stored>>)], uid: Uid) -> Bounds {
-    let stored: Vec<(&String, Option<&Stored>)> = stores
+fn bounds(stores: &[(String, Option<HashMap<Uid, Store>>)], uid: Uid) -> Bounds {
+    let stored: Vec<(&String, Option<&Store>)> = stores
         .iter()
         .map(|(member, store)| (member, store.as_ref().and_then(|store| store.get(&uid))))
         .collect();
     let known = || stored.iter().filter_map(|(_, stored)| *stored);
-    let before = |stored: &Stored| stored.oldest.map(|oldest| oldest.saturating_sub(1));
+    let before = |stored: &Store| stored.oldest.map(|oldest| oldest.saturating_sub(1));
     // A member whose window is empty asks for no record.
     let newest = known().map(|stored| stored.revision).max();
     let outside = known().filter_map(before).min().or(newest).unwrap_or(0);
@@ -249,8 +278,8 @@ fn bounds(stores: &[(String, Option<HashMap<Uid, Stored>>)], uid: Uid) -> Bounds
 mod tests {
     use super::*;
 
-    fn stored(revision: u64, is_durable: bool, oldest: Option<u64>) -> Option<Stored> {
-        Some(Stored {
+    fn stored(revision: u64, is_durable: bool, oldest: Option<u64>) -> Option<Store> {
+        Some(Store {
             revision,
             is_durable,
             oldest,
@@ -258,7 +287,7 @@ mod tests {
     }
 
     /// The bounds by what the members "0", "1" … store.
-    fn of(members: &[Option<Stored>]) -> (Option<u64>, u64, Option<String>) {
+    fn of(members: &[Option<Store>]) -> (Option<u64>, u64, Option<String>) {
         let uid = Uid::unique();
         let stores = members.iter().enumerate().map(|(number, member)| {
             let store = member.map(|stored| HashMap::from([(uid, stored)]));

@@ -135,21 +135,36 @@ async fn contradict(more: u64) {
     };
     let text = format!("{damaged:?}");
     assert!(text.contains("has applied another record"), "{text}");
-    let found = latest_content(&mut others).await;
-    assert!(found.points.contains_key(&1000));
 
+    // Writing stops at both, and reads go on.
+    refuse(&mut others, 2000).await;
+    let found = Content::read(&others, "arm").await.unwrap();
+    assert!(found.points.contains_key(&1000));
     other.stop(Signal::Kill);
+    refuse(&mut stubs, 3000).await;
+    assert_eq!(Content::read(&stubs, "arm").await.unwrap(), expected);
+    let log = server.stop(Signal::Kill).stderr;
+    assert!(!log.contains(HEALED), "{log}");
+
+    // The operator has chosen the other one.
+    let other = cluster.start(1);
+    let mut others = Stubs::connect(other.uri()).await;
+    let written = insert_until_acknowledged(&mut others, 4000..4001);
+    timeout(MAX_WAIT, written).await.unwrap();
+}
+
+/// Inserts points from this id on until the server refuses one: it may not have heard of the other one yet.
+async fn refuse(stubs: &mut Stubs, first: u64) {
     let refused = async {
-        loop {
-            let refused = insert(&mut stubs, 2000).await.unwrap_err();
-            // The call may still be on its way to the other server.
-            if refused.code() == Code::DataLoss {
-                break;
+        for id in first.. {
+            // A call may still be on its way to the other server.
+            if let Err(refused) = insert(stubs, id).await
+                && refused.code() == Code::DataLoss
+            {
+                assert!(refused.message().contains("another record"), "{refused}");
+                return;
             }
         }
     };
     timeout(MAX_WAIT, refused).await.unwrap();
-    assert_eq!(Content::read(&stubs, "arm").await.unwrap(), expected);
-    let log = server.stop(Signal::Kill).stderr;
-    assert!(!log.contains(HEALED), "{log}");
 }

@@ -1,0 +1,153 @@
+//! Before its first mutation of an index a server asks the live members of its cluster what they have applied. NATS may have
+//! lost records that another member still has, and a record of this server would take their place for good.
+//!
+//! The members are asked again once they change: the owner of an index may have changed, and a member that joins may have
+//! other records. Later mutations compare two numbers.
+
+use std::{
+    sync::{Arc, atomic::Ordering::Relaxed},
+    time::Duration,
+};
+
+use futures_util::future::join_all;
+use tokio::time::timeout;
+use tracing::debug;
+
+use super::{
+    Call, Error, Peers, Service,
+    error_map::registry_error,
+    member::{StoredIndex, StoredRequest},
+};
+use crate::{
+    log::{Digest, Tip},
+    registry::Hosted,
+};
+
+/// The time in which a member answers. One that does not does not hold up the mutation.
+const ANSWER_TIME: Duration = Duration::from_secs(2);
+
+/// The time in which the records of a member that is ahead arrive. The member publishes again what NATS has lost within
+/// seconds.
+const ARRIVAL_TIME: Duration = Duration::from_secs(5);
+
+const DOING: &str = "while asking the other servers for their records; nothing was changed";
+
+impl Service {
+    /// Fails if another member has applied records that this server lacks, or others of the same revision.
+    pub(super) async fn may_write(&self, call: &Call, hosted: &Arc<Hosted>) -> Result<(), Error> {
+        let Some((owners, peers)) = self.inner.owners.get().zip(self.inner.peers.get()) else {
+            return Ok(());
+        };
+        let first_write = hosted.first_write();
+        if first_write.compared.load(Relaxed) == owners.changes() || !hosted.follows() {
+            return Ok(());
+        }
+        let comparing = async {
+            let _turn = first_write.turn.lock().await;
+            // Read before the members are: one that joins meanwhile is asked by the next mutation.
+            let changes = owners.changes();
+            if first_write.compared.load(Relaxed) != changes {
+                compare(&**peers, hosted).await?;
+                first_write.compared.store(changes, Relaxed);
+            }
+            Ok(())
+        };
+        call.bound(DOING, comparing).await?
+    }
+}
+
+/// Compares the records of an index with those of all members that answer.
+async fn compare(peers: &dyn Peers, hosted: &Arc<Hosted>) -> Result<(), Error> {
+    let own = hosted.published().view.tip();
+    let members = peers.peers(hosted.uid());
+    let asking = members.iter().map(|member| ask(peers, member, hosted, own));
+    let answers = join_all(asking).await;
+    for (member, answer) in members.iter().zip(&answers) {
+        let Some((applied, asked)) = answer else {
+            continue;
+        };
+        if let Some(asked) = asked.filter(|asked| asked.revision == own.revision) {
+            agree(hosted, member, asked, Some(own.digest))?;
+        }
+        if applied.revision > own.revision {
+            let arrival = timeout(ARRIVAL_TIME, hosted.reached(applied.revision)).await;
+            let arrived = arrival.map_err(|_| behind(hosted, member, *applied))?;
+            arrived.map_err(|error| registry_error(hosted.name(), error))?;
+        }
+        let digest = digest_at(hosted, applied.revision).await?;
+        agree(hosted, member, *applied, digest)?;
+    }
+    Ok(())
+}
+
+/// The newest record that a member has applied, and the one that it has applied in the place of `own`, if it keeps that; None
+/// if it does not answer, or does not have the index.
+async fn ask(
+    peers: &dyn Peers,
+    member: &str,
+    hosted: &Hosted,
+    own: Tip,
+) -> Option<(Tip, Option<Tip>)> {
+    let request = StoredRequest {
+        uids: vec![hosted.uid_text().into()],
+        revisions: vec![own.revision],
+    };
+    let answer = match timeout(ANSWER_TIME, peers.stored(member, request)).await {
+        Ok(Ok(answer)) => answer,
+        Ok(Err(error)) => {
+            debug!(index = hosted.name(), member, %error, "a server is not compared");
+            return None;
+        }
+        Err(_) => {
+            debug!(
+                index = hosted.name(),
+                member, "a server is not compared: no answer in time"
+            );
+            return None;
+        }
+    };
+    let is_it = |index: &StoredIndex| index.uid == hosted.uid_text();
+    let index = answer.indexes.into_iter().find(is_it)?;
+    let asked = index.asked.and_then(|asked| asked.tip());
+    Some((index.applied?.tip()?, asked))
+}
+
+/// The digest of this server's record of a revision, if it keeps that.
+async fn digest_at(hosted: &Arc<Hosted>, revision: u64) -> Result<Option<Digest>, Error> {
+    let reading = Arc::clone(hosted);
+    let read = tokio::task::spawn_blocking(move || reading.digest_at(revision)).await;
+    let read = read.map_err(|_| Error::Internal {
+        what: "the task that reads a record panicked".into(),
+    })?;
+    read.map_err(|error| registry_error(hosted.name(), error))
+}
+
+/// Fails if a member has applied another record than this server, whose record has this digest.
+fn agree(hosted: &Hosted, member: &str, applied: Tip, digest: Option<Digest>) -> Result<(), Error> {
+    if digest.is_none_or(|digest| digest == applied.digest) {
+        return Ok(());
+    }
+    let (index, revision) = (hosted.name(), applied.revision);
+    Err(Error::DataLoss {
+        what: format!(
+            "index \"{index}\": {member} has applied another record of revision {revision} than this server: NATS has lost \
+             acknowledged records, and others took their place; nothing is written until one of the two servers is stopped, \
+             and reads go on"
+        ),
+    })
+}
+
+/// The error of a mutation while a member has records that this server lacks.
+fn behind(hosted: &Hosted, member: &str, applied: Tip) -> Error {
+    let (index, revision) = (hosted.name(), applied.revision);
+    let here = hosted.published().revision;
+    Error::StorageFailed {
+        what: format!(
+            "index \"{index}\": {member} has applied the records up to revision {revision}, and this server has those up to \
+             {here}: if NATS has lost the rest, that server publishes them again; nothing was changed, so call again"
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests;

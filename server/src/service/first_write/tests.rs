@@ -1,0 +1,246 @@
+use std::{
+    future::ready,
+    sync::atomic::{AtomicU64, AtomicUsize, Ordering::SeqCst},
+};
+
+use bytes::Bytes;
+use futures_util::{FutureExt, future::BoxFuture};
+use parking_lot::Mutex;
+use wayfold_proto::v1;
+
+use super::*;
+use crate::{
+    identity::Caller,
+    log::{Catalogue, Effects, Entry, Journal, MemoryLog, PointStore, Record, Uid},
+    registry::{Registry, RegistryOptions},
+    service::{
+        Code, Limits, NotForwarded, Owners,
+        member::{CopyParts, CopyRequest, StoredResponse, Unanswered},
+    },
+};
+
+const RECORDS: u64 = 4;
+
+/// The others of a cluster, by what each has applied; None for one that does not answer.
+struct Others {
+    changes: AtomicU64,
+    asked: AtomicUsize,
+    members: Mutex<Vec<Option<Arc<MemoryLog>>>>,
+}
+
+impl Owners for Others {
+    fn owner(&self, _: Uid) -> Option<String> {
+        None
+    }
+
+    fn members(&self) -> usize {
+        self.members.lock().len() + 1
+    }
+
+    fn changes(&self) -> u64 {
+        self.changes.load(SeqCst)
+    }
+
+    fn forward<'a>(
+        &'a self,
+        _: &'a str,
+        _: &'static str,
+        _: &'a Call,
+        _: Bytes,
+    ) -> BoxFuture<'a, Result<Bytes, NotForwarded>> {
+        ready(Err(NotForwarded::Unsent)).boxed()
+    }
+}
+
+impl Peers for Others {
+    fn peers(&self, _: Uid) -> Vec<String> {
+        self.all()
+    }
+
+    fn all(&self) -> Vec<String> {
+        let members = 0..self.members.lock().len();
+        members.map(|number| number.to_string()).collect()
+    }
+
+    fn stored<'a>(
+        &'a self,
+        member: &'a str,
+        request: StoredRequest,
+    ) -> BoxFuture<'a, Result<StoredResponse, Unanswered>> {
+        self.asked.fetch_add(1, SeqCst);
+        let number: usize = member.parse().unwrap();
+        let Some(points) = self.members.lock()[number].clone() else {
+            let what = "it is busy".into();
+            return ready(Err(Unanswered { what })).boxed();
+        };
+        async move {
+            let uid: Uid = request.uids[0].parse().unwrap();
+            let tip = PointStore::view(&*points, uid).unwrap().tip();
+            let kept = points.kept(uid, request.revisions[0]).unwrap();
+            let index = StoredIndex {
+                uid: request.uids[0].clone(),
+                revision: tip.revision,
+                is_durable: false,
+                oldest: None,
+                applied: Some(tip.into()),
+                asked: kept.map(|kept| kept.tip().into()),
+            };
+            Ok(StoredResponse {
+                indexes: vec![index],
+            })
+        }
+        .boxed()
+    }
+
+    fn copy<'a>(
+        &'a self,
+        _: &'a str,
+        _: CopyRequest,
+    ) -> BoxFuture<'a, Result<CopyParts, Unanswered>> {
+        let what = "no copy is asked for".into();
+        ready(Err(Unanswered { what })).boxed()
+    }
+}
+
+/// Submits and applies these records.
+fn engine(entry: &Entry, records: &[Arc<Record>]) -> Arc<MemoryLog> {
+    let engine = Arc::new(MemoryLog::new());
+    engine.create(entry.clone()).unwrap();
+    for record in records {
+        engine.submit(entry.uid, Arc::clone(record)).unwrap();
+        engine.apply(entry.uid, &[Arc::clone(record)]).unwrap();
+    }
+    engine
+}
+
+/// This many records of a run after these.
+fn more(records: &[Arc<Record>], run: u8, count: u64) -> Vec<Arc<Record>> {
+    let mut all = records.to_vec();
+    for _ in 0..count {
+        let tip = all.last().map_or(
+            Tip {
+                revision: 0,
+                digest: Record::NO_PREVIOUS,
+            },
+            |last| last.tip(),
+        );
+        all.push(Arc::new(Record::made_by([run; 16], tip, Effects::new(1))));
+    }
+    all
+}
+
+/// A server that has applied some records, and the others.
+struct Server {
+    service: Service,
+    own: Arc<MemoryLog>,
+    others: Arc<Others>,
+}
+
+impl Server {
+    fn new(entry: &Entry, records: &[Arc<Record>]) -> Self {
+        let own = engine(entry, records);
+        let registry = Registry::new(Arc::clone(&own), RegistryOptions::default());
+        registry.replay().unwrap();
+        let service = Service::new(registry, Limits::default());
+        service.set_ready();
+        let others = Arc::new(Others {
+            changes: AtomicU64::new(1),
+            asked: AtomicUsize::new(0),
+            members: Mutex::default(),
+        });
+        service.set_owners(Arc::clone(&others) as Arc<dyn Owners>);
+        service.set_peers(Arc::clone(&others) as Arc<dyn Peers>);
+        Self {
+            service,
+            own,
+            others,
+        }
+    }
+
+    fn set(&self, members: Vec<Option<Arc<MemoryLog>>>) {
+        *self.others.members.lock() = members;
+        self.others.changes.fetch_add(1, SeqCst);
+    }
+
+    async fn insert(&self) -> Result<u64, Error> {
+        let call = Call {
+            caller: Caller::default(),
+            ..Call::default()
+        };
+        let states = v1::States {
+            row_count: 1,
+            coordinates: vec![0.5],
+        };
+        let request = v1::InsertRequest {
+            index_name: "arm".into(),
+            states: Some(states),
+            ..Default::default()
+        };
+        let inserted = self.service.insert(&call, request).await?;
+        Ok(inserted.revision.unwrap().number)
+    }
+}
+
+fn entry() -> Entry {
+    Entry {
+        uid: Uid::unique(),
+        name: "arm".into(),
+        space: "R1".parse().unwrap(),
+    }
+}
+
+#[tokio::test]
+async fn the_members_are_asked_once_until_they_change() {
+    let (entry, records) = (entry(), more(&[], 1, RECORDS));
+    let server = Server::new(&entry, &records);
+    // One that is behind, one that is equal, and one that does not answer.
+    let behind = engine(&entry, &records[..2]);
+    server.set(vec![Some(behind), Some(engine(&entry, &records)), None]);
+    for written in 1..=3 {
+        assert_eq!(server.insert().await.unwrap(), RECORDS + written);
+        assert_eq!(server.others.asked.load(SeqCst), 3);
+    }
+    server.others.changes.fetch_add(1, SeqCst);
+    server.insert().await.unwrap();
+    assert_eq!(server.others.asked.load(SeqCst), 6);
+}
+
+#[tokio::test]
+async fn a_contradiction_stops_writing_until_the_member_is_gone() {
+    let (entry, records) = (entry(), more(&[], 1, RECORDS));
+    let server = Server::new(&entry, &records);
+    // The member is behind, at the same revision, or ahead.
+    for count in [1, 2, 5] {
+        let other = more(&records[..2], 2, count);
+        server.set(vec![Some(engine(&entry, &other))]);
+        for _ in 0..2 {
+            let refused = server.insert().await.unwrap_err();
+            assert_eq!(refused.code(), Code::DataLoss, "{refused}");
+            let revision = other.len().min(records.len());
+            let text = format!("0 has applied another record of revision {revision}");
+            assert!(refused.to_string().contains(&text), "{refused}");
+        }
+    }
+    server.set(Vec::new());
+    assert_eq!(server.insert().await.unwrap(), RECORDS + 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_mutation_waits_for_the_records_of_a_member_that_is_ahead() {
+    let entry = entry();
+    let all = more(&[], 1, RECORDS + 1);
+    let server = Server::new(&entry, &all[..RECORDS as usize]);
+    server.set(vec![Some(engine(&entry, &all))]);
+    let refused = server.insert().await.unwrap_err();
+    assert_eq!(refused.code(), Code::Unavailable, "{refused}");
+    assert!(refused.to_string().contains("revision 5"), "{refused}");
+
+    let repaired = async {
+        while server.others.asked.load(SeqCst) < 2 {
+            tokio::task::yield_now().await;
+        }
+        server.own.submit(entry.uid, Arc::clone(&all[4])).unwrap();
+    };
+    let (inserted, ()) = tokio::join!(server.insert(), repaired);
+    assert_eq!(inserted.unwrap(), RECORDS + 2);
+}
