@@ -324,7 +324,6 @@ impl Status {
             | Error::Unavailable { why: _ }
             | Error::Forwarded { status: _ }
             | Error::DeadlineExceeded { doing: _ }
-            | Error::SharedJournal { what: _ }
             | Error::StorageFailed { what: _ }
             | Error::DataLoss { what: _ }
             | Error::Internal { what: _ } => return None,

@@ -37,6 +37,7 @@ Examples:
   wayfold-server --print-config > my.toml    a file to edit, for --config my.toml
   wayfold-server --log wayfold_server=debug  a log line for every call
   wayfold-server repair --dry-run            reports the damage of a store
+  wayfold-server reseed arm                  the points of this server of a cluster go on
 
   Then, in another terminal:
   wayfold create arm --space 'R3*SO3:0.15'
@@ -84,6 +85,21 @@ Exit status:
   2          the command line or the settings are wrong
   3          the store cannot be repaired, for example because a server uses it, the
              disk is full, or its list of files is damaged; nothing was changed";
+
+const AFTER_RESEED: &str = "\
+Stop this server first; NATS has to run. The index gets a new uid and a new journal,
+which begin with the points, the writer sessions and the revision of the data
+directory. The name moves to it, and the old one is deleted at all servers: what
+only others have is lost, so take snapshots of theirs before. Clients that watch the
+index begin again, and operation ids of calls to the old one are forgotten.
+
+The data directory needs room for the points twice until the server starts again.
+
+Exit status:
+  0          the index goes on under its new uid
+  1          it does not, for example because a server uses the data directory, or
+             NATS does not answer
+  2          the command line or the settings are wrong";
 
 /// The parsed flags.
 #[derive(Debug, Parser)]
@@ -147,6 +163,15 @@ pub(super) enum Command {
         /// Report the damage and the cost of a repair, and change nothing
         #[arg(long)]
         dry_run: bool,
+    },
+    /// Start a new generation of an index of a cluster from the points of this server
+    #[command(after_help = AFTER_RESEED)]
+    Reseed {
+        /// Name of the index
+        index: String,
+        /// Its uid, if the data directory has several indices of this name
+        #[arg(long)]
+        uid: Option<String>,
     },
 }
 

@@ -2,6 +2,7 @@
 
 mod flags;
 mod repair;
+mod reseed;
 mod signals;
 mod welcome;
 
@@ -29,7 +30,7 @@ const USAGE_STATUS: u8 = 2;
 /// Exit status: the server could not start, or cut calls when it stopped.
 const FAILURE_STATUS: u8 = 1;
 
-/// Runs the server that the command line describes until it has stopped, or repairs its store.
+/// Runs the server that the command line describes until it has stopped, repairs its store, or reseeds an index.
 pub fn main() -> ExitCode {
     let flags = Flags::parse();
     if flags.print_config {
@@ -46,8 +47,12 @@ pub fn main() -> ExitCode {
         Err(error) => return fail(&*error, USAGE_STATUS),
     };
     pages::use_small_pages();
-    if let Some(Command::Repair { dry_run }) = flags.command {
-        return repair::run(&config, dry_run);
+    match flags.command {
+        Some(Command::Repair { dry_run }) => return repair::run(&config, dry_run),
+        Some(Command::Reseed { index, uid }) => {
+            return reseed::run(&config, &index, uid.as_deref());
+        }
+        None => {}
     }
     match serve(config) {
         Ok(()) => ExitCode::SUCCESS,

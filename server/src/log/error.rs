@@ -32,8 +32,8 @@ pub enum LogError {
     /// The journal ends before what this server has applied. The server looks again: NATS may have answered from the past.
     #[error(
         "index {uid}: the journal ends at revision {head}, and this server has applied {applied}: NATS has lost the \
-         records between; nothing is written, and reads go on. If it lasts, create the index under another name from \
-         the points of this server"
+         records between; nothing is written, and reads go on. If it lasts, stop this server and run \
+         `wayfold-server reseed`"
     )]
     JournalBehind {
         /// The index.
@@ -47,7 +47,8 @@ pub enum LogError {
     #[error(
         "index {uid}: {member} has applied another record of revision {revision}: NATS has lost acknowledged records, \
          and others took their place; nothing is written here, and reads go on. Keep what you need of the points of this \
-         server, then stop it and start it on an empty directory to take those of the others"
+         server, then stop it and start it on an empty directory to take those of the others, or run `wayfold-server \
+         reseed` to go on with its own"
     )]
     Contradicted {
         /// The index.

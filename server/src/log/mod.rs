@@ -171,6 +171,12 @@ pub trait Journal: Send + Sync {
     /// way. May block if [`Journal::is_busy`], or if points are replaced or removed.
     fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError>;
 
+    /// Publishes the first record of a restored index, which follows its origin. A journal elsewhere takes it only if it has no
+    /// record of the index; the journal of the same engine begins at the origin by itself. Blocks.
+    fn begin(&self, _: Uid, _: Arc<Record>) -> Result<(), LogError> {
+        Ok(())
+    }
+
     /// The records after the revision `after`, once they are as durable as this journal makes them.
     fn follow(&self, uid: Uid, after: u64) -> RecordStream;
 
@@ -340,6 +346,13 @@ pub trait Catalogue: Send + Sync {
 
     /// Adds a new index, at revision 0. [`LogError::NameTaken`] if another server has given its name to an index.
     fn create(&self, entry: Entry) -> Result<(), LogError>;
+
+    /// Gives a name to an index that the point store has already: a restored one. `replaced` takes the name from the index that
+    /// has it, whose uid and `replaced` count as deleted. [`LogError::NameTaken`] if another server was first, or if the name
+    /// is taken and nothing is to be replaced. With any other error it is unknown which index has the name.
+    fn claim(&self, _: &Entry, _replaced: Option<Uid>) -> Result<(), LogError> {
+        Ok(())
+    }
 
     /// Deletes an index with its records and points. Existing views stay valid.
     fn delete(&self, uid: Uid) -> Result<(), LogError>;

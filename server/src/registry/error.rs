@@ -29,12 +29,6 @@ pub enum RegistryError {
     /// The index goes on by itself, so no copy takes its place.
     #[error("the index follows its journal, so no copy takes its place")]
     Follows,
-    /// Several servers share the journal, and none of them can restore an index.
-    #[error(
-        "servers that share a journal cannot restore an index yet: create it and insert its points, or restore it on a \
-         server with cluster.nats = \"off\""
-    )]
-    SharedJournal,
     /// The index has another uid.
     #[error("the index has the uid {found}")]
     OtherUid {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use tracing::info;
+use tracing::{info, warn};
 use wayfold_index::Space;
 use wayfold_proto::v1::PayloadEncoding;
 
@@ -12,7 +12,10 @@ use super::{
     operations::Operations,
     payload_sizes::PayloadSizes,
 };
-use crate::log::{Entry, Origin, Restoring, Sessions, StoredPoint, Uid};
+use crate::log::{
+    Effects, Entry, Log, LogError, Origin, Record, Restoring, RunId, Sessions, StoredPoint, Tip,
+    Uid,
+};
 
 /// An index that is being restored. If it is dropped before [`Registry::host`], nothing is left behind.
 pub struct Restore {
@@ -36,9 +39,6 @@ impl Registry {
         limits: Vec<IndexLimit>,
         origin: Origin,
     ) -> Result<Restore, RegistryError> {
-        if self.host.log.journal.is_shared() {
-            return Err(RegistryError::SharedJournal);
-        }
         self.room_for(name, &limits)?;
         self.host.watermarks.admit(0)?;
         let entry = Entry {
@@ -76,6 +76,10 @@ impl Registry {
         self.room_for(&entry.name, &limits)?;
         // A copy has another uid, so no call to the original is repeated here.
         stored.finish(sessions, Vec::new())?;
+        publish(&host.log, host.run, (&entry, None), origin).map_err(|error| match error {
+            LogError::NameTaken { .. } => RegistryError::Taken,
+            error => error.into(),
+        })?;
         let view = host.log.points.view(entry.uid)?;
         let hosted = Hosted::new(
             &host,
@@ -99,6 +103,42 @@ impl Registry {
             .iter()
             .try_for_each(|limit| limit.check(indexes.keys()))
     }
+}
+
+/// Publishes an index that the point store has from a restore: its journal begins behind the origin, and the index gets its
+/// name last. So a server that ends before leaves an index without a name, which nobody can see. `replaced` takes the name from
+/// the index that has it. Does nothing where the point store is the whole log.
+pub(crate) fn publish(
+    log: &Log,
+    run: RunId,
+    (entry, replaced): (&Entry, Option<Uid>),
+    origin: Origin,
+) -> Result<(), LogError> {
+    if !log.journal.is_shared() {
+        return Ok(());
+    }
+    let tip = Tip {
+        revision: origin.revision,
+        digest: origin.digest,
+    };
+    let fence = Record::made_by(run, tip, Effects::new(entry.space.coordinates()));
+    let published = log.journal.begin(entry.uid, Arc::new(fence));
+    let is_begun = published.is_ok();
+    let claimed = published.and_then(|()| log.catalogue.claim(entry, replaced));
+    if let Err(error) = &claimed {
+        match !is_begun || matches!(error, LogError::NameTaken { .. }) {
+            true => {
+                if let Err(error) = log.catalogue.delete(entry.uid) {
+                    warn!(index = entry.name, uid = %entry.uid, %error, "cannot remove an index that was not restored");
+                }
+            }
+            // If the answer was lost, the index appears later.
+            false => {
+                warn!(index = entry.name, uid = %entry.uid, %error, "it is unknown whether an index was restored");
+            }
+        }
+    }
+    claimed
 }
 
 impl Restore {

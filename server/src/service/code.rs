@@ -94,8 +94,7 @@ impl Error {
             Error::UidMismatch { .. }
             | Error::RevisionConflict { .. }
             | Error::ScanEnded { .. }
-            | Error::SessionRefused { .. }
-            | Error::SharedJournal { .. } => Code::FailedPrecondition,
+            | Error::SessionRefused { .. } => Code::FailedPrecondition,
             Error::LimitExceeded { .. }
             | Error::Full { .. }
             | Error::QuotaExceeded { .. }
@@ -160,7 +159,6 @@ impl Error {
             Error::DeadlineExceeded { .. } => "DEADLINE_EXCEEDED",
             Error::Forwarded { .. } => "FORWARDED",
             Error::OperationMismatch { .. } => "OPERATION_MISMATCH",
-            Error::SharedJournal { .. } => "SHARED_JOURNAL",
             Error::StorageFailed { .. } => "STORAGE_FAILED",
             Error::DataLoss { .. } => "DATA_LOSS",
             Error::Internal { .. } => "INTERNAL",

@@ -291,12 +291,6 @@ pub enum Error {
         /// The operation id.
         operation_id: String,
     },
-    /// Servers that share a journal cannot do this.
-    #[error("{what}")]
-    SharedJournal {
-        /// The reason and the remedy.
-        what: String,
-    },
     /// The owner of the index, another server, refused the call.
     #[error("{}", status.message)]
     Forwarded {

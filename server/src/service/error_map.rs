@@ -20,7 +20,6 @@ pub(super) fn registry_error(index: &str, error: RegistryError) -> Error {
             needed,
             full,
         },
-        RegistryError::SharedJournal => Error::SharedJournal { what },
         RegistryError::Exists { .. }
         | RegistryError::Taken
         | RegistryError::OtherUid { .. }

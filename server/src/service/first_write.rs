@@ -131,8 +131,8 @@ fn agree(hosted: &Hosted, member: &str, applied: Tip, digest: Option<Digest>) ->
     Err(Error::DataLoss {
         what: format!(
             "index \"{index}\": {member} has applied another record of revision {revision} than this server: NATS has lost \
-             acknowledged records, and others took their place; nothing is written until one of the two servers is stopped, \
-             and reads go on"
+             acknowledged records, and others took their place; nothing is written until one of the two servers is stopped \
+             or reseeded, and reads go on"
         ),
     })
 }

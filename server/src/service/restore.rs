@@ -1,8 +1,13 @@
 //! `RestoreIndex`: an index from the parts of a snapshot.
 
+use std::time::Duration;
+
 use bytes::Bytes;
-use tokio::task::JoinError;
-use tracing::Span;
+use tokio::{
+    task::JoinError,
+    time::{MissedTickBehavior, interval, timeout},
+};
+use tracing::{Span, warn};
 use wayfold_proto::{
     snapshot::{Content, Reader, SnapshotError},
     v1,
@@ -13,12 +18,13 @@ use super::{
     check::Violations,
     error_map::registry_error,
     indexes::{check_name, describe, too_many_indexes},
+    member::StoredRequest,
     session_pages::add_restored,
 };
 use crate::{
     identity::{Caller, Role},
     log::{Origin, Sessions, StoredPoint},
-    registry::{RegistryError, Restore},
+    registry::{Hosted, RegistryError, Restore},
 };
 
 /// The first revision that no snapshot may have: an index that is restored needs revisions for its mutations.
@@ -56,6 +62,60 @@ impl Service {
     }
 }
 
+/// The time between two looks for a copy of a restored index.
+const COPY_INTERVAL: Duration = Duration::from_millis(200);
+
+impl Service {
+    /// Waits until another server of a cluster has a copy of a restored index: its points are in no journal. The only live
+    /// server of a cluster does not wait.
+    async fn await_copy(&self, call: &Call, hosted: &Hosted) -> Result<(), Error> {
+        let Some(peers) = self.inner.peers.get() else {
+            return Ok(());
+        };
+        let revision = hosted.published().revision;
+        let copied = async {
+            let mut looks = interval(COPY_INTERVAL);
+            looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+            loop {
+                looks.tick().await;
+                let members = peers.peers(hosted.uid());
+                if members.is_empty() {
+                    warn!(
+                        index = hosted.name(),
+                        uid = hosted.uid_text(),
+                        "no other server is live: a restored index is on this one alone"
+                    );
+                    return;
+                }
+                for member in &members {
+                    let request = StoredRequest {
+                        uids: vec![hosted.uid_text().into()],
+                        revisions: Vec::new(),
+                    };
+                    let answer = timeout(COPY_INTERVAL, peers.stored(member, request)).await;
+                    let stored = answer.ok().and_then(Result::ok);
+                    let stored = stored.and_then(|stored| stored.indexes.into_iter().next());
+                    if stored.is_some_and(|stored| stored.revision >= revision) {
+                        return;
+                    }
+                }
+            }
+        };
+        let missing = || Error::StorageFailed {
+            what: format!(
+                "index \"{}\" is restored on this server, and no other server has a copy yet: do not restore it again, and \
+                 keep the directory of this server",
+                hosted.name()
+            ),
+        };
+        let bounded = timeout(Duration::from_secs(self.limits().max_scan_seconds), copied);
+        let copied = call
+            .bound("while another server took a copy", bounded)
+            .await;
+        copied.map_err(|_| missing())?.map_err(|_| missing())
+    }
+}
+
 impl Restoring {
     /// Takes the next part. After an error every part is refused.
     pub async fn add(&mut self, request: v1::RestoreIndexRequest) -> Result<(), Error> {
@@ -86,14 +146,14 @@ impl Restoring {
         let (Some(name), Some(restore)) = (self.name, restore) else {
             return Err(out_of_order());
         };
-        let service = self.service;
-        let span = Span::current();
+        let (service, span) = (self.service.clone(), Span::current());
         let finished = tokio::task::spawn_blocking(move || {
             let _entered = span.enter();
             let hosted = service.registry()?.host(restore, sessions);
             hosted.map_err(|error| not_restored(&name, error))
         });
         let hosted = finished.await.map_err(stopped)??;
+        self.service.await_copy(&self.call, &hosted).await?;
         Ok(v1::RestoreIndexResponse {
             index: Some(describe(&hosted, &hosted.published())),
         })

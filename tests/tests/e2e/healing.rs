@@ -90,18 +90,25 @@ const LOST: u64 = 10;
 #[ignore = "needs nats-server"]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_server_that_another_one_contradicts_stays_stopped() {
-    contradict(2 * LOST).await;
+    contradict(2 * LOST, false).await;
 }
 
 /// The journal ends at the revision that the server has applied, with another record.
 #[ignore = "needs nats-server"]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_server_compares_its_newest_record_when_it_starts() {
-    contradict(0).await;
+    contradict(0, false).await;
 }
 
-/// NATS loses records that one server has applied, and the other one writes others in their place, and this many more.
-async fn contradict(more: u64) {
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_operator_chooses_the_records_that_nats_has_lost() {
+    contradict(2 * LOST, true).await;
+}
+
+/// NATS loses records that one server has applied, and the other one writes others in their place, and this many more. Then
+/// the operator chooses the first server with `reseeds`, or the other one.
+async fn contradict(more: u64, reseeds: bool) {
     let mut cluster = Cluster::empty();
     let server = cluster.start(0);
     let mut stubs = Stubs::connect(server.uri()).await;
@@ -146,9 +153,20 @@ async fn contradict(more: u64) {
     let log = server.stop(Signal::Kill).stderr;
     assert!(!log.contains(HEALED), "{log}");
 
-    // The operator has chosen the other one.
     let other = cluster.start(1);
     let mut others = Stubs::connect(other.uri()).await;
+    if reseeds {
+        cluster.reseed(0);
+        let server = cluster.start(0);
+        let mut stubs = Stubs::connect(server.uri()).await;
+        assert_eq!(latest_content(&mut stubs).await.points, expected.points);
+        assert_eq!(latest_content(&mut others).await.points, expected.points);
+        let written = insert_until_acknowledged(&mut others, 4000..4001);
+        timeout(MAX_WAIT, written).await.unwrap();
+        let written = latest_content(&mut stubs).await;
+        assert!(written.points.contains_key(&4000) && written.uid != expected.uid);
+        return;
+    }
     let written = insert_until_acknowledged(&mut others, 4000..4001);
     timeout(MAX_WAIT, written).await.unwrap();
 }

@@ -47,6 +47,26 @@ impl Cluster {
         self.directory.path().join(format!("data-{number}"))
     }
 
+    /// Starts a new generation of the index "arm" from the directory of a server, which is stopped.
+    pub(crate) fn reseed(&self, number: usize) {
+        let reseeded = Command::new(env!("CARGO_BIN_EXE_server-process"))
+            .args(["reseed", "arm", "--data"])
+            .arg(self.data(number))
+            .envs(self.nats.member_settings())
+            .output()
+            .unwrap();
+        assert!(reseeded.status.success(), "{reseeded:?}");
+        let text = String::from_utf8(reseeded.stdout).unwrap();
+        assert!(text.contains("index arm goes on as "), "{text}");
+    }
+
+    /// NATS loses all that it has.
+    pub(crate) fn lose_store(&mut self) {
+        self.nats.kill(0);
+        std::fs::remove_dir_all(self.store()).unwrap();
+        self.nats.restart(0);
+    }
+
     /// Removes the data directory of a server, which is stopped.
     pub(crate) fn lose(&self, number: usize) {
         std::fs::remove_dir_all(self.data(number)).unwrap();

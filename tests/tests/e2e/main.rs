@@ -9,6 +9,7 @@ mod access;
 mod cancellation;
 mod clients;
 mod cluster;
+mod cluster_restore;
 mod crash;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod disk_failure;

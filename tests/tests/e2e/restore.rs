@@ -18,10 +18,10 @@ use wayfold_proto::{
 };
 use wayfold_tests::{Content, ServerProcess, Signal, States, Stubs, row_states, server};
 
-const ROWS: u64 = 20_000;
+pub(crate) const ROWS: u64 = 20_000;
 
 /// An index with a history: moved, removed and tagged points, payloads, and ids that were used and freed.
-async fn lived_in(stubs: &mut Stubs, name: &str, seed: u64) {
+pub(crate) async fn lived_in(stubs: &mut Stubs, name: &str, seed: u64) {
     stubs.create(name, "R3*SO3:0.15").await;
     let mut states = States::new(Space::se3(), seed);
     for first in (0..ROWS).step_by(5_000) {
@@ -59,7 +59,7 @@ async fn lived_in(stubs: &mut Stubs, name: &str, seed: u64) {
     stubs.points.update(tagged).await.unwrap();
 }
 
-async fn snapshot(stubs: &mut Stubs) -> Vec<SnapshotPart> {
+pub(crate) async fn snapshot(stubs: &mut Stubs) -> Vec<SnapshotPart> {
     let request = SnapshotIndexRequest {
         index_name: "arm".into(),
         ..Default::default()

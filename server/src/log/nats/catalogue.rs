@@ -195,21 +195,33 @@ impl Catalogue for NatsCatalogue {
     }
 
     fn create(&self, entry: Entry) -> Result<(), LogError> {
+        self.claim(&entry, None)?;
+        self.local.create(entry)
+    }
+
+    fn claim(&self, entry: &Entry, replaced: Option<Uid>) -> Result<(), LogError> {
         let before = self.known.borrow().get(&entry.name).cloned();
-        let (deleted, revision) = match before {
-            Some((named, _)) if named.index.is_some() => {
-                return Err(LogError::NameTaken { name: entry.name });
+        let (mut deleted, revision) = match before {
+            Some((Named { index: Some(_), .. }, _)) if replaced.is_none() => {
+                return Err(LogError::NameTaken {
+                    name: entry.name.clone(),
+                });
             }
-            Some((named, revision)) => (named.deleted, revision),
+            Some((mut named, revision)) => {
+                let index = named.index.take();
+                named.deleted.extend(index.map(|(uid, _)| uid));
+                (named.deleted, revision)
+            }
             None => (Vec::new(), 0),
         };
+        let replaced = replaced.map(|uid| uid.to_string());
+        deleted.extend(replaced.filter(|uid| !deleted.contains(uid)));
         let named = Named {
             name: entry.name.clone(),
             index: Some((entry.uid.to_string(), entry.content())),
-            deleted,
+            deleted: newest(deleted),
         };
-        self.runtime.block_on(self.set(named, revision))?;
-        self.local.create(entry)
+        self.runtime.block_on(self.set(named, revision))
     }
 
     fn delete(&self, uid: Uid) -> Result<(), LogError> {
@@ -218,8 +230,7 @@ impl Catalogue for NatsCatalogue {
         if let Some((mut named, revision)) = found {
             named.index = None;
             named.deleted.push(uid.to_string());
-            let forgotten = named.deleted.len().saturating_sub(MAX_DELETED);
-            named.deleted.drain(..forgotten);
+            named.deleted = newest(named.deleted);
             let name = named.name.clone();
             let set = self.runtime.block_on(self.set(named, revision));
             if let Err(error) = set {
@@ -249,6 +260,13 @@ impl Named {
         let index = self.index.as_ref();
         index.is_some_and(|(own, _)| *own == uid.to_string())
     }
+}
+
+/// The newest uids of deleted indices that are remembered.
+fn newest(mut deleted: Vec<String>) -> Vec<String> {
+    let forgotten = deleted.len().saturating_sub(MAX_DELETED);
+    deleted.drain(..forgotten);
+    deleted
 }
 
 /// The key of a name: NATS does not allow all characters.

@@ -18,7 +18,7 @@ mod publisher;
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use async_nats::connection::State;
-use futures_util::FutureExt;
+use futures_util::{FutureExt, future::BoxFuture};
 use parking_lot::Mutex;
 use thiserror::Error;
 use tokio::{runtime::Handle, sync::oneshot};
@@ -26,7 +26,7 @@ use tokio::{runtime::Handle, sync::oneshot};
 use self::{
     catalogue::NatsCatalogue,
     connection::Connection,
-    publisher::{Publisher, Submission},
+    publisher::{Answer, Publisher, Submission},
 };
 use super::{
     Catalogue, Journal, Log, LogError, PointStore, Receipt, Record, RecordStream, Retention, Tip,
@@ -144,11 +144,17 @@ impl Forgotten {
     }
 }
 
-impl Journal for NatsJournal {
-    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+impl NatsJournal {
+    /// Gives a record to the publisher of its index.
+    fn send(
+        &self,
+        uid: Uid,
+        record: Arc<Record>,
+        submission: impl FnOnce(Arc<Record>, Answer) -> Submission,
+    ) -> BoxFuture<'static, Result<(), LogError>> {
         let revision = record.revision();
         let (answer, outcome) = oneshot::channel();
-        let mut submission = Submission::new(record, answer);
+        let mut submission = submission(record, answer);
         let mut publishers = self.publishers.lock();
         if !publishers.contains_key(&uid) {
             // Those that have ended may be of deleted indices.
@@ -165,8 +171,18 @@ impl Journal for NatsJournal {
             revision,
             what: "the server stopped publishing".into(),
         };
-        let outcome = outcome.map(|outcome| outcome.unwrap_or(Err(lost)));
-        Ok(Receipt::Awaited(outcome.boxed()))
+        outcome.map(|outcome| outcome.unwrap_or(Err(lost))).boxed()
+    }
+}
+
+impl Journal for NatsJournal {
+    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+        Ok(Receipt::Awaited(self.send(uid, record, Submission::new)))
+    }
+
+    fn begin(&self, uid: Uid, record: Arc<Record>) -> Result<(), LogError> {
+        let outcome = self.send(uid, record, Submission::beginning);
+        self.runtime.block_on(outcome)
     }
 
     fn follow(&self, uid: Uid, after: u64) -> RecordStream {

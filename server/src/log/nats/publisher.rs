@@ -38,12 +38,15 @@ const MAX_REPEATS: usize = 100;
 /// A publisher without a record for this long ends: a server may have thousands of indices.
 const IDLE_TIME: Duration = Duration::from_secs(60);
 
-type Answer = oneshot::Sender<Result<(), LogError>>;
+/// Gets the outcome of a record.
+pub(super) type Answer = oneshot::Sender<Result<(), LogError>>;
 
 /// A submitted record in its stored form.
 pub(super) struct Submission {
     record: Arc<Record>,
     stored: Vec<u8>,
+    /// True if it is the first record of an index that begins at an origin.
+    begins: bool,
     answer: Answer,
 }
 
@@ -58,7 +61,16 @@ impl Submission {
         Self {
             stored: record.encode(),
             record,
+            begins: false,
             answer,
+        }
+    }
+
+    /// The same for the first record of an index that begins at an origin.
+    pub(super) fn beginning(record: Arc<Record>, answer: Answer) -> Self {
+        Self {
+            begins: true,
+            ..Self::new(record, answer)
         }
     }
 }
@@ -147,13 +159,14 @@ impl Task {
         let (Some(first), Some(last)) = (batch.first(), batch.last()) else {
             return Ok(());
         };
+        let begins = first.begins;
         let (first, last) = (&*first.record, &*last.record);
         let mut payload = Vec::new();
         for submission in batch {
             message::pack(&mut payload, &submission.stored);
         }
         let payload = Bytes::from(payload);
-        let expected = self.place_before(first).await?;
+        let expected = self.place_before(first, begins).await?;
         let mut attempts = interval(RETRY_INTERVAL);
         for _ in 0..MAX_REPEATS {
             let sent = self.send((first, last), &payload, expected.sequence);
@@ -247,15 +260,15 @@ impl Task {
         unreachable!("a pack has a record")
     }
 
-    /// The message that `record` follows.
-    async fn place_before(&mut self, record: &Record) -> Result<Position, Refusal> {
+    /// The message that `record` follows. One that `begins` an index follows none.
+    async fn place_before(&mut self, record: &Record, begins: bool) -> Result<Position, Refusal> {
         if let Some(newest) = self.newest
             && record.follows(newest.last)
         {
             return Ok(newest);
         }
         let newest = self.read_newest().await?;
-        match record.follows(newest.last) {
+        match record.follows(newest.last) || begins && newest == Position::START {
             true => Ok(newest),
             false => Err(Refusal::Fenced {
                 head: newest.last.revision,

@@ -1,0 +1,58 @@
+//! `wayfold-server reseed`: starts a new generation of an index of a cluster from the points of this server.
+
+use std::{
+    error::Error,
+    io::{self, Write},
+    process::ExitCode,
+    sync::Arc,
+};
+
+use tokio::runtime;
+
+use super::{FAILURE_STATUS, USAGE_STATUS, fail};
+use crate::{
+    config::Config,
+    log::{FjallLog, Uid, connect_nats},
+    registry::{Seed, reseed},
+};
+
+/// Starts a new generation of the index of this name, with this uid if it is given.
+pub(super) fn run(config: &Config, name: &str, uid: Option<&str>) -> ExitCode {
+    let uid = uid.map(str::parse::<Uid>).transpose();
+    let usage = |error: &str| fail(&*Box::<dyn Error>::from(error), USAGE_STATUS);
+    let Ok(uid) = uid else {
+        return usage("--uid is no uid");
+    };
+    let Some(options) = config.cluster.options() else {
+        return usage(
+            "only an index of a cluster has generations: set cluster.nats as the server has it",
+        );
+    };
+    let Some(directory) = config.data.directory() else {
+        return usage("there are no points in memory: name a data directory with --data");
+    };
+    let reseeded = || -> Result<_, Box<dyn Error>> {
+        let runtime = runtime::Builder::new_multi_thread().enable_all().build()?;
+        let _entered = runtime.enter();
+        let local = Arc::new(FjallLog::open_within(
+            directory,
+            config.data.durability,
+            u64::MAX,
+        )?);
+        let (log, _) = connect_nats(&options, Arc::clone(&local))?;
+        Ok(reseed(&log, &*local, Seed { name, uid })?)
+    };
+    match reseeded() {
+        Ok(it) => {
+            let text = format!(
+                "index {name} goes on as {} from revision {} with {} points; it was {}\n\
+                 next: start this server; the others take copies of it\n",
+                it.new, it.revision, it.points, it.old
+            );
+            // A closed standard output has no reader.
+            let _ = io::stdout().write_all(text.as_bytes());
+            ExitCode::SUCCESS
+        }
+        Err(error) => fail(&*error, FAILURE_STATUS),
+    }
+}

@@ -1,0 +1,105 @@
+//! Starts a new generation of an index from the points of this server: an operator's way out if its servers contradict each
+//! other, or if no server can follow its journal. The index gets a new uid and a new journal, and the other servers take copies.
+
+use thiserror::Error;
+
+use super::restore::publish;
+use crate::log::{Catalogue, Entry, Log, LogError, Origin, StoredPoint, Uid};
+
+/// The points that are written at a time.
+const PAGE_POINTS: usize = 4096;
+
+/// The index of this server that gets a new generation.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Seed<'a> {
+    /// Its name.
+    pub(crate) name: &'a str,
+    /// Its uid, if several indices of the point store have the name.
+    pub(crate) uid: Option<Uid>,
+}
+
+/// A new generation of an index.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Reseeded {
+    /// The uid before.
+    pub(crate) old: Uid,
+    /// The uid now.
+    pub(crate) new: Uid,
+    /// The revision with which it begins.
+    pub(crate) revision: u64,
+    /// The number of its points.
+    pub(crate) points: u64,
+}
+
+/// The index has no new generation.
+#[derive(Debug, Error)]
+pub(crate) enum ReseedError {
+    /// The server has no such index.
+    #[error("the data directory has no index of this name and uid")]
+    Missing,
+    /// The server has several.
+    #[error(
+        "the data directory has several indices of this name; choose one with --uid: {}",
+        uids.iter().map(|(uid, revision)| format!("{uid} (revision {revision})")).collect::<Vec<_>>().join(", ")
+    )]
+    Several {
+        /// The uid and the newest revision of each.
+        uids: Vec<(Uid, u64)>,
+    },
+    /// The log failed.
+    #[error(transparent)]
+    Log(#[from] LogError),
+}
+
+/// Makes the points and sessions of an index of the point store a new index of the same name. `local` is the catalogue of the
+/// point store. No server may use the store meanwhile. Blocks.
+pub(crate) fn reseed(
+    log: &Log,
+    local: &dyn Catalogue,
+    seed: Seed<'_>,
+) -> Result<Reseeded, ReseedError> {
+    let mut entries = local.indexes()?;
+    entries.retain(|entry| entry.name == seed.name && seed.uid.is_none_or(|uid| uid == entry.uid));
+    let [old] = &entries[..] else {
+        if entries.is_empty() {
+            return Err(ReseedError::Missing);
+        }
+        let uids = entries.iter().map(|entry| {
+            let view = log.points.view(entry.uid);
+            (entry.uid, view.map_or(0, |view| view.revision()))
+        });
+        let uids = uids.collect();
+        return Err(ReseedError::Several { uids });
+    };
+    let view = log.points.view(old.uid)?;
+    let entry = Entry {
+        uid: Uid::unique(),
+        ..old.clone()
+    };
+    let origin = Origin {
+        revision: view.revision(),
+        next_id: view.next_id(),
+        digest: view.tip().digest,
+    };
+    let mut restoring = log.points.restore(entry.clone(), origin)?;
+    let (mut after, mut points) = (None, 0);
+    loop {
+        let page = view.page(after, PAGE_POINTS)?;
+        let Some(last) = page.last() else {
+            break;
+        };
+        after = Some(last.id);
+        points += page.len() as u64;
+        let page: Vec<StoredPoint> = page.iter().map(|point| StoredPoint::clone(point)).collect();
+        restoring.add(&page)?;
+    }
+    restoring.finish(view.sessions().clone(), Vec::new())?;
+    let run = *Uid::unique().as_bytes();
+    publish(log, run, (&entry, Some(old.uid)), origin)?;
+    Ok(Reseeded {
+        old: old.uid,
+        new: entry.uid,
+        revision: origin.revision,
+        points,
+    })
+}
