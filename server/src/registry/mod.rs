@@ -62,7 +62,7 @@ use payload_sizes::PayloadSizes;
 pub(crate) use reseed::{Seed, reseed};
 pub use restore::Restore;
 pub(crate) use stopped::Stopped;
-pub(crate) use stored::Stored;
+pub(crate) use stored::{Failed, Stored};
 pub use usage::BatchUnderWay;
 pub(crate) use usage::Part;
 pub use writer::{WriteGuard, Writer};

@@ -9,7 +9,7 @@ use std::{
     time::{Duration, SystemTime},
 };
 
-use tokio::sync::Mutex;
+use tokio::{sync::Mutex, time::Instant};
 
 use super::{Hosted, Registry, RegistryError};
 use crate::log::{LogError, Tip, Uid};
@@ -64,8 +64,18 @@ impl Registry {
 pub(crate) struct FirstWrite {
     /// The number of changes of the live servers as of which the records were compared; 0 if they never were.
     pub(crate) compared: AtomicU64,
-    /// Held while they are compared.
-    pub(crate) turn: Mutex<()>,
+    /// Held while they are compared. It has the last failure.
+    pub(crate) turn: Mutex<Option<Failed>>,
+}
+
+/// The records could not be compared, or differ.
+pub(crate) struct Failed {
+    /// The time at which that was found.
+    pub(crate) at: Instant,
+    /// True if they differ.
+    pub(crate) is_loss: bool,
+    /// The reason.
+    pub(crate) what: String,
 }
 
 impl Hosted {

@@ -10,7 +10,7 @@ use std::{
 };
 
 use futures_util::future::join_all;
-use tokio::time::timeout;
+use tokio::time::{Instant, timeout};
 use tracing::debug;
 
 use super::{
@@ -20,7 +20,7 @@ use super::{
 };
 use crate::{
     log::{Digest, Tip},
-    registry::Hosted,
+    registry::{Failed, Hosted},
 };
 
 /// The time in which a member answers. One that does not does not hold up the mutation.
@@ -43,13 +43,30 @@ impl Service {
             return Ok(());
         }
         let comparing = async {
-            let _turn = first_write.turn.lock().await;
+            let asked = Instant::now();
+            let mut turn = first_write.turn.lock().await;
             // Read before the members are: one that joins meanwhile is asked by the next mutation.
             let changes = owners.changes();
-            if first_write.compared.load(Relaxed) != changes {
-                compare(&**peers, hosted).await?;
-                first_write.compared.store(changes, Relaxed);
+            if first_write.compared.load(Relaxed) == changes {
+                return Ok(());
             }
+            // Calls that waited for their turn do not wait for the same again.
+            if let Some(failed) = turn.as_ref().filter(|failed| failed.at > asked) {
+                let what = failed.what.clone();
+                return Err(match failed.is_loss {
+                    true => Error::DataLoss { what },
+                    false => Error::StorageFailed { what },
+                });
+            }
+            if let Err(error) = compare(&**peers, hosted).await {
+                *turn = Some(Failed {
+                    at: Instant::now(),
+                    is_loss: matches!(error, Error::DataLoss { .. }),
+                    what: error.to_string(),
+                });
+                return Err(error);
+            }
+            first_write.compared.store(changes, Relaxed);
             Ok(())
         };
         call.bound(DOING, comparing).await?

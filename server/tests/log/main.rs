@@ -22,6 +22,7 @@ mod rebuilt;
 mod remote;
 mod replaced;
 mod replaced_in_nats;
+mod restored_in_nats;
 mod shared_files;
 mod suite;
 mod test_log;

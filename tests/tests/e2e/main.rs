@@ -9,7 +9,6 @@ mod access;
 mod cancellation;
 mod clients;
 mod cluster;
-mod cluster_restore;
 mod crash;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod disk_failure;
@@ -20,6 +19,7 @@ mod journal_loss;
 mod little_memory;
 mod metrics;
 mod no_missed_edge;
+mod origins;
 mod planners;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod power_loss;

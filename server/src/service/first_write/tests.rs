@@ -231,9 +231,14 @@ async fn a_mutation_waits_for_the_records_of_a_member_that_is_ahead() {
     let all = more(&[], 1, RECORDS + 1);
     let server = Server::new(&entry, &all[..RECORDS as usize]);
     server.set(vec![Some(engine(&entry, &all))]);
-    let refused = server.insert().await.unwrap_err();
-    assert_eq!(refused.code(), Code::Unavailable, "{refused}");
-    assert!(refused.to_string().contains("revision 5"), "{refused}");
+    // Two that come together wait together.
+    let began = Instant::now();
+    let (one, other) = tokio::join!(server.insert(), server.insert());
+    assert!(began.elapsed() < 2 * ARRIVAL_TIME);
+    for refused in [one.unwrap_err(), other.unwrap_err()] {
+        assert_eq!(refused.code(), Code::Unavailable, "{refused}");
+        assert!(refused.to_string().contains("revision 5"), "{refused}");
+    }
 
     let repaired = async {
         while server.others.asked.load(SeqCst) < 2 {
