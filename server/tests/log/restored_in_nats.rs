@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use tokio::runtime::{Builder, Runtime};
 use wayfold_server::log::{
-    Catalogue, Entry, Journal, Log, LogError, MemoryLog, Record, Tip, Uid, connect_nats,
+    Catalogue, Entry, Log, LogError, MemoryLog, Record, Tip, Uid, connect_nats,
 };
 
 use crate::{effects, entry, nats::NatsServer};
@@ -14,10 +14,13 @@ const ORIGIN: Tip = Tip {
     digest: [5; 32],
 };
 
-fn connect(runtime: &Runtime, server: &NatsServer) -> Log {
+fn connect(runtime: &Runtime, server: &NatsServer, entries: &[&Entry]) -> Log {
+    let local = Arc::new(MemoryLog::new());
+    for entry in entries {
+        local.create(Entry::clone(entry)).unwrap();
+    }
     let _entered = runtime.enter();
-    let connected = connect_nats(&server.options(), Arc::new(MemoryLog::new()));
-    connected.unwrap().0
+    connect_nats(&server.options(), local).unwrap().0
 }
 
 fn first(id: u64) -> Arc<Record> {
@@ -28,9 +31,10 @@ fn first(id: u64) -> Arc<Record> {
 #[ignore = "needs nats-server"]
 #[test]
 fn a_journal_that_begins_at_an_origin_is_trimmed_for_others_in_nats() {
-    let (server, uid) = (NatsServer::start(), Uid::unique());
+    let (server, entry) = (NatsServer::start(), entry("arm"));
+    let uid = entry.uid;
     let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
-    let [log, other] = [(), ()].map(|()| connect(&runtime, &server));
+    let [log, other] = [(), ()].map(|()| connect(&runtime, &server, &[&entry]));
     let record = first(1);
     log.journal.begin(uid, Arc::clone(&record)).unwrap();
     let fenced = other.journal.begin(uid, first(2)).unwrap_err();
@@ -56,20 +60,25 @@ fn a_journal_that_begins_at_an_origin_is_trimmed_for_others_in_nats() {
 fn one_of_two_servers_gets_a_name_in_nats() {
     let server = NatsServer::start();
     let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
-    let [log, other] = [(), ()].map(|()| connect(&runtime, &server));
     let [one, two, three] = [(), (), ()].map(|()| entry("arm"));
-    log.catalogue.claim(&one, None).unwrap();
-    let taken = LogError::NameTaken { name: "arm".into() };
-    assert_eq!(other.catalogue.claim(&two, None), Err(taken));
+    // The point stores have what was restored, and a crash may leave it there without a name.
+    let [log, other] = [&one, &two].map(|entry| connect(&runtime, &server, &[entry]));
     let named = |catalogue: &dyn Catalogue| -> Vec<Uid> {
         let entries = catalogue.indexes().unwrap();
         entries.iter().map(|entry: &Entry| entry.uid).collect()
     };
+    assert_eq!(
+        (named(&*log.catalogue), named(&*other.catalogue)),
+        (vec![], vec![])
+    );
+    log.catalogue.claim(&one, None).unwrap();
+    let taken = LogError::NameTaken { name: "arm".into() };
+    assert_eq!(other.catalogue.claim(&two, None), Err(taken));
     assert_eq!(named(&*other.catalogue), [one.uid]);
 
     // A new generation takes it, and the server that has the old one deletes that.
     other.catalogue.claim(&three, Some(one.uid)).unwrap();
-    let later = connect(&runtime, &server);
+    let later = connect(&runtime, &server, &[]);
     assert_eq!(named(&*later.catalogue), [three.uid]);
     let again = log.catalogue.claim(&one, None);
     assert!(
