@@ -34,13 +34,33 @@ impl Cluster {
 
     /// Starts a server with these settings too.
     pub(crate) fn start_with(&self, number: usize, settings: &[(&str, &str)]) -> ServerProcess {
+        ServerProcess::ready(self.launch(number, settings))
+    }
+
+    /// Starts a server, which is not ready yet.
+    fn launch(&self, number: usize, settings: &[(&str, &str)]) -> Process {
         let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
         command
             .args(["--grpc", "127.0.0.1:0", "--http", "127.0.0.1:0", "--data"])
             .arg(self.data(number))
             .envs(self.nats.member_settings())
             .envs(settings.iter().copied());
-        ServerProcess::ready(Process::spawn(&mut command))
+        Process::spawn(&mut command)
+    }
+
+    /// Restarts NATS so that nobody can follow the indices of a stream.
+    fn hide(&mut self, stream: u8) {
+        let file = self.directory.path().join("nats-0.conf");
+        let consumers = format!("$JS.API.CONSUMER.CREATE.wayfold-log-{stream}");
+        let denied = format!("\"{consumers}\", \"{consumers}.>\"");
+        let more = format!(
+            "no_auth_user: any\nauthorization {{ users: [ {{ user: any, password: any, permissions: \
+             {{ publish: {{ allow: \">\", deny: [{denied}] }} }} }} ] }}\n"
+        );
+        let text = std::fs::read_to_string(&file).unwrap() + &more;
+        self.nats.kill(0);
+        std::fs::write(file, text).unwrap();
+        self.nats.restart(0);
     }
 
     fn data(&self, number: usize) -> PathBuf {
@@ -191,4 +211,58 @@ async fn records_that_nats_loses_come_back_from_a_server() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn records_that_nats_loses_come_back_from_a_data_directory() {
     lose(true).await;
+}
+
+/// The number of the stream of an index.
+fn stream(uid: &str) -> u8 {
+    u8::from_str_radix(&uid[..2], 16).unwrap() % 4
+}
+
+/// The start takes a minute, because one index cannot be followed.
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn records_that_nats_loses_come_back_while_a_server_starts() {
+    const LOST: u64 = 3;
+    let mut cluster = Cluster::empty();
+    let server = cluster.start(0);
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let created = stubs.create("arm", "R1").await;
+    let arm = created.revision.unwrap().uid;
+    let (mut hidden, mut number) = (String::new(), 0);
+    while hidden.is_empty() {
+        let name = format!("leg-{number}");
+        let uid = stubs.create(&name, "R1").await.revision.unwrap().uid;
+        if stream(&uid) != stream(&arm) {
+            hidden = uid;
+        } else {
+            number += 1;
+        }
+    }
+    for id in 0..KEPT + LOST {
+        insert(&mut stubs, id).await.unwrap();
+    }
+    // Killed, it might not have stored the newest records.
+    server.stop(Signal::Terminate);
+    let other = cluster.start(1);
+    let mut others = Stubs::connect(other.uri()).await;
+    let request = InsertRequest {
+        index_name: format!("leg-{number}"),
+        states: Some(row_states(&[0.5], 1)),
+        ..Default::default()
+    };
+    others.insert(request).await;
+    other.stop(Signal::Kill);
+    for revision in (KEPT + 1..=KEPT + LOST).rev() {
+        assert!(cluster.nats.remove_record(&arm, revision).await);
+    }
+    cluster.hide(stream(&hidden));
+
+    let mut server = cluster.launch(0, &[]);
+    let log = server.log_until("the journal had lost its newest records");
+    let is_started = |line: &String| line.contains("caught up with the journal");
+    assert!(!log.iter().any(is_started), "{log:?}");
+    let (_, messages) = cluster.nats.messages(&arm).await;
+    let last = messages.last().unwrap().headers.get("Wayfold-Last");
+    assert_eq!(last.unwrap().as_str(), (KEPT + LOST).to_string());
+    server.stop(Signal::Kill);
 }
