@@ -186,6 +186,7 @@ fn entry() -> Entry {
         uid: Uid::unique(),
         name: "arm".into(),
         space: "R1".parse().unwrap(),
+        payload_encoding: Default::default(),
     }
 }
 
