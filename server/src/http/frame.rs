@@ -42,6 +42,10 @@ impl Share {
 pub(super) struct Frames(Vec<u8>);
 
 impl Frames {
+    pub(super) fn len(&self) -> usize {
+        self.0.len()
+    }
+
     pub(super) fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -107,12 +111,21 @@ impl Frames {
 
     /// Adds the removed ids of the share.
     pub(super) fn push_removed(&mut self, ids: &[u64], revision: u64, share: Share) {
+        self.push_ids("removed", ids, revision, share);
+    }
+
+    /// Adds the ids of the share whose points `revision` replaces: their new states follow.
+    pub(super) fn push_replaced(&mut self, ids: &[u64], revision: u64, share: Share) {
+        self.push_ids("replaced", ids, revision, share);
+    }
+
+    fn push_ids(&mut self, kind: &str, ids: &[u64], revision: u64, share: Share) {
         let ids: Vec<u64> = ids.iter().copied().filter(|id| share.has(*id)).collect();
         if ids.is_empty() {
             return;
         }
         let body: Vec<u8> = ids.iter().flat_map(|id| id.to_le_bytes()).collect();
-        let head = json!({ "kind": "removed", "count": ids.len(), "revision": revision });
+        let head = json!({ "kind": kind, "count": ids.len(), "revision": revision });
         self.push(&head, &body);
     }
 }

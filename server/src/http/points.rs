@@ -32,6 +32,9 @@ const DEFAULT_MAX: u64 = 1_000_000;
 /// The pause after a message of a watch: a picture needs no more, and each costs the server a little.
 const PAUSE: Duration = Duration::from_millis(100);
 
+/// Frames of a message of this size are followed by more.
+const FULL_BYTES: usize = 128 * 1024;
+
 /// A stream without mutations says after this time that it lives.
 const MAX_SILENCE: Duration = Duration::from_secs(10);
 
@@ -319,8 +322,13 @@ impl PointStream {
             frames.push(&json!({ "kind": "reset", "reason": reason }), &[]);
             return Ok((Source::All, frames));
         }
+        let mut replaced = watch.replaced().iter().peekable();
         for mutation in &message.mutations {
             let number = mutation.revision.as_ref().map_or(0, |it| it.number);
+            let ids: Vec<u64> = std::iter::from_fn(|| replaced.next_if(|(at, _)| *at == number))
+                .map(|(_, id)| *id)
+                .collect();
+            frames.push_replaced(&ids, number, self.share);
             if let Some(stored) = &mutation.stored {
                 frames.push_points(stored, self.share);
                 if let Some(edge_bytes) = self.edge_bytes {
@@ -333,7 +341,8 @@ impl PointStream {
             }
         }
         frames.push(&json!({ "kind": "at", "revision": self.reached }), &[]);
-        if !message.mutations.is_empty() {
+        // A reader that is far behind gets the next ones at once.
+        if !message.mutations.is_empty() && frames.len() < FULL_BYTES {
             let _ = timeout(PAUSE, std::future::pending::<()>()).await;
         }
         Ok((Source::Watch(watch), frames))

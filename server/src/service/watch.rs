@@ -1,6 +1,6 @@
 //! `Watch`: the mutations of an index as they become readable.
 
-use std::{collections::VecDeque, pin::pin, sync::Arc, time::Duration};
+use std::{collections::VecDeque, ops::Range, pin::pin, sync::Arc, time::Duration};
 
 use tokio::time::timeout;
 use wayfold_proto::v1;
@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     identity::Role,
-    log::{LogError, Record},
+    log::{LogError, Outcome, Record},
     registry::{Follower, Hosted, RegistryError},
 };
 
@@ -41,6 +41,8 @@ pub struct Watch {
     /// The points and removed ids of the first record that were sent, and the number of pieces.
     sent: (usize, u32),
     include: Option<v1::Include>,
+    /// The points of the last message whose states took the place of others: each with the revision that stored it.
+    replaced: Vec<(u64, u64)>,
     /// The session whose mutations come without points and removed ids; 0 is no session.
     own_session: u64,
     message_bytes: usize,
@@ -83,6 +85,7 @@ impl Service {
             next: VecDeque::new(),
             sent: (0, 0),
             include: request.include,
+            replaced: Vec::new(),
             own_session: request.own_session,
             message_bytes: MESSAGE_BYTES.min(self.limits().max_answer_bytes / 2),
             state: match is_other_uid {
@@ -127,6 +130,11 @@ impl Watch {
         }
     }
 
+    /// The points of the last message whose states took the place of others: the revision that stored each, and its id.
+    pub(crate) fn replaced(&self) -> &[(u64, u64)] {
+        &self.replaced
+    }
+
     fn message(&self, newest: u64) -> v1::WatchResponse {
         v1::WatchResponse {
             revision: Some(revision(&self.hosted, newest)),
@@ -158,6 +166,7 @@ impl Watch {
         self.call.check("while watching")?;
         let mut message = self.message(self.hosted.published().revision);
         let mut left = self.message_bytes;
+        self.replaced.clear();
         while left > 0
             && let Some(record) = self.next.front().cloned()
         {
@@ -168,6 +177,8 @@ impl Watch {
                 1.. if session == self.own_session => (v1::Mutation::default(), 0),
                 _ => piece(&record, sent, self.include, &mut left),
             };
+            let told = self.sent.0..sent.min(record.effects().stored().len());
+            self.replaced.extend(replaced(&record, told));
             let piece = v1::Mutation {
                 revision: Some(revision(&self.hosted, record.revision())),
                 time_ms: record.time_ms(),
@@ -220,6 +231,17 @@ fn written_by(record: &Record) -> (u64, u64) {
         Some(batch) if batch.number > 0 => (batch.session, batch.number),
         _ => (0, 0),
     }
+}
+
+/// The points of a record, of those in `range`, whose states took the place of others: its revision and their ids.
+fn replaced(record: &Record, range: Range<usize>) -> impl Iterator<Item = (u64, u64)> {
+    let revision = record.revision();
+    let effects = record.effects();
+    let replaced = range.filter(|at| effects.outcomes()[*at] == Outcome::Replaced);
+    let points = replaced.map(|at| effects.stored().get(at));
+    // The state is the same where only the tag or the payload is new.
+    let points = points.filter(move |point| point.revision == revision);
+    points.map(move |point| (revision, point.id))
 }
 
 /// The next piece of a record after its first `sent` points and removed ids: as many as fit `left` bytes, at least one.
