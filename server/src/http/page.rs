@@ -14,7 +14,7 @@ macro_rules! files {
     };
 }
 
-static FILES: [(&str, &str); 42] = files![
+static FILES: [(&str, &str); 49] = files![
     "answer.js",
     "api.js",
     "app.js",
@@ -22,6 +22,7 @@ static FILES: [(&str, &str); 42] = files![
     "bounds.js",
     "camera.js",
     "cloud.js",
+    "columns.js",
     "connection.js",
     "dom.js",
     "edges.js",
@@ -34,6 +35,7 @@ static FILES: [(&str, &str); 42] = files![
     "index.html",
     "index_page.js",
     "layer.js",
+    "lost.js",
     "marks.js",
     "metric.js",
     "metrics.js",
@@ -41,6 +43,8 @@ static FILES: [(&str, &str); 42] = files![
     "overview_feed.js",
     "pacer.js",
     "palette.js",
+    "past.js",
+    "pauses.js",
     "picker.js",
     "picture.css",
     "picture.js",
@@ -48,15 +52,18 @@ static FILES: [(&str, &str); 42] = files![
     "projections.js",
     "renderer.js",
     "shaders.js",
+    "share.js",
     "sign_in.js",
     "snippets.js",
     "space.js",
     "sparkline.js",
     "stream.js",
     "style.css",
+    "ticks.js",
     "timeline.js",
     "vertices.js",
     "view_panel.js",
+    "waiting.js",
 ];
 
 /// The page runs and shows only files of this server, and asks only this server. No other page embeds it.

@@ -24,12 +24,16 @@ export class Refusal extends Error {
   }
 }
 
-/** Sends a request with the token. On 401 it asks for one and sends the request again. Throws a `Refusal`. */
-export async function request(path, options = {}) {
+/**
+ * Sends a request with the token. On 401 it asks for one and sends the request again. `sending` is called before each attempt,
+ * because a person takes a while. Throws a `Refusal`.
+ */
+export async function request(path, options = {}, sending = () => {}) {
   for (;;) {
     const sent = token;
     const headers = { ...options.headers };
     if (sent) headers.Authorization = `Bearer ${sent}`;
+    sending();
     const response = await fetch(path, { ...options, headers, cache: "no-store", redirect: "error" });
     if (response.ok) return response;
     const refusal = await refusalOf(response);

@@ -2,7 +2,7 @@
 
 import { onScreen } from "./camera.js";
 import { svg } from "./dom.js";
-import { digits } from "./format.js";
+import { ticksOf } from "./ticks.js";
 
 // About the width of a character of a name.
 const CHARACTER_PIXELS = 7.5;
@@ -35,8 +35,8 @@ export function drawAxes(target, { matrix, eye, box, ranges, names, isNumbered, 
       return corner;
     };
     const [halfU, halfV] = [box[u] / 2, box[v] / 2];
-    for (const tick of ticks[u]) line(at(place(u, tick), -halfV), at(place(u, tick), halfV), "grid");
-    for (const tick of ticks[v]) line(at(-halfU, place(v, tick)), at(halfU, place(v, tick)), "grid");
+    for (const { at: tick } of ticks[u]) line(at(place(u, tick), -halfV), at(place(u, tick), halfV), "grid");
+    for (const { at: tick } of ticks[v]) line(at(-halfU, place(v, tick)), at(halfU, place(v, tick)), "grid");
     line(at(-halfU, -halfV), at(halfU, -halfV), "edge");
     line(at(halfU, -halfV), at(halfU, halfV), "edge");
     line(at(halfU, halfV), at(-halfU, halfV), "edge");
@@ -50,11 +50,11 @@ export function drawAxes(target, { matrix, eye, box, ranges, names, isNumbered, 
     const away = edge.away;
     let last = null;
     for (const tick of ticks[axis]) {
-      const on = screen(at(tick));
+      const on = screen(at(tick.at));
       // Numbers that would touch, or are not on the canvas, are left out.
       if (!isInside(on) || (last && Math.hypot(on[0] - last[0], on[1] - last[1]) < 32)) continue;
       last = on;
-      made.push(text("number", on[0] + 13 * away[0], on[1] + 13 * away[1], digits(tick)));
+      made.push(text("number", on[0] + 13 * away[0], on[1] + 13 * away[1], tick.text));
     }
     const middle = screen(edge.place(0));
     if (isInside(middle) && names[axis]) made.push(text("name", middle[0] + 36 * away[0], middle[1] + 30 * away[1], names[axis], away));
@@ -112,14 +112,4 @@ function outerEdge(axis, box, screen) {
     if (length > 24 && (!best || score > best.score)) best = { score, place, away };
   }
   return best;
-}
-
-/** About six round numbers within a range. */
-function ticksOf([low, high]) {
-  const rough = (high - low) / 6;
-  const power = 10 ** Math.floor(Math.log10(rough));
-  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= rough * 0.99);
-  const ticks = [];
-  for (let i = Math.ceil(low / step); i * step <= high + 1e-9 * step; i++) ticks.push(i * step);
-  return ticks.map((tick) => Number(tick.toPrecision(12)));
 }

@@ -1,24 +1,30 @@
 // The points of one index as the stream told them: columns that grow, with the revisions of each point's life.
 
+import { grown } from "./columns.js";
 import { Edges } from "./edges.js";
-import { pointColumns, removedIds } from "./frames.js";
+import { idsOf, pointColumns } from "./frames.js";
 import { IdMap } from "./id_map.js";
+import { Lost } from "./lost.js";
+import { Share } from "./share.js";
 
 /** The revision of death of a point that is alive. */
 export const ALIVE = 0xffffffff;
-// Removed points stay for the slider. Above this number beyond the living ones, the page forgets all of them.
-const MAX_REMOVED = 1_000_000;
+// Removed and replaced points stay for the slider. Above this number beyond the living ones, the page forgets the older half.
+const MAX_DEAD = 1_000_000;
 
 /** The points of an index. A slot is a point's place in all columns; a removed or replaced point keeps its slot. */
 export class Cloud {
   /** Forgets everything, at the head of a `begin` frame. */
-  begin({ uid, revision, coordinates, points, share }) {
+  begin({ uid, revision, oldest, coordinates, points, share }) {
     this.uid = uid;
     this.coordinates = coordinates;
     this.total = Number(points);
-    this.share = Number(share);
+    this.share = new Share(Number(share));
     this.newest = Number(revision);
-    this.oldest = 0;
+    /** The oldest revision after which the server still tells every mutation. */
+    this.windowStart = Number(oldest);
+    /** From this revision on, the cloud has every point that was there. */
+    this.knownFrom = this.newest;
     this.length = 0;
     this.alive = 0;
     this.ids = new Uint32Array(0);
@@ -29,7 +35,9 @@ export class Cloud {
     this.low = new Float64Array(coordinates).fill(Infinity);
     this.high = new Float64Array(coordinates).fill(-Infinity);
     this.slots = new IdMap();
-    this.edges = new Edges();
+    this.edges = new Edges(this.share);
+    /** The points that are known to have been there, but not where. */
+    this.lost = new Lost();
     this.changed = { from: 0, to: 0 };
     // Counts how often slots moved: a picture then has to encode all of them again.
     this.generation = (this.generation ?? 0) + 1;
@@ -38,45 +46,39 @@ export class Cloud {
   /** Takes a `points` frame. A point whose id is there already takes the place of the old one. */
   append(head, body) {
     const { count, ids, revisions, tags, coordinates } = pointColumns(head, body, this.coordinates);
-    const from = this.length;
-    this.#reserve(from + count);
-    this.ids.set(ids, 2 * from);
-    this.tags.set(tags, 2 * from);
-    this.rows.set(coordinates, this.coordinates * from);
-    this.died.fill(ALIVE, from, from + count);
-    let first = from;
+    this.#reserve(this.length + count);
+    this.edges.dropUntold();
+    let first = this.length;
     for (let i = 0; i < count; i++) {
-      const slot = from + i;
-      this.born[slot] = revision32(revisions, i);
-      this.newest = Math.max(this.newest, this.born[slot]);
+      const born = revision32(revisions, i);
       const before = this.slots.get(ids[2 * i], ids[2 * i + 1]);
       const isAlive = before >= 0 && this.died[before] === ALIVE;
-      if (isAlive && this.born[before] === this.born[slot]) {
-        // Only the tag or the payload changed: the point keeps its slot, and the new one is never shown.
+      if (isAlive) first = Math.min(first, before);
+      if (isAlive && this.born[before] === born) {
+        // Only the tag or the payload changed: the point keeps its slot.
         this.tags.set([tags[2 * i], tags[2 * i + 1]], 2 * before);
-        this.born[slot] = ALIVE;
-        this.died[slot] = 0;
-        this.alive -= 1;
-        first = Math.min(first, before);
+        this.edges.expect(before);
         continue;
       }
-      this.slots.set(ids[2 * i], ids[2 * i + 1], slot);
       if (isAlive) {
-        this.died[before] = this.born[slot];
+        this.died[before] = born;
         this.alive -= 1;
-        first = Math.min(first, before);
       }
+      const slot = this.#add(ids, tags, coordinates, i, born, ALIVE);
+      this.slots.set(ids[2 * i], ids[2 * i + 1], slot);
+      this.edges.arrive(ids[2 * i], ids[2 * i + 1], slot, before);
+      this.newest = Math.max(this.newest, born);
+      this.alive += 1;
     }
-    this.#widen(coordinates);
-    this.length += count;
-    this.alive += count;
     this.#touch(first, this.length);
+    this.#forgetSome();
   }
 
   /** Takes a `removed` frame. Ids that the sample leaves out are unknown here, and that is no fault. */
   remove(head, body) {
-    const ids = removedIds(head, body);
+    const ids = idsOf(head, body);
     const revision = Number(head.revision);
+    this.edges.dropUntold();
     for (let i = 0; i < head.count; i++) {
       const slot = this.slots.get(ids[2 * i], ids[2 * i + 1]);
       if (slot < 0 || this.died[slot] !== ALIVE) continue;
@@ -84,22 +86,54 @@ export class Cloud {
       this.alive -= 1;
       this.#touch(slot, slot + 1);
     }
-    this.reach(revision);
-    if (this.length - this.alive > this.alive + MAX_REMOVED) this.#forgetRemoved();
+    this.newest = Math.max(this.newest, revision);
+    this.#forgetSome();
   }
 
   /** Everything up to this revision has come. */
   reach(revision) {
+    this.edges.dropUntold();
     this.newest = Math.max(this.newest, Number(revision));
   }
 
-  /** The number of points that were there at a revision. */
+  /**
+   * Adds the points of `past` that died before this cloud began: `past` has replayed the mutations from its own beginning to
+   * that of this cloud, and `lost` has those of which it had no state.
+   */
+  adopt(past, lost) {
+    const until = this.knownFrom;
+    const from = this.length;
+    for (let slot = 0; slot < past.length; slot++) {
+      if (past.died[slot] > until) continue;
+      this.#reserve(this.length + 1);
+      this.#add(past.ids, past.tags, past.rows, slot, past.born[slot], past.died[slot]);
+    }
+    this.lost = lost.within(past.knownFrom, until).and(this.lost);
+    this.knownFrom = Math.min(until, past.knownFrom);
+    this.#touch(from, this.length);
+    this.#forgetSome();
+  }
+
+  /** Keeps only the points of a smaller share. */
+  thin(share) {
+    this.share = share;
+    this.edges.share = share;
+    this.lost = this.lost.of(share);
+    this.#compact((slot) => share.has(this.ids[2 * slot], this.ids[2 * slot + 1]));
+  }
+
+  /** The number of points that were there at a revision; without those that are not known, before `knownFrom`. */
   countAt(revision) {
     if (revision >= this.newest) return this.alive;
     const { born, died, length } = this;
-    let count = 0;
+    let count = this.lostAt(revision);
     for (let slot = 0; slot < length; slot++) count += born[slot] <= revision && revision < died[slot] ? 1 : 0;
     return count;
+  }
+
+  /** The number of points that were there at a revision and are not drawn, because nothing tells where. */
+  lostAt(revision) {
+    return revision < this.knownFrom ? 0 : this.lost.after(revision);
   }
 
   /** The id of a slot, as text: it may exceed what a number of JavaScript holds. */
@@ -116,58 +150,71 @@ export class Cloud {
     return this.rows.slice(slot * this.coordinates, (slot + 1) * this.coordinates);
   }
 
+  // Adds row `i` of other columns, and returns its slot.
+  #add(ids, tags, rows, i, born, died) {
+    const { coordinates, low, high } = this;
+    const slot = this.length++;
+    for (let half = 0; half < 2; half++) {
+      this.ids[2 * slot + half] = ids[2 * i + half];
+      this.tags[2 * slot + half] = tags[2 * i + half];
+    }
+    this.born[slot] = born;
+    this.died[slot] = died;
+    for (let c = 0; c < coordinates; c++) {
+      const number = rows[coordinates * i + c];
+      this.rows[coordinates * slot + c] = number;
+      if (number < low[c]) low[c] = number;
+      if (number > high[c]) high[c] = number;
+    }
+    return slot;
+  }
+
   #touch(from, to) {
     const { changed } = this;
+    if (from >= to) return;
     this.changed = changed.from < changed.to ? { from: Math.min(changed.from, from), to: Math.max(changed.to, to) } : { from, to };
   }
 
-  #widen(coordinates) {
-    const { low, high } = this;
-    const width = this.coordinates;
-    for (let i = 0; i < coordinates.length; i += width) {
-      for (let c = 0; c < width; c++) {
-        const number = coordinates[i + c];
-        if (number < low[c]) low[c] = number;
-        if (number > high[c]) high[c] = number;
-      }
-    }
-  }
-
   #reserve(slots) {
-    const capacity = this.born.length;
-    if (slots <= capacity) return;
-    const room = Math.max(slots, 2 * capacity, 4096);
-    const grown = (column, width) => {
-      const larger = new column.constructor(width * room);
-      larger.set(column);
-      return larger;
-    };
-    this.ids = grown(this.ids, 2);
-    this.tags = grown(this.tags, 2);
-    this.rows = grown(this.rows, this.coordinates);
-    this.born = grown(this.born, 1);
-    this.died = grown(this.died, 1);
+    this.ids = grown(this.ids, 2 * slots);
+    this.tags = grown(this.tags, 2 * slots);
+    this.rows = grown(this.rows, this.coordinates * slots);
+    this.born = grown(this.born, slots);
+    this.died = grown(this.died, slots);
   }
 
-  #forgetRemoved() {
-    const { coordinates, died } = this;
+  // Forgets the half of the dead points that died first, if there are many.
+  #forgetSome() {
+    const { died, length } = this;
+    if (length - this.alive <= this.alive + MAX_DEAD) return;
+    const deaths = died.slice(0, length).filter((revision) => revision !== ALIVE).sort();
+    this.knownFrom = Math.max(this.knownFrom, deaths[deaths.length >> 1]);
+    this.lost = this.lost.within(this.knownFrom, ALIVE);
+    this.#compact((slot) => died[slot] > this.knownFrom);
+  }
+
+  #compact(isKept) {
+    const { coordinates, born, died } = this;
     this.slots = new IdMap();
     const moved = new Int32Array(this.length).fill(-1);
     let to = 0;
+    this.alive = 0;
     for (let from = 0; from < this.length; from++) {
-      if (died[from] !== ALIVE) continue;
+      if (!isKept(from)) continue;
       this.ids.copyWithin(2 * to, 2 * from, 2 * from + 2);
       this.tags.copyWithin(2 * to, 2 * from, 2 * from + 2);
       this.rows.copyWithin(coordinates * to, coordinates * from, coordinates * (from + 1));
-      this.born[to] = this.born[from];
-      this.died[to] = ALIVE;
+      born[to] = born[from];
+      died[to] = died[from];
       moved[from] = to;
-      this.slots.set(this.ids[2 * to], this.ids[2 * to + 1], to);
+      if (died[to] === ALIVE) {
+        this.alive += 1;
+        this.slots.set(this.ids[2 * to], this.ids[2 * to + 1], to);
+      }
       to += 1;
     }
     this.edges.rename(moved);
     this.length = to;
-    this.oldest = this.newest;
     this.changed = { from: 0, to };
     this.generation += 1;
   }

@@ -6,10 +6,11 @@ const WORDS = {
   live: "live",
   connecting: "connecting",
   retrying: "not connected, trying again",
+  silent: "no word from the server, trying again",
   refused: "refused by the server",
 };
 // The worst state of any stream is shown.
-const ORDER = ["refused", "retrying", "connecting", "live"];
+const ORDER = ["refused", "silent", "retrying", "connecting", "live"];
 const states = new Map();
 
 /** Records the state of one stream; `problem` has the server's words if it refused the stream. */
@@ -28,7 +29,7 @@ function show() {
   const all = [...states.values()];
   const worst = ORDER.find((state) => all.some((stream) => stream.state === state)) ?? "connecting";
   const status = byId("status");
-  status.dataset.state = worst;
+  status.dataset.state = worst === "silent" ? "retrying" : worst;
   setText(status, WORDS[worst]);
   const problems = [...new Set(all.map((stream) => stream.problem).filter(Boolean))];
   const notice = byId("notice");

@@ -1,21 +1,47 @@
-// The edges of a cloud: pairs of slots. A server tells them for indices whose payloads are the ids of neighbours.
+// The edges of a cloud: pairs of slots. A server tells them for indices that declare how their payloads hold edges.
 
-// More edges hide the picture, and each takes 8 bytes here and in the graphics processor.
+import { grown } from "./columns.js";
+import { Waiting } from "./waiting.js";
+
+// More edges hide the picture, and each takes 8 bytes in the graphics processor.
 const MAX_EDGES = 3_000_000;
+// Edges that are gone are taken out once they are half of all, and not before there are this many.
+const MIN_GONE = 4096;
 const NONE = -1;
 
-/** Edges that grow. A point tells all of its edges at once, and does so again when their number changes. */
+/**
+ * Edges that grow. A point lists all of its edges at once, and again whenever its payload may have changed. An edge that both
+ * of its ends list is one edge, and stays until neither lists it.
+ */
 export class Edges {
   /** Pairs of slots, of which the first `length` pairs count. An edge that is gone has twice the same slot. */
   pairs = new Uint32Array(0);
   length = 0;
   /** Counts how often pairs changed: what was built from them has to be built again. */
   generation = 0;
-  // The edges that a slot told are a list: the first of a slot, and the next of an edge.
+  // Which ends list an edge: 1 for the first, 2 for the second, 3 for both.
+  #listed = new Uint8Array(0);
+  // The edges at a slot are a list of ends; end 2e is the first one of edge e, and 2e + 1 the second.
   #first = new Int32Array(0);
   #next = new Int32Array(0);
-  // Edges whose other end has not come yet: the slot, and the id of that end.
-  #waiting = [];
+  #gone = 0;
+  #waiting = new Waiting(MAX_EDGES);
+  // The slots that came again, and whose edges have not come yet.
+  #untold = new Set();
+
+  constructor(share) {
+    this.share = share;
+  }
+
+  /** The number of edges. */
+  get count() {
+    return this.length - this.#gone;
+  }
+
+  /** True if further edges are left out. */
+  get isFull() {
+    return this.count >= MAX_EDGES;
+  }
 
   /** Takes an `edges` frame: the ids of one end, then those of the other. `slots` finds the slot of an id. */
   append({ count }, body, slots) {
@@ -23,33 +49,35 @@ export class Edges {
     // The edges of a point follow each other.
     for (let from = 0, to = 0; from < count; from = to) {
       const [low, high] = [ids[2 * from], ids[2 * from + 1]];
+      while (to < count && ids[2 * to] === low && ids[2 * to + 1] === high) to += 1;
       const slot = slots.get(low, high);
-      const others = [];
-      for (; to < count && ids[2 * to] === low && ids[2 * to + 1] === high; to++) {
-        others.push([ids[2 * (count + to)], ids[2 * (count + to) + 1]]);
-      }
-      if (slot < 0) continue;
-      this.#dropOthers(slot, others, slots);
-      for (const [otherLow, otherHigh] of others) this.#join(slot, otherLow, otherHigh, slots);
+      if (slot >= 0) this.#list(slot, ids.subarray(2 * (count + from), 2 * (count + to)), slots);
     }
   }
 
-  /** Joins the edges whose other end has come meanwhile. */
-  settle(slots) {
-    const waiting = this.#waiting;
-    this.#waiting = [];
-    for (const [slot, low, high] of waiting) this.#join(slot, low, high, slots);
+  /** The payload of a slot may have changed: its edges follow, or it has none. */
+  expect(slot) {
+    if (this.#hasEdges(slot) || this.#waiting.has(slot)) this.#untold.add(slot);
   }
 
-  /** True if further edges are left out. */
-  get isFull() {
-    return this.length >= MAX_EDGES;
+  /** Drops the edges of the points whose payloads came without any. */
+  dropUntold() {
+    if (this.#untold.size === 0) return;
+    for (const slot of this.#untold) this.#list(slot, [], null);
+    this.#untold.clear();
+  }
+
+  /** A point came with `slot`; one with the same id had the slot `before`, or −1. Edges that others list reach it now. */
+  arrive(low, high, slot, before) {
+    if (before >= 0) this.#move(before, slot);
+    this.#waiting.take(low, high, (other) => this.#join(other, slot));
   }
 
   /** The number of edges whose ends were both there at a revision. */
-  countAt(revision, { born, died }) {
+  countAt(revision, { born, died, newest }) {
     const { pairs, length } = this;
-    const isThere = (slot) => born[slot] <= revision && revision < died[slot];
+    const at = Math.min(revision, newest);
+    const isThere = (slot) => born[slot] <= at && at < died[slot];
     let count = 0;
     for (let i = 0; i < length; i++) {
       const [a, b] = [pairs[2 * i], pairs[2 * i + 1]];
@@ -60,65 +88,123 @@ export class Edges {
 
   /** Renames the slots after some were given up, for which `moved` has −1. */
   rename(moved) {
-    const { pairs, length } = this;
-    this.#waiting = this.#waiting.filter(([slot]) => moved[slot] >= 0).map(([slot, ...id]) => [moved[slot], ...id]);
-    this.#first = new Int32Array(0);
-    this.length = 0;
+    this.#waiting = this.#waiting.renamed(moved, this.share);
+    this.#untold = new Set([...this.#untold].map((slot) => moved[slot]).filter((slot) => slot >= 0));
+    this.#rebuild((slot) => moved[slot]);
+  }
+
+  // Takes the edges that a point lists now: adds the new ones, and takes away those that it does not list any more.
+  #list(slot, ids, slots) {
+    this.#untold.delete(slot);
+    this.#waiting.forget(slot);
+    const old = new Map();
+    if (this.#hasEdges(slot)) for (const end of this.#endsAt(slot)) old.set(this.pairs[end ^ 1], end);
+    const listed = new Set();
+    for (let i = 0; i < ids.length; i += 2) {
+      const other = slots.get(ids[i], ids[i + 1]);
+      if (other === slot || listed.has(other)) continue;
+      if (other < 0) {
+        // Of a point outside the sample nothing ever comes.
+        if (this.share.has(ids[i], ids[i + 1])) this.#waiting.add(slot, ids[i], ids[i + 1]);
+        continue;
+      }
+      listed.add(other);
+      const end = old.get(other);
+      if (end === undefined) this.#add(slot, other, 1);
+      else this.#listed[end >> 1] |= bitOf(end);
+    }
+    for (const [other, end] of old) if (!listed.has(other)) this.#unlist(end);
+    if (this.#gone > MIN_GONE && 2 * this.#gone > this.length) this.#rebuild((same) => same);
+  }
+
+  // A point that was replaced, or removed and stored again, lists nothing any more. What others list reaches the new one.
+  #move(before, slot) {
+    this.#untold.delete(before);
+    this.#waiting.forget(before);
+    if (!this.#hasEdges(before)) return;
+    const ends = [...this.#endsAt(before)];
+    this.#first[before] = NONE;
+    for (const end of ends) {
+      this.#unlist(end);
+      if (this.pairs[end] === this.pairs[end ^ 1]) continue;
+      this.pairs[end] = slot;
+      this.#link(slot, end);
+    }
     this.generation += 1;
-    for (let i = 0; i < length; i++) {
-      const [a, b] = [moved[pairs[2 * i]], moved[pairs[2 * i + 1]]];
-      if (a >= 0 && b >= 0 && a !== b) this.#add(a, b);
+  }
+
+  // Joins the edge that `slot` lists to a point that has come.
+  #join(slot, other) {
+    if (slot === other) return;
+    if (this.#hasEdges(other)) {
+      for (const end of this.#endsAt(other)) {
+        if (this.pairs[end ^ 1] !== slot) continue;
+        this.#listed[end >> 1] |= bitOf(end ^ 1);
+        return;
+      }
+    }
+    this.#add(slot, other, 1);
+  }
+
+  #hasEdges(slot) {
+    return slot < this.#first.length && this.#first[slot] !== NONE;
+  }
+
+  *#endsAt(slot) {
+    for (let end = this.#first[slot]; end !== NONE; end = this.#next[end]) {
+      if (this.pairs[end] === slot && this.pairs[end ^ 1] !== slot) yield end;
     }
   }
 
-  // Takes away the edges that a point told earlier and does not tell now.
-  #dropOthers(slot, others, slots) {
-    if (slot >= this.#first.length || this.#first[slot] === NONE) return;
-    const told = new Set(others.map(([low, high]) => slots.get(low, high)));
-    for (let edge = this.#first[slot]; edge !== NONE; edge = this.#next[edge]) {
-      const other = this.pairs[2 * edge + 1];
-      if (told.has(other) || other === slot) continue;
-      this.pairs[2 * edge + 1] = slot;
-      this.generation += 1;
-    }
+  #unlist(end) {
+    const edge = end >> 1;
+    const isGone = this.#listed[edge] === 0;
+    this.#listed[edge] &= ~bitOf(end);
+    if (isGone || this.#listed[edge] !== 0) return;
+    this.pairs[2 * edge + 1] = this.pairs[2 * edge];
+    this.#gone += 1;
+    this.generation += 1;
   }
 
-  #join(slot, low, high, slots) {
-    const other = slots.get(low, high);
-    if (other < 0) {
-      if (this.#waiting.length < MAX_EDGES) this.#waiting.push([slot, low, high]);
-      return;
-    }
-    if (other === slot || this.length >= MAX_EDGES || this.#has(slot, other)) return;
-    this.#add(slot, other);
-  }
-
-  #has(slot, other) {
-    if (slot >= this.#first.length) return false;
-    for (let edge = this.#first[slot]; edge !== NONE; edge = this.#next[edge]) {
-      if (this.pairs[2 * edge + 1] === other) return true;
-    }
-    return false;
-  }
-
-  #add(slot, other) {
+  #add(slot, other, listed) {
+    if (this.isFull) return;
     const edge = this.length;
-    this.pairs = grown(this.pairs, 2 * edge + 2, 0);
-    this.#next = grown(this.#next, edge + 1, NONE);
-    this.#first = grown(this.#first, slot + 1, NONE);
+    this.pairs = grown(this.pairs, 2 * edge + 2);
+    this.#next = grown(this.#next, 2 * edge + 2, NONE);
+    this.#listed = grown(this.#listed, edge + 1);
+    this.#first = grown(this.#first, Math.max(slot, other) + 1, NONE);
     this.pairs[2 * edge] = slot;
     this.pairs[2 * edge + 1] = other;
-    this.#next[edge] = this.#first[slot];
-    this.#first[slot] = edge;
+    this.#listed[edge] = listed;
+    this.#link(slot, 2 * edge);
+    this.#link(other, 2 * edge + 1);
     this.length += 1;
+  }
+
+  #link(slot, end) {
+    this.#first = grown(this.#first, slot + 1, NONE);
+    this.#next[end] = this.#first[slot];
+    this.#first[slot] = end;
+  }
+
+  // Builds all lists again, without the edges that are gone.
+  #rebuild(nameOf) {
+    const { pairs, length } = this;
+    const listed = this.#listed.slice(0, length);
+    this.#first.fill(NONE);
+    this.length = 0;
+    this.#gone = 0;
+    this.generation += 1;
+    for (let edge = 0; edge < length; edge++) {
+      const [a, b] = [pairs[2 * edge], pairs[2 * edge + 1]];
+      if (a !== b && nameOf(a) >= 0 && nameOf(b) >= 0) this.#add(nameOf(a), nameOf(b), listed[edge]);
+    }
   }
 }
 
-function grown(column, least, filler) {
-  if (least <= column.length) return column;
-  const larger = new column.constructor(Math.max(least, 4096, 2 * column.length)).fill(filler);
-  larger.set(column);
-  return larger;
+// The bit of an end in `listed`.
+function bitOf(end) {
+  return 1 << (end & 1);
 }
 
 /** The pairs [from, to) that can be drawn as a straight line: not those that cross the seam of an angle. */

@@ -63,7 +63,7 @@ export function pointColumns({ count }, body, coordinates) {
   };
 }
 
-/** The ids of a `removed` frame. */
-export function removedIds({ count }, body) {
+/** The ids of a `removed` or a `replaced` frame. */
+export function idsOf({ count }, body) {
   return new Uint32Array(body, 0, 2 * count);
 }

@@ -2,6 +2,8 @@
 
 const KEPT_MS = 5 * 60_000;
 const RECENT_MS = 60_000;
+// The calls that last for as long as their callers wish, or as there are points: their times are no latencies.
+const STREAMS = new Set(["watch", "scan", "snapshot", "restore", "verify", "stream_knn", "points", "overview"]);
 
 /** Samples of the overview with their times of arrival. */
 export class History {
@@ -37,7 +39,7 @@ export class History {
     return (to.points.get(index) - from.points.get(index)) / seconds(from, to);
   }
 
-  /** The calls that `accept` holds for, over the last minute: a second, and the two percentiles in seconds. */
+  /** The calls that `accept` holds for, over the last minute: a second, and the two percentiles in seconds, without streams. */
   calls(accept) {
     const [from, to] = this.#recent();
     return from ? between(from, to, accept) : { rate: 0, p50: null, p99: null };
@@ -95,6 +97,7 @@ function between(from, to, accept) {
     if (!accept(call)) continue;
     const before = from.calls.get(key);
     count += call.count - (before?.count ?? 0);
+    if (STREAMS.has(call.verb)) continue;
     call.buckets.forEach((number, i) => (buckets[i] += Number(number) - Number(before?.buckets[i] ?? 0)));
   }
   return {

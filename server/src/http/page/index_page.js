@@ -131,7 +131,7 @@ export class IndexPage {
 
 /** What to say about an index of which only a part is in the picture. */
 function sampleOf({ name, cloud }) {
-  if (cloud.length === undefined || !(cloud.share < 1)) return "";
+  if (cloud.length === undefined || cloud.share.isWhole) return "";
   const all = Number(newest?.indices.find((index) => index.name === name)?.points ?? cloud.total);
   // Between two samples of the overview the picture may be ahead of it.
   return `shows ${count(cloud.alive)} of ${count(Math.max(all, cloud.alive))} points, sampled evenly`;

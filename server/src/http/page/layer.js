@@ -3,13 +3,22 @@
 import { Refusal, call } from "./api.js";
 import { Cloud } from "./cloud.js";
 import { forget, report } from "./connection.js";
-import { FrameReader } from "./frames.js";
+import { Past } from "./past.js";
+import { Pauses } from "./pauses.js";
+import { Share } from "./share.js";
 import { parseSpace } from "./space.js";
 import { follow } from "./stream.js";
 import { Vertices } from "./vertices.js";
 
-// A telephone has less memory, and a smaller screen shows fewer points anyway.
-const MAX_POINTS = matchMedia("(max-width: 560px)").matches ? 250_000 : 1_000_000;
+// A telephone has less memory, and a smaller screen shows fewer points anyway. `?max=N` before the `#` of the address is another number.
+const USUAL_POINTS = matchMedia("(max-width: 560px)").matches ? 250_000 : 1_000_000;
+const MAX_POINTS = Math.max(1, Math.floor(Number(new URLSearchParams(location.search).get("max"))) || USUAL_POINTS);
+// An index may grow by so much beyond that before it is sampled again.
+const GROWTH = 1.25;
+// The code of gRPC for a request that is wrong.
+const INVALID_ARGUMENT = 3;
+// The forms of payloads whose edges the stream tells.
+const DECLARED = ["PAYLOAD_ENCODING_EDGES", "PAYLOAD_ENCODING_WEIGHTED_EDGES"];
 
 /** An index whose points are followed from the construction to `close`. */
 export class Layer {
@@ -19,8 +28,11 @@ export class Layer {
   generation = -1;
   /** The space; undefined until the server has told it. */
   space = undefined;
+  /** True if the index declares how its payloads hold edges. */
+  declaresEdges = false;
   /** True once everything up to some revision has come. */
   isComplete = false;
+  #pauses = new Pauses();
 
   /** `number` chooses the colour. `changed` is called when points came, and `spaceKnown` when the space is known. */
   constructor(name, number, { changed, spaceKnown }) {
@@ -28,33 +40,34 @@ export class Layer {
     this.number = number;
     this.changed = changed;
     this.spaceKnown = spaceKnown;
-    let reader;
+    this.past = new Past(name, this.cloud, changed);
     this.stream = follow(() => this.#path(), {
-      begin: () => (reader = new FrameReader((head, body) => this.#take(head, body))),
-      receive: (bytes) => reader.push(bytes),
-      state: (state, problem) => this.#report(state, problem),
+      take: (head, body) => this.#take(head, body),
+      state: (state, problem, code) => this.#report(state, problem, code),
     });
   }
 
   close() {
     this.isClosed = true;
     this.stream.stop();
+    this.past.stop();
+    this.#pauses.end();
     forget(`points of ${this.name}`);
   }
 
   // After a lost connection, only what came after the last whole revision is asked for: so the slider keeps what it knows
-  // of removed points. A sample cannot be continued so, because the server takes the rest for a stream of all points.
+  // of removed points, and a sample stays the same sample.
   #path() {
     const path = `api/v1/${encodeURIComponent(this.name)}/points?max=${MAX_POINTS}&follow=true&edges=true`;
-    const canContinue = this.reached !== undefined && this.cloud.share >= 1;
+    if (this.reached === undefined) return path;
     // A uid has only letters that need no encoding.
-    return canContinue ? `${path}&after=${this.cloud.uid}:${this.reached}` : path;
+    return `${path}&after=${this.cloud.uid}:${this.reached}&share=${this.cloud.share.fraction}`;
   }
 
-  #report(state, problem) {
+  #report(state, problem, code) {
     if (this.isClosed) return;
     // What the server refused may be the revision: the next request asks for everything.
-    if (state === "refused") this.reached = undefined;
+    if (code === INVALID_ARGUMENT) this.reached = undefined;
     report(`points of ${this.name}`, state, problem);
   }
 
@@ -62,6 +75,7 @@ export class Layer {
     const { cloud } = this;
     switch (head.kind) {
       case "begin":
+        this.past.stop();
         cloud.begin(head);
         this.isComplete = false;
         this.reached = undefined;
@@ -78,31 +92,48 @@ export class Layer {
         break;
       case "at":
         cloud.reach(head.revision);
-        cloud.edges.settle(cloud.slots);
         this.reached = head.revision;
         this.isComplete = true;
+        if (cloud.alive > GROWTH * MAX_POINTS) this.#sampleAgain();
         break;
       case "reset":
         // A new begin follows, and until then the old picture stays.
         this.reached = undefined;
         break;
-      case "failed":
-        throw new Refusal(0, head.status.code ?? 0, head.status.message, head.status.details ?? []);
     }
     this.changed();
+  }
+
+  // From here on, the stream tells only a smaller part of the points, and those outside of it are dropped here.
+  #sampleAgain() {
+    const { cloud } = this;
+    this.past.stop();
+    cloud.thin(new Share((cloud.share.fraction * MAX_POINTS) / cloud.alive));
+    this.stream.restart();
   }
 
   // The stream does not tell the space, and an index of the same name may have another one after a `begin`.
   async #askForSpace({ uid, coordinates }) {
     if (this.uidOfSpace === uid) return;
-    try {
-      const { index } = await call(this.name, "info", {});
-      if (this.isClosed || this.cloud.uid !== uid) return;
-      this.uidOfSpace = uid;
-      this.space = parseSpace(index.space_text, coordinates);
-      this.spaceKnown(this);
-    } catch (error) {
-      if (!this.isClosed) report(`points of ${this.name}`, "refused", error.message);
+    const about = `description of ${this.name}`;
+    while (!this.isClosed && this.cloud.uid === uid) {
+      try {
+        const { index } = await call(this.name, "info", {});
+        forget(about);
+        if (this.isClosed || this.cloud.uid !== uid) return;
+        this.#pauses.reset();
+        this.uidOfSpace = uid;
+        this.space = parseSpace(index.space_text, coordinates);
+        this.declaresEdges = DECLARED.includes(index.payload_encoding);
+        this.spaceKnown(this);
+        return;
+      } catch (error) {
+        if (this.isClosed) return;
+        if (error instanceof Refusal) report(about, "refused", error.message);
+        else report(about, "retrying");
+        await this.#pauses.next();
+      }
     }
+    forget(about);
   }
 }

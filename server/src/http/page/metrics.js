@@ -1,50 +1,29 @@
-// One look at the server: its metrics, which operators scrape, its list of indices, and what it says about itself.
-
-import { Refusal, callServer, request } from "./api.js";
+// A sample of the server: the list of its indices, and the metrics that operators scrape.
 
 const DAMAGE_ADVICE =
   "The other indices go on. Delete this one and restore it from a snapshot: wayfold delete, then wayfold restore.";
 
-/** What the overview shows of one moment. An identity of some indices may not read the metrics, and gets no rates of calls. */
-export async function lookAtServer() {
-  const [server, list, text] = await Promise.all([callServer("server", {}), listAll(), metricsText()]);
-  const metrics = parse(text);
+/**
+ * What the overview shows of one moment. `server` is the answer of the verb of that name. `metrics` is null for an identity
+ * that may not see all indices; `hasFigures` is false then.
+ */
+export function sampleOf(server, { list, metrics: text }) {
+  const metrics = parse(text ?? "");
   const { calls, bounds } = callsOf(metrics);
   return {
     server: {
-      version: server.version,
-      durability: server.durability,
+      version: server.version ?? "",
+      durability: server.durability ?? "",
       state: stateOf(metrics),
       memory: resource(metrics, "memory"),
       disk: resource(metrics, "disk"),
       members: find(metrics, "wayfold_cluster_members", { state: "live" }) ?? 0,
     },
+    hasFigures: text !== null,
     indices: [...list.indexes.map((index) => indexOf(index, metrics)), ...list.damaged.map(damagedOf)],
     calls,
     bounds,
   };
-}
-
-/** All pages of the list. */
-async function listAll() {
-  const all = { indexes: [], damaged: [] };
-  let page_token = "";
-  do {
-    const page = await callServer("list", { page_size: 1000, page_token });
-    all.indexes.push(...page.indexes);
-    all.damaged.push(...page.damaged);
-    page_token = page.next_page_token;
-  } while (page_token);
-  return all;
-}
-
-async function metricsText() {
-  try {
-    return await (await request("metrics")).text();
-  } catch (error) {
-    if (error instanceof Refusal && error.status === 403) return "";
-    throw error;
-  }
 }
 
 /** The lines of a text of metrics: by name, each with its labels and its number. */

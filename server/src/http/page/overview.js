@@ -28,20 +28,24 @@ export function show() {
 function update(sample) {
   const tiles = tilesOf(sample);
   keyed(byId("tiles"), tiles, (tile) => tile.name, makeTile, updateTile);
-  updateIndices(sample.indices);
-  updateCalls();
+  updateIndices(sample);
+  updateCalls(sample.hasFigures);
 }
 
-function tilesOf({ server, indices }) {
+// What an identity of some indices is told in the place of figures.
+const NO_FIGURES = "figures need an identity of all indices";
+
+function tilesOf({ server, indices, hasFigures }) {
   const points = indices.reduce((sum, index) => sum + Number(index.points), 0);
   const calls = history.calls(() => true);
   // Each percentile stays on one line.
   const percentiles = [`p50 ${duration(calls.p50)},`, `p99 ${duration(calls.p99)}`].map((text) => text.replaceAll(" ", "\u00a0")).join(" ");
+  const figures = hasFigures ? { value: rate(calls.rate), more: percentiles } : { value: "–", more: NO_FIGURES };
   const tiles = [
-    { name: "Server", value: server.state, more: `version ${server.version}`, words: true },
+    { name: "Server", value: server.state, more: server.version && `version ${server.version}`, words: true },
     { name: "Durability", value: server.durability, more: DURABILITY[server.durability] ?? "", words: true },
     { name: "Points", value: short(points), more: `in ${indices.length} ${indices.length === 1 ? "index" : "indices"}` },
-    { name: "Calls a second", value: rate(calls.rate), more: percentiles },
+    { name: "Calls a second", ...figures },
   ];
   if (server.memory) tiles.push(usage("Memory", server.memory));
   if (server.disk) tiles.push(usage("Disk", server.disk));
@@ -90,11 +94,11 @@ function problemOf(index) {
   };
 }
 
-function updateIndices(indices) {
+function updateIndices({ indices, hasFigures }) {
   byId("indices").hidden = indices.length === 0;
   byId("indices-empty").hidden = indices.length > 0;
   const rank = (row) => (row.problem ? (row.problem.grave ? 0 : 1) : 2);
-  const rows = indices.map((index) => ({ index, problem: problemOf(index) }));
+  const rows = indices.map((index) => ({ index, problem: problemOf(index), hasFigures }));
   rows.sort((a, b) => rank(a) - rank(b) || a.index.name.localeCompare(b.index.name));
   // A problem has a row of its own below that of its index.
   const all = rows.flatMap((row) => (row.problem ? [row, { ...row, isAdvice: true }] : [row]));
@@ -122,7 +126,7 @@ function makeRow({ index, isAdvice }) {
   );
 }
 
-function updateRow(row, { index, problem, isAdvice }) {
+function updateRow(row, { index, problem, isAdvice, hasFigures }) {
   if (isAdvice) {
     row.classList.toggle("grave", problem.grave);
     setText(row.querySelector("strong"), problem.what);
@@ -134,9 +138,10 @@ function updateRow(row, { index, problem, isAdvice }) {
   setText(name.querySelector(".mark"), index.owned ? "" : "kept by another member");
   const ofIndex = (call) => call.index === index.name;
   const calls = history.calls(ofIndex);
+  const figure = (text) => (hasFigures ? text : "–");
   const texts = [
-    count(index.points), rate(history.pointRate(index.name)), rate(calls.rate), duration(calls.p50), duration(calls.p99),
-    count(index.revision), bytes(Number(index.memory_bytes)), count(index.followers), count(index.lag),
+    count(index.points), rate(history.pointRate(index.name)), figure(rate(calls.rate)), duration(calls.p50), duration(calls.p99),
+    count(index.revision), bytes(Number(index.memory_bytes)), figure(count(index.followers)), figure(count(index.lag)),
   ];
   texts.forEach((text, i) => setText(cells[i].firstElementChild, text));
   const now = performance.now();
@@ -144,7 +149,8 @@ function updateRow(row, { index, problem, isAdvice }) {
   draw(cells[2].lastElementChild, history.callCurve(index.name), now);
 }
 
-function updateCalls() {
+function updateCalls(hasFigures) {
+  setText(byId("calls-empty"), hasFigures ? "No calls within the last minute." : `These ${NO_FIGURES}.`);
   const kinds = history.kinds();
   byId("calls").hidden = kinds.length === 0;
   byId("calls-empty").hidden = kinds.length > 0;

@@ -1,11 +1,12 @@
-// Looks at the server each second while the page is visible. All parts of the page listen to it.
+// What the server tells of itself each second while the page is visible. All parts of the page listen to it.
 
-import { Refusal } from "./api.js";
-import { report } from "./connection.js";
+import { callServer } from "./api.js";
+import { forget, report } from "./connection.js";
 import { History } from "./history.js";
-import { lookAtServer } from "./metrics.js";
+import { sampleOf } from "./metrics.js";
+import { follow } from "./stream.js";
 
-const PAUSE_MS = 1000;
+const STREAM = "overview";
 
 const listeners = new Set();
 
@@ -22,19 +23,27 @@ export function listen(listener) {
   return () => listeners.delete(listener);
 }
 
-/** Looks for as long as the page lives. */
-export async function start() {
-  for (;;) {
-    try {
-      // A page that nobody sees need not look.
-      if (!document.hidden) take(await lookAtServer());
-      report("overview", "live");
-    } catch (error) {
-      if (error instanceof Refusal) report("overview", "refused", error.message);
-      else report("overview", "retrying");
-    }
-    await new Promise((resolve) => setTimeout(resolve, PAUSE_MS));
-  }
+/** Listens to the server for as long as the page lives. A page that nobody sees does not listen. */
+export function start() {
+  let stream = null;
+  // The version and the durability, which change only with the process.
+  let server = {};
+  const open = () => {
+    stream = follow(() => "api/v1/overview", {
+      begin: async () => (server = await callServer("server", {}).catch(() => server)),
+      take: (head) => head.kind === "overview" && take(sampleOf(server, head)),
+      state: (state, problem) => report(STREAM, state, problem),
+    });
+  };
+  const show = () => {
+    if (!document.hidden && !stream) open();
+    if (!document.hidden || !stream) return;
+    stream.stop();
+    stream = null;
+    forget(STREAM);
+  };
+  document.addEventListener("visibilitychange", show);
+  show();
 }
 
 function take(sample) {

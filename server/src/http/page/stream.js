@@ -1,62 +1,106 @@
-// A stream of the server that is opened again whenever it ends, with growing pauses.
+// A stream of the server that is opened again whenever it ends or falls silent, with growing pauses.
 
 import { Refusal, request } from "./api.js";
+import { FrameReader } from "./frames.js";
+import { Pauses } from "./pauses.js";
 
-const FIRST_PAUSE_MS = 250;
-const MAX_PAUSE_MS = 5000;
+// The server says at least every ten seconds that a stream lives.
+const MAX_SILENCE_MS = 25_000;
 // A connection that lasted this long was good: the pauses begin from the first again.
 const GOOD_MS = 5000;
 
 /**
- * Reads `path()` and hands its bytes to `receive`, until `stop` of the result is called. `state` hears "connecting",
- * "live", "retrying" and "refused", the last with the server's words. `begin` is called before the first bytes of each
- * connection.
+ * Reads `path()` and hands its frames to `take`, until `stop` of the result is called. `restart` asks for `path()` again at
+ * once, and no frame of the old answer comes any more. `state` hears "connecting", "live", "silent", "retrying" and
+ * "refused", the last with the server's words and code. `begin` is called at the start of each connection.
  */
 export function follow(path, listener) {
-  const controller = new AbortController();
-  run(path, listener, controller.signal);
-  return { stop: () => controller.abort() };
+  const stream = new Stream(path, listener);
+  stream.run();
+  return { stop: () => stream.stop(), restart: () => stream.restart() };
 }
 
-async function run(path, { begin, receive, state }, stopped) {
-  let pause = FIRST_PAUSE_MS;
-  state("connecting");
-  while (!stopped.aborted) {
-    let refusal = null;
-    let connectedAt = Infinity;
+class Stream {
+  #pauses = new Pauses();
+  #attempt = null;
+  #isStopped = false;
+  // Why the present attempt was given up: "stop", "restart" or "silence".
+  #reason = "";
+
+  constructor(path, { take, state, begin = () => {} }) {
+    this.path = path;
+    this.take = take;
+    this.state = state;
+    this.begin = begin;
+  }
+
+  stop() {
+    this.#isStopped = true;
+    this.#pauses.end();
+    this.#giveUp("stop");
+  }
+
+  restart() {
+    this.#giveUp("restart");
+  }
+
+  async run() {
+    this.state("connecting");
+    while (!this.#isStopped) {
+      const began = performance.now();
+      this.#reason = "";
+      const refusal = await this.#readOnce();
+      if (this.#isStopped) return;
+      if (this.#reason === "restart") continue;
+      if (refusal) this.state("refused", refusal.message, refusal.code);
+      else this.state(this.#reason === "silence" ? "silent" : "retrying");
+      if (performance.now() - began > GOOD_MS) this.#pauses.reset();
+      await this.#pauses.next();
+    }
+  }
+
+  // Reads until the connection ends. Returns what the server refused, or null.
+  async #readOnce() {
     const attempt = new AbortController();
-    const abort = () => attempt.abort();
-    stopped.addEventListener("abort", abort);
+    this.#attempt = attempt;
+    let watch = 0;
+    const heard = () => {
+      clearTimeout(watch);
+      watch = setTimeout(() => this.#giveUp("silence"), MAX_SILENCE_MS);
+    };
     try {
-      const response = await request(path(), { method: "POST", signal: attempt.signal });
-      connectedAt = performance.now();
-      begin();
+      const response = await request(this.path(), { method: "POST", signal: attempt.signal }, heard);
+      this.begin();
       const reader = response.body.getReader();
-      for (;;) {
+      const frames = new FrameReader((head, body) => this.#receive(attempt, head, body));
+      while (!attempt.signal.aborted) {
         const { done, value } = await reader.read();
         if (done) break;
-        receive(value);
-        state("live");
+        heard();
+        frames.push(value);
+        if (!attempt.signal.aborted) this.state("live");
       }
+      return null;
     } catch (error) {
-      if (stopped.aborted) return;
+      if (error instanceof Refusal) return error;
       // A TypeError is a lost connection.
-      if (error instanceof Refusal) refusal = error;
-      else if (!(error instanceof TypeError) && error.name !== "AbortError") console.warn(error);
+      if (!(error instanceof TypeError) && error.name !== "AbortError") console.warn(error);
+      return null;
     } finally {
-      stopped.removeEventListener("abort", abort);
-      // A stream that `receive` gave up is ended too.
+      clearTimeout(watch);
+      // A stream that `take` gave up is ended too.
       attempt.abort();
     }
-    if (stopped.aborted) return;
-    if (refusal) state("refused", refusal.message);
-    else state("retrying");
-    if (performance.now() - connectedAt > GOOD_MS) pause = FIRST_PAUSE_MS;
-    await sleep(pause);
-    pause = Math.min(2 * pause, MAX_PAUSE_MS);
   }
-}
 
-function sleep(milliseconds) {
-  return new Promise((resolve) => setTimeout(resolve, milliseconds));
+  #receive(attempt, head, body) {
+    if (attempt.signal.aborted) return;
+    if (head.kind !== "failed") this.take(head, body);
+    else throw new Refusal(0, head.status.code ?? 0, head.status.message, head.status.details ?? []);
+  }
+
+  #giveUp(reason) {
+    this.#reason = reason;
+    this.#attempt?.abort();
+  }
 }

@@ -17,7 +17,10 @@ export class Timeline {
     this.layers = layers;
     this.picture = picture;
     this.slider = byId("slider");
+    // A hand on the slider asks for the past, which takes a moment.
+    for (const touch of ["pointerdown", "focus"]) this.slider.addEventListener(touch, () => this.#loadPast());
     this.slider.addEventListener("input", () => {
+      this.#loadPast();
       this.#stop();
       this.#goTo(Number(this.slider.value));
     });
@@ -44,8 +47,6 @@ export class Timeline {
   /** Brings the slider up to date with the points. */
   update() {
     const { newest, slider } = this;
-    // Before this revision the page has forgotten removed points, so a picture of it would be wrong.
-    slider.min = Math.max(0, ...this.#clouds().map((cloud) => cloud.oldest));
     slider.max = newest;
     if (this.#isLive) slider.value = newest;
     else if (this.picture) this.picture.revision = Number(slider.value);
@@ -54,6 +55,16 @@ export class Timeline {
 
   #clouds() {
     return this.layers().map((layer) => layer.cloud).filter((cloud) => cloud.length !== undefined);
+  }
+
+  #loadPast() {
+    for (const layer of this.layers()) layer.past.load();
+    this.#show();
+  }
+
+  // The part of the past that is loaded.
+  get #loaded() {
+    return Math.min(1, ...this.layers().map((layer) => layer.past.loaded));
   }
 
   #goTo(revision) {
@@ -68,21 +79,33 @@ export class Timeline {
 
   #show() {
     const { revision } = this;
-    const points = this.#clouds().reduce((sum, cloud) => sum + cloud.countAt(revision), 0);
-    const words = `revision ${count(revision)}: ${counted(points, "point")}`;
+    const clouds = this.#clouds();
+    const total = (countOf) => clouds.reduce((sum, cloud) => sum + countOf(cloud), 0);
+    const points = counted(total((cloud) => cloud.countAt(revision)), "point");
+    const words = `revision ${count(revision)}: ${points}`;
+    const lost = total((cloud) => cloud.lostAt(revision));
+    const notes = [
+      lost > 0 && `${count(lost)} not drawn: the log tells only that they were there`,
+      clouds.some((cloud) => revision < cloud.knownFrom) && this.#loaded === 1 && "without points that were removed since, which are not known",
+      this.#loaded < 1 && `reading the log, ${Math.floor(100 * this.#loaded)} %`,
+    ].filter(Boolean);
     setText(byId("revision"), words);
-    setText(byId("count"), counted(points, "point"));
-    this.slider.setAttribute("aria-valuetext", words);
+    setText(byId("revision-notes"), notes.join(" · "));
+    setText(byId("count"), points);
+    this.slider.setAttribute("aria-valuetext", [words, ...notes].join(", "));
     this.shown();
     byId("live").setAttribute("aria-pressed", String(this.#isLive));
   }
 
   #play() {
+    this.#loadPast();
     const from = this.#isLive ? Number(this.slider.min) : Number(this.slider.value);
     const whole = Math.max(this.newest - Number(this.slider.min), 1);
-    const began = performance.now();
+    let began = performance.now();
     this.#label("⏸", "Pause");
     const step = (now) => {
+      // The replay begins with what was.
+      if (this.#loaded < 1) began = now;
       const revision = Math.floor(from + (whole * Math.max(now - began, 0)) / REPLAY_MS);
       if (revision >= this.newest) {
         this.#stop();

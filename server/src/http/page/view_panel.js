@@ -1,7 +1,7 @@
 // The settings of the picture: which indices, which axes, which colours.
 
 import { byId, element, keyed, setText } from "./dom.js";
-import { digits, short } from "./format.js";
+import { counted, digits, short } from "./format.js";
 import { distanceTo } from "./metric.js";
 import { newest } from "./overview_feed.js";
 import { categories, rampPicture } from "./palette.js";
@@ -52,9 +52,7 @@ export class ViewPanel {
       return { name, layer, about, isOther };
     });
     keyed(byId("layers"), rows, (row) => row.name, (row) => this.#makeRow(row.name), updateRow);
-    const edges = drawn.reduce((sum, { cloud }) => sum + (cloud.edges?.length ?? 0), 0);
-    for (const part of [byId("edges"), document.querySelector("label[for=edges]")]) part.hidden = edges === 0;
-    if (!this.#areEdgesChosen) this.#setEdges(edges <= MAX_CLEAR_EDGES);
+    this.#updateEdges();
     if (!this.#isSizeChosen) this.#setSize(sizeFor(drawn));
     this.#showLegend();
   }
@@ -143,6 +141,17 @@ export class ViewPanel {
       mode: COLOR_MODE.ramp,
       colorOf: ({ rows, coordinates }) => (slot) => Math.max(0, 65535 - distance(rows, slot * coordinates) * scale),
     };
+  }
+
+  #updateEdges() {
+    const declaring = this.#drawn.filter(({ declaresEdges }) => declaresEdges);
+    const edges = declaring.reduce((sum, { cloud }) => sum + (cloud.edges?.count ?? 0), 0);
+    const isOne = this.#drawn.length < 2;
+    let about = isOne ? "the index declares no edges" : "none of the indices declares edges";
+    if (declaring.length > 0) about = counted(edges, "edge");
+    byId("edges").disabled = declaring.length === 0;
+    setText(byId("edges-about"), this.#drawn.length > 0 ? about : "");
+    if (!this.#areEdgesChosen) this.#setEdges(declaring.length > 0 && edges <= MAX_CLEAR_EDGES);
   }
 
   #setEdges(areShown) {
