@@ -14,7 +14,8 @@ macro_rules! files {
     };
 }
 
-static FILES: [(&str, &str); 49] = files![
+static FILES: [(&str, &str); 56] = files![
+    "addresses.js",
     "answer.js",
     "api.js",
     "app.js",
@@ -35,6 +36,8 @@ static FILES: [(&str, &str); 49] = files![
     "index.html",
     "index_page.js",
     "layer.js",
+    "line_renderer.js",
+    "line_sample.js",
     "lost.js",
     "marks.js",
     "metric.js",
@@ -43,12 +46,15 @@ static FILES: [(&str, &str); 49] = files![
     "overview_feed.js",
     "pacer.js",
     "palette.js",
+    "parallel.js",
+    "parallel_axes.js",
     "past.js",
     "pauses.js",
     "picker.js",
     "picture.css",
     "picture.js",
     "probe.js",
+    "program.js",
     "projections.js",
     "renderer.js",
     "shaders.js",
@@ -57,6 +63,7 @@ static FILES: [(&str, &str); 49] = files![
     "snippets.js",
     "space.js",
     "sparkline.js",
+    "spatial.js",
     "stream.js",
     "style.css",
     "ticks.js",

@@ -4,8 +4,8 @@ import { byId, copyButton, element, setText } from "./dom.js";
 import { count, counted } from "./format.js";
 import { snippets } from "./snippets.js";
 
-/** Shows an answer of `knn` or `query` to the search `asked`. */
-export function showAnswer(asked, answer) {
+/** Shows an answer of `knn` or `query` to the search `asked`, and the texts of it for programs that reach `server`. */
+export function showAnswer(asked, answer, server) {
   const [ids, distances, tags] = [answer.ids[0] ?? [], answer.distances[0] ?? [], answer.tags?.[0] ?? []];
   const rows = ids.map((id, i) => {
     const distance = Number(distances[i]);
@@ -21,7 +21,7 @@ export function showAnswer(asked, answer) {
   const revision = count(answer.revision.number);
   setText(byId("answer-about"), `${counted(ids.length, "neighbour")} at revision ${revision}, nearest first.`);
   byId("answer").hidden = false;
-  showSnippets(asked);
+  showSnippets(asked, server);
 }
 
 function shown(distance) {
@@ -32,8 +32,8 @@ function shown(distance) {
 // The language that was last chosen stays chosen.
 let chosen = "Command line";
 
-function showSnippets(asked) {
-  const all = snippets(asked);
+function showSnippets(asked, server) {
+  const all = snippets(asked, server);
   const tabs = all.map(({ name }, i) =>
     element("button", { type: "button", role: "tab", id: `tab-${i}`, "aria-controls": `snippet-${i}`, text: name, on: { click: () => choose(i) } }),
   );

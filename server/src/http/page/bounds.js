@@ -28,6 +28,12 @@ export class Bounds {
     }
     return isWider;
   }
+
+  /** These bounds, or from 0 to 1 while there are no points. */
+  orUnit() {
+    if (this.low[0] <= this.high[0]) return this;
+    return { low: this.low.map(() => 0), high: this.high.map(() => 1) };
+  }
 }
 
 /** The edges of the box in the picture: the longest is 1, and axes of one unit share their scale. */

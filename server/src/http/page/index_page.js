@@ -95,9 +95,10 @@ export class IndexPage {
   /** Another revision is shown, or another number of points. */
   describe(revision) {
     const layers = this.drawn.filter(({ cloud }) => cloud.edges);
-    const edges = layers.reduce((sum, { cloud }) => sum + cloud.edges.countAt(revision, cloud), 0);
-    const about = [...layers.map(sampleOf), edges > 0 && counted(edges, "edge")];
-    if (layers.some(({ cloud }) => cloud.edges.isFull)) about.push("there are more");
+    const lines = parts.picture?.linesAt(revision);
+    const about = layers.map(sampleOf);
+    if (lines && lines.lines < lines.points) about.push(`draws ${count(lines.lines)} of ${count(lines.points)} points, sampled evenly`);
+    if (!lines) about.push(...edgesAt(layers, revision));
     setText(byId("sampled"), about.filter(Boolean).join(" · "));
   }
 
@@ -137,6 +138,14 @@ function sampleOf({ name, cloud }) {
   return `shows ${count(cloud.alive)} of ${count(Math.max(all, cloud.alive))} points, sampled evenly`;
 }
 
+/** What to say about the edges at a revision. */
+function edgesAt(layers, revision) {
+  const declaring = layers.filter(({ declaresEdges }) => declaresEdges);
+  const edges = declaring.reduce((sum, { cloud }) => sum + cloud.edges.countAt(revision, cloud), 0);
+  const isFull = declaring.some(({ cloud }) => cloud.edges.isFull);
+  return [edges > 0 && counted(edges, "edge"), isFull && "there are more"];
+}
+
 function makeParts() {
   const made = { page: null };
   const clicked = (hit) => hit && made.probe.probePoint(hit.layer, hit.slot);
@@ -149,7 +158,7 @@ function makeParts() {
     byId("empty").hidden = false;
   }
   made.timeline = new Timeline(() => made.page?.drawn ?? [], made.picture, () => made.page?.describe(made.timeline.revision));
-  made.view = new ViewPanel(made.picture);
+  made.view = new ViewPanel(made.picture, () => made.page?.changed());
   made.probe = new Probe(made.picture, made.view);
   onThemeChange(() => made.page?.spaceKnown());
   return made;

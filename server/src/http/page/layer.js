@@ -18,7 +18,7 @@ const GROWTH = 1.25;
 // The code of gRPC for a request that is wrong.
 const INVALID_ARGUMENT = 3;
 // The forms of payloads whose edges the stream tells.
-const DECLARED = ["PAYLOAD_ENCODING_EDGES", "PAYLOAD_ENCODING_WEIGHTED_EDGES"];
+const DECLARED = ["EDGES", "WEIGHTED_EDGES"];
 
 /** An index whose points are followed from the construction to `close`. */
 export class Layer {

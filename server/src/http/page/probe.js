@@ -1,5 +1,6 @@
 // The probe: a state whose neighbours the server is asked for.
 
+import { serverForPrograms } from "./addresses.js";
 import { call } from "./api.js";
 import { showAnswer } from "./answer.js";
 import { byId, element, setText } from "./dom.js";
@@ -81,13 +82,14 @@ export class Probe {
     if (!asked) return;
     byId("probe-run").disabled = true;
     try {
-      const answer = await call(layer.name, asked.k === undefined ? "query" : "knn", bodyOf(asked));
+      const verb = asked.k === undefined ? "query" : "knn";
+      const [answer, server] = await Promise.all([call(layer.name, verb, bodyOf(asked)), serverForPrograms()]);
       if (search !== this.#searches) return;
       const states = answer.states?.[0] ?? [];
       const labels = (answer.distances[0] ?? []).map((distance) => digits(Number(distance)));
       this.picture?.setMarks(asked.state, states, labels);
       this.view.setProbed(asked.state);
-      showAnswer({ ...asked, index: layer.name }, answer);
+      showAnswer({ ...asked, index: layer.name }, answer, server);
     } catch (error) {
       if (search !== this.#searches) return;
       const field = Object.keys(FIELDS).find((name) => error.field?.startsWith(name) || error.message.startsWith(name));

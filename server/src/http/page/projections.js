@@ -5,13 +5,19 @@
 // of each (axes of one unit share their scale), and `project(coordinates, offset, out)`. `isNumbered` is false for the
 // axes that show no quantity of their own. `wraps` is true for those whose ends are the same place.
 
-/** The projections of a space, the best first. The last ones are good for every space. */
+/**
+ * The projections of a space, the best first. The last ones are good for every space. One that has `isParallel` in the place of
+ * axes and `fit` draws points as lines through one axis for each coordinate.
+ */
 export function projectionsOf(space) {
   const { factors, names } = space;
   const of = (kind) => factors.filter((factor) => factor.kind === kind);
   const [vectors, angles, rotations] = [of("R"), of("SO2"), of("SO3")];
   const numbered = (all, i) => (all.length > 1 ? ` ${i}` : "");
   const found = [];
+  // Joints have no picture of their own, and no three of them are the best.
+  const areJoints = names.length > 3 && rotations.length === 0 && !vectors.some(({ size }) => size === 2 || size === 3);
+  if (areJoints) found.push(parallel(space));
   const add = (id, label, projection) => found.push({ id, label, ...projection });
   vectors.forEach((vector, i) => {
     const position = `position${numbered(vectors, i)}`;
@@ -38,7 +44,12 @@ export function projectionsOf(space) {
     const [x, y, z] = [0, 1, 2].map((i) => (i < names.length ? i : -1));
     add("first", names.length > 3 ? "first three coordinates" : "coordinates", straight(space, x, y, z));
   }
+  if (!areJoints && names.length > 1) found.push(parallel(space));
   return found;
+}
+
+function parallel(space) {
+  return { id: "parallel", label: "parallel coordinates", isParallel: true, space };
 }
 
 /** Any three coordinates, by number; −1 leaves an axis flat. */
@@ -49,14 +60,12 @@ export function custom(space, x, y, z) {
 function straight(space, ...chosen) {
   const factorOf = (coordinate) => space.factors.find(({ at, size }) => coordinate >= at && coordinate < at + size);
   return {
-    axes: chosen.map((coordinate) => (coordinate < 0 ? null : space.names[coordinate])),
+    axes: chosen.map((coordinate) => (coordinate < 0 ? null : space.axes[coordinate].name)),
     isNumbered: [true, true, true],
     fit({ low, high }) {
       const ranges = chosen.map((coordinate) => {
         if (coordinate < 0) return [0, 0];
-        const { kind, period } = factorOf(coordinate);
-        if (kind === "SO2") return [-period / 2, period / 2];
-        return kind === "SO3" ? [-1, 1] : [low[coordinate], high[coordinate]];
+        return space.axes[coordinate].range ?? [low[coordinate], high[coordinate]];
       });
       // Angles have a scale of their own; so have coordinates of different factors, whose units may differ.
       const units = chosen.map((coordinate) => (coordinate < 0 ? -1 : factorOf(coordinate).at));
@@ -75,7 +84,7 @@ function straight(space, ...chosen) {
 /** The ball of rotation vectors: the axis of the rotation times its angle, at most π. */
 function ball({ at }, which) {
   return {
-    axes: ["x", "y", "z"].map((axis) => `rotation${which} ${axis}`),
+    axes: ["x", "y", "z"].map((axis) => `rotation${which} ${axis} (rad)`),
     isNumbered: [true, true, true],
     fit: () => ({
       ranges: [[-Math.PI, Math.PI], [-Math.PI, Math.PI], [-Math.PI, Math.PI]],

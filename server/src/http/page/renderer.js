@@ -1,6 +1,7 @@
 // Draws the vertices with WebGL2: one draw call for the points of each index, and one for its edges.
 
 import { background, categoryTable, ramp } from "./palette.js";
+import { link, uniformsOf } from "./program.js";
 import { FRAGMENT_SHADER, VERTEX_SHADER } from "./shaders.js";
 import { VERTEX_BYTES } from "./vertices.js";
 
@@ -97,6 +98,7 @@ export class Renderer {
     const { gl, places } = this;
     const buffer = this.buffers.get(layer);
     if (!buffer || count === 0) return;
+    gl.useProgram(this.program);
     gl.bindBuffer(gl.ARRAY_BUFFER, buffer.buffer);
     this.#point(VERTEX_BYTES * thinning);
     gl.uniformMatrix4fv(places.u_view, false, view);
@@ -128,24 +130,14 @@ export class Renderer {
 
   #prepare() {
     const { gl } = this;
-    const program = gl.createProgram();
-    for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX_SHADER], [gl.FRAGMENT_SHADER, FRAGMENT_SHADER]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, source);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
-    }
-    gl.linkProgram(program);
-    if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
-      const logs = gl.getAttachedShaders(program).map((shader) => gl.getShaderInfoLog(shader));
-      throw new Error(`The shaders do not link: ${gl.getProgramInfoLog(program)} ${logs.join(" ")}`);
-    }
+    const program = link(gl, VERTEX_SHADER, FRAGMENT_SHADER);
+    this.program = program;
     gl.useProgram(program);
     const attribute = (name) => gl.getAttribLocation(program, name);
     this.attributes = { place: attribute("a_place"), color: attribute("a_color"), life: attribute("a_life") };
     for (const at of Object.values(this.attributes)) gl.enableVertexAttribArray(at);
     const names = ["u_view", "u_box", "u_revision", "u_mode", "u_color", "u_ages", "u_background", "u_size", "u_distance", "u_isEdge"];
-    this.places = Object.fromEntries(names.map((name) => [name, gl.getUniformLocation(program, name)]));
+    this.places = uniformsOf(gl, program, names);
     gl.enable(gl.DEPTH_TEST);
     this.palette = gl.createTexture();
     this.setPalette();

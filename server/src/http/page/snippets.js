@@ -1,29 +1,30 @@
 // The same search as text: for the command line, Rust, Python and C++. The calls are those of the docs.
 
-/** The texts of a search, with their names. `search` has `index`, `state`, and `k`, `radius`, `epsilon`, `tag` if given. */
-export function snippets(search) {
+const USUAL_URI = "http://127.0.0.1:50051";
+
+/**
+ * The texts of a search, with their names. `search` has `index`, `state`, and `k`, `radius`, `epsilon`, `tag` if given; `server`
+ * is that of `serverForPrograms`.
+ */
+export function snippets(search, server) {
   return [
-    { name: "Command line", text: commandLine(search) },
-    { name: "Rust", text: rust(search) },
-    { name: "Python", text: python(search) },
-    { name: "C++", text: cpp(search) },
+    { name: "Command line", text: commandLine(search, server) },
+    { name: "Rust", text: rust(search, server) },
+    { name: "Python", text: python(search, server) },
+    { name: "C++", text: cpp(search, server) },
   ];
 }
 
-/** The address of gRPC: the page is served by the same machine, at the default port unless that was changed. */
-function address() {
-  const host = location.hostname || "127.0.0.1";
-  return `${location.protocol}//${host === "localhost" ? "127.0.0.1" : host}:50051`;
-}
-
-function commandLine({ index, state, k, radius, epsilon, tag }) {
+function commandLine({ index, state, k, radius, epsilon, tag }, { uri, hasTls, hasIdentities }) {
   const words = ["wayfold", k === undefined ? "query" : "knn", index, `--state=${state.join()}`];
   if (k !== undefined) words.push("-k", k);
   if (radius !== undefined) words.push("--radius", radius);
   if (epsilon) words.push("--epsilon", epsilon);
   if (tag) words.push("--tag", `${hex(tag.value)}/${hex(tag.mask)}`);
-  if (address() !== "http://127.0.0.1:50051") words.push("--server", address());
-  return words.join(" ");
+  if (uri !== USUAL_URI) words.push("--server", uri);
+  if (hasTls) words.push("--ca", "ca.pem");
+  const line = words.join(" ");
+  return hasIdentities ? `# Your token is read from the environment: WAYFOLD_TOKEN.\n${line}` : line;
 }
 
 // The methods of a search have the same names in Rust and in C++.
@@ -36,47 +37,71 @@ function methods({ k, radius, epsilon, tag }) {
   return calls.join(".");
 }
 
-function rust(search) {
-  return [
-    "use wayfold::{Index, Search};",
+function rust(search, { uri, hasTls, hasIdentities }) {
+  const hasCredentials = hasTls || hasIdentities;
+  return lines(
+    `use wayfold::{${hasCredentials ? "Credentials, " : ""}Index, Search};`,
     "",
-    `let index = Index::remote("${address()}", "${search.index}").open()?;`,
+    hasCredentials && "let credentials = Credentials::new()",
+    hasTls && `    .ca_certificate(std::fs::read("ca.pem")?)${hasIdentities ? "" : ";"}`,
+    hasIdentities && '    .token(std::env::var("WAYFOLD_TOKEN")?);',
+    `let index = Index::remote("${uri}", "${search.index}")${hasCredentials ? ".credentials(credentials)" : ""}.open()?;`,
     `let state = [${search.state.map(float).join(", ")}];`,
     `let found = index.search(state, &Search::${methods(search).replace("Infinity", "f64::INFINITY")})?;`,
     "for neighbor in &found.neighbors {",
     '    println!("{} {}", neighbor.id, neighbor.distance);',
     "}",
-  ].join("\n");
+  );
 }
 
-function python({ index, state, k, radius, epsilon, tag }) {
+function python({ index, state, k, radius, epsilon, tag }, { uri, hasTls, hasIdentities }) {
   const options = [];
   if (k !== undefined) options.push(k);
   if (radius !== undefined) options.push(`radius=${radius === Infinity ? 'float("inf")' : radius}`);
   if (tag) options.push(`tag=(${hex(tag.mask)}, ${hex(tag.value)})`);
   if (epsilon) options.push(`epsilon=${epsilon}`);
-  return [
+  const hasCredentials = hasTls || hasIdentities;
+  return lines(
+    hasIdentities && "import os",
+    hasTls && "import pathlib",
+    hasCredentials && "",
     "import wayfold",
     "",
-    `index = wayfold.remote("${address()}", "${index}")`,
+    hasCredentials ? "index = wayfold.remote(" : `index = wayfold.remote("${uri}", "${index}")`,
+    hasCredentials && `    "${uri}", "${index}",`,
+    hasTls && '    ca_certificate=pathlib.Path("ca.pem").read_bytes(),',
+    hasIdentities && '    token=os.environ["WAYFOLD_TOKEN"],',
+    hasCredentials && ")",
     `found = index.search([${state.join(", ")}], wayfold.Search(${options.join(", ")}))`,
     "for id, distance in zip(found.ids, found.distances):",
     "    print(id, distance)",
-  ].join("\n");
+  );
 }
 
-function cpp(search) {
-  return [
+function cpp(search, { uri, hasTls, hasIdentities }) {
+  const hasCredentials = hasTls || hasIdentities;
+  return lines(
     "#include <wayfold/wayfold.hpp>",
     "#include <cmath>",
+    hasIdentities && "#include <cstdlib>",
+    hasTls && "#include <fstream>",
     "#include <iostream>",
+    hasTls && "#include <iterator>",
     "",
-    `const auto index = wayfold::Index::remote("${address()}", "${search.index}");`,
+    hasCredentials && "wayfold::Credentials credentials;",
+    hasTls && 'std::ifstream ca("ca.pem");',
+    hasTls && "credentials.ca_certificate(std::string(std::istreambuf_iterator<char>(ca), {}));",
+    hasIdentities && 'credentials.token(std::getenv("WAYFOLD_TOKEN"));',
+    `const auto index = wayfold::Index::remote("${uri}", "${search.index}"${hasCredentials ? ", {}, credentials" : ""});`,
     `const std::vector<double> state{${search.state.map(float).join(", ")}};`,
     `for (const auto &near : index.search(state, wayfold::Search::${methods(search).replace("Infinity", "INFINITY")})) {`,
     "    std::cout << near.id << ' ' << near.distance << '\\n';",
     "}",
-  ].join("\n");
+  );
+}
+
+function lines(...all) {
+  return all.filter((line) => line !== false).join("\n");
 }
 
 /** A number that Rust and C++ take for one of floating point. */

@@ -21,7 +21,23 @@ export function parseSpace(text, coordinates) {
     factors.push(...group.terms);
   }
   if (at !== coordinates) return parseSpace("?", coordinates);
-  return { text, coordinates, groups, factors, names: coordinateNames(factors) };
+  const names = coordinateNames(factors);
+  return { text, coordinates, groups, factors, names, axes: axesOf(factors, names) };
+}
+
+/**
+ * The axis of each coordinate: its name with the unit, and the range of its canonical form; of a number of R there is neither.
+ */
+function axesOf(factors, names) {
+  return factors.flatMap(({ kind, at, size, period }) =>
+    Array.from({ length: size }, (_, i) => {
+      const name = names[at + i];
+      if (kind === "SO2") return { name: period === 2 * Math.PI ? `${name} (rad)` : name, range: [-period / 2, period / 2] };
+      if (kind === "R") return { name, range: null };
+      // Of a quaternion and its negative, which are one rotation, that with w ≥ 0 is stored.
+      return { name, range: i === 3 ? [0, 1] : [-1, 1] };
+    }),
+  );
 }
 
 /** The names that the server's errors and the command line use: x, y, z, theta, qx, …, numbered if a kind repeats. */

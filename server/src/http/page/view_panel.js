@@ -21,8 +21,10 @@ export class ViewPanel {
   #areEdgesChosen = false;
   #drawn = [];
 
-  constructor(picture) {
+  /** `viewChanged` is called when the picture draws other things than before. */
+  constructor(picture, viewChanged) {
     this.picture = picture;
+    this.viewChanged = viewChanged;
     byId("axes-preset").addEventListener("change", () => this.#chooseAxes());
     byId("axes-custom").addEventListener("change", () => this.#chooseAxes());
     byId("color-by").addEventListener("change", () => this.#chooseColor());
@@ -103,6 +105,7 @@ export class ViewPanel {
     const coordinates = [...byId("axes-custom").querySelectorAll("select")].map((select) => Number(select.value));
     const projection = chosen === CUSTOM ? custom(this.#space, ...coordinates) : this.#projections.find(({ id }) => id === chosen);
     this.picture?.setProjection(projection);
+    this.viewChanged();
   }
 
   #chooseColor() {

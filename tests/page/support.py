@@ -1,0 +1,124 @@
+"""Servers, the browser, and what all steps of `look.py` do with the page."""
+
+import contextlib
+import json
+import re
+import shutil
+import subprocess
+
+from playwright.sync_api import expect
+
+# The most that the page, a process or the browser may take for one step.
+MAX_WAIT_S = 120
+SPACE = "R3*SO3:0.15"
+# Software rendering, and no sandbox: the suite may run as root in a container.
+BROWSER = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+PROBE = "5,5,1,0,0,0,1"
+# Chromium writes this line for each refusal and for each lost connection.
+REFUSAL = "Failed to load resource"
+
+
+class Server:
+    """A server and the command line for it."""
+
+    def __init__(self, programs, data="memory", ports=("0", "0"), settings=None):
+        self.programs = programs
+        arguments = ["--zenoh", "off", "--log", "warn", "--data", data]
+        arguments += ["--grpc", f"127.0.0.1:{ports[0]}", "--http", f"127.0.0.1:{ports[1]}"]
+        command = [programs / "server-process", *arguments]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=settings)
+        self.uri = self.line("listening on ")
+        self.page = self.line("metrics at ").removesuffix("metrics")
+
+    def line(self, start):
+        line = self.process.stdout.readline().strip()
+        assert line.startswith(start), f"the server said {line!r}"
+        return line.removeprefix(start)
+
+    def ports(self):
+        return [re.search(r":(\d+)/?$", address).group(1) for address in (self.uri, self.page)]
+
+    def command(self, *arguments, **options):
+        command = [self.programs / "cli-process", "--server", self.uri, *arguments]
+        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, timeout=MAX_WAIT_S, **options)
+        return done.stdout
+
+    def json(self, *arguments):
+        return json.loads(self.command("--output", "json", *arguments))
+
+    def insert(self, index, rows):
+        lines = "".join(",".join(map(str, row)) + "\n" for row in rows)
+        self.command("insert", index, "-", input=lines)
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait()
+
+
+@contextlib.contextmanager
+def running(*arguments, **options):
+    server = Server(*arguments, **options)
+    try:
+        yield server
+    finally:
+        server.kill()
+
+
+def launch(driver):
+    """Debian's Chromium, without a screen."""
+    chromium = shutil.which("chromium")
+    assert chromium, "install chromium"
+    return driver.chromium.launch(executable_path=chromium, args=BROWSER)
+
+
+def row(number):
+    """A state of SE(3) by its number."""
+    return [number % 10, number // 10 % 10, number / 100, 0, 0, 0, 1]
+
+
+def wait_for_count(page, points):
+    expect(page.locator("#count")).to_have_text(re.compile(f"^{points:,} points?"), timeout=MAX_WAIT_S * 1000)
+
+
+def wait_until_drawn(page):
+    page.locator('html[data-ready="1"]').wait_for(state="attached", timeout=MAX_WAIT_S * 1000)
+
+
+def open_index(page, server, index):
+    page.goto(f"{server.page}#/{index}")
+    wait_until_drawn(page)
+
+
+def set_slider(page, revision):
+    """Moves the slider to a revision, as a hand does."""
+    page.evaluate("r => { const s = document.getElementById('slider'); s.value = r; "
+                  "s.dispatchEvent(new Event('input', { bubbles: true })); }", str(revision))
+
+
+def probe(page, state, k):
+    """Asks for the neighbours of a state, and returns those that the page lists: ids and distances."""
+    page.fill("#probe-state", state)
+    page.fill("#probe-k", str(k))
+    page.click("#probe-run")
+    rows = page.locator("#neighbors tr")
+    expect(rows).to_have_count(k)
+    return [(it.get_attribute("data-id"), float(it.get_attribute("data-distance"))) for it in rows.all()]
+
+
+def picture(page, directory, name):
+    if directory:
+        page.wait_for_timeout(500)
+        page.screenshot(path=directory / f"{name}.png")
+
+
+def looks(page, directory, name):
+    """Pictures in the dark and in the light, on a desk and on a telephone."""
+    if not directory:
+        return
+    for theme in ("dark", "light"):
+        page.emulate_media(color_scheme=theme)
+        for size, (width, height) in {"wide": (1280, 800), "phone": (390, 844)}.items():
+            page.set_viewport_size({"width": width, "height": height})
+            picture(page, directory, f"{name}-{theme}-{size}")
+    page.emulate_media(color_scheme="light")
+    page.set_viewport_size({"width": 1280, "height": 800})
