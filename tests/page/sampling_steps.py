@@ -1,19 +1,13 @@
 """Samples of indices that have more points than are shown."""
 
 import re
+import tempfile
 
 from playwright.sync_api import expect
 
-from support import MAX_WAIT_S, SPACE, row, running, wait_until_drawn
+from support import MAX_WAIT_S, SPACE, row, running, streams_of, wait_until_drawn
 
 SHOWN = re.compile(r"shows ([\d,]+) of ([\d,]+) points")
-
-
-def requests_of_points(page):
-    """The addresses of the streams of points that the page asks for, from now on."""
-    asked = []
-    page.on("request", lambda request: asked.append(request.url) if "/points?" in request.url else None)
-    return asked
 
 
 def shown_of(page, points):
@@ -28,27 +22,32 @@ def open_sampled(page, server, index, most):
 
 
 def a_sample_goes_on_after_a_cut(page, programs, pictures):
-    with running(programs) as server:
-        server.command("create", "arm", "--space", SPACE)
-        server.insert("arm", map(row, range(4000)))
-        asked = requests_of_points(page)
-        open_sampled(page, server, "arm", 1000)
-        before = shown_of(page, 4000)
-        assert 850 < before < 1150, before
-        page.context.set_offline(True)
-        server.insert("arm", map(row, range(4000, 4400)))
-        # A connection of this machine outlives that, so the page is told to ask anew by a server that stands still.
-        page.context.set_offline(False)
-        after = shown_of(page, 4400)
-        assert before < after < before + 160, (before, after)
-        assert len(asked) >= 1
+    """It stays the same sample: the page asks only for what came meanwhile, of the same share."""
+    with tempfile.TemporaryDirectory() as data:
+        with running(programs, data=data) as server:
+            server.command("create", "arm", "--space", SPACE)
+            server.insert("arm", map(row, range(4000)))
+            open_sampled(page, server, "arm", 1000)
+            before = shown_of(page, 4000)
+            assert 850 < before < 1150, before
+            ports = server.ports()
+        asked = streams_of(page, "points")
+        expect(page.locator("#status")).to_contain_text("trying again", timeout=MAX_WAIT_S * 1000)
+        with running(programs, data=data, ports=ports) as server:
+            server.insert("arm", map(row, range(4000, 4400)))
+            after = shown_of(page, 4400)
+            assert before < after < before + 180, (before, after)
+            assert asked and all("after=" in it and "share=0.25" in it for it in asked), asked
+            # A page that begins now with the same share has the same number.
+            whole = server.points("arm", "max=1100")
+            assert whole["share"] == 0.25 and whole["sent"] == after, (whole, after)
 
 
 def an_index_that_grows_is_sampled_again(page, programs, pictures):
     with running(programs) as server:
         server.command("create", "arm", "--space", SPACE)
         server.insert("arm", map(row, range(500)))
-        asked = requests_of_points(page)
+        asked = streams_of(page, "points")
         open_sampled(page, server, "arm", 1000)
         expect(page.locator("#count")).to_have_text("500 points")
         expect(page.locator("#sampled")).to_have_text("")
@@ -56,10 +55,12 @@ def an_index_that_grows_is_sampled_again(page, programs, pictures):
             server.insert("arm", map(row, range(number, number + 500)))
         shown = shown_of(page, 5000)
         assert 750 < shown <= 1250, shown
-        # The last stream goes on where the one before ended, with a share that a sample of the server has too.
-        share = float(re.search(r"share=([\d.]+)", asked[-1])[1])
+        # The last stream goes on where the one before ended. The server's sample of the same share has the same number.
+        share = float(re.search(r"share=([\d.e-]+)", asked[-1])[1])
         assert 0.1 < share < 0.4 and "after=" in asked[-1], asked
-        # Removals are counted in the sample: all points are removed, and none is left.
+        sampled = server.points("arm", f"max={round(5000 * share)}")
+        assert abs(sampled["share"] - share) < 1e-3 and abs(sampled["sent"] - shown) <= 5, (sampled, shown, share)
+        # No point outside of the sample is left: once all are removed, there is none.
         ids = [line.split(",")[0] for line in server.command("scan", "arm").splitlines()[1:]]
         for at in range(0, len(ids), 500):
             server.command("remove", "arm", *ids[at:at + 500])

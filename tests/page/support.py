@@ -1,10 +1,16 @@
 """Servers, the browser, and what all steps of `look.py` do with the page."""
 
 import contextlib
+import hashlib
 import json
+import os
+import pathlib
 import re
 import shutil
+import struct
 import subprocess
+import tempfile
+import urllib.request
 
 from playwright.sync_api import expect
 
@@ -50,6 +56,20 @@ class Server:
         lines = "".join(",".join(map(str, row)) + "\n" for row in rows)
         self.command("insert", index, "-", input=lines)
 
+    def points(self, index, query):
+        """The share of a sample of an index, and the number of points that a stream of it sends."""
+        request = urllib.request.Request(f"{self.page}api/v1/{index}/points?{query}", method="POST")
+        with urllib.request.urlopen(request, timeout=MAX_WAIT_S) as answer:
+            rest = answer.read()
+        sent, share = 0, None
+        while rest:
+            head, body = struct.unpack_from("<II", rest)
+            told = json.loads(rest[8:8 + head])
+            share = told.get("share", share)
+            sent += told["count"] if told["kind"] == "points" else 0
+            rest = rest[8 + head + body:]
+        return {"share": share, "sent": sent}
+
     def kill(self):
         self.process.kill()
         self.process.wait()
@@ -62,6 +82,37 @@ def running(*arguments, **options):
         yield server
     finally:
         server.kill()
+
+
+@contextlib.contextmanager
+def identities(*known):
+    """The settings of a server with identities (name, role, index), whose tokens are their names; and a maker of token files."""
+    with tempfile.TemporaryDirectory() as directory:
+        folder = pathlib.Path(directory)
+        text = ""
+        for name, role, index in known:
+            digest = hashlib.sha256(name.encode()).hexdigest()
+            text += f'[[identity]]\nname = "{name}"\nrole = "{role}"\nindexes = ["{index}"]\ntoken_sha256 = "{digest}"\n'
+        (folder / "identities.toml").write_text(text)
+
+        def token(name):
+            (folder / name).write_text(name)
+            return folder / name
+
+        yield {**os.environ, "WAYFOLD_ACCESS__IDENTITIES": str(folder / "identities.toml")}, token
+
+
+def sign_in(page, token):
+    expect(page.locator("#token")).to_be_visible()
+    page.fill("#token", token)
+    page.keyboard.press("Enter")
+
+
+def streams_of(page, name):
+    """The addresses of the streams `name` that the page asks for from now on."""
+    asked = []
+    page.on("request", lambda request: asked.append(request.url) if re.search(f"/{name}(\\?|$)", request.url) else None)
+    return asked
 
 
 def launch(driver):
@@ -119,6 +170,7 @@ def looks(page, directory, name):
         page.emulate_media(color_scheme=theme)
         for size, (width, height) in {"wide": (1280, 800), "phone": (390, 844)}.items():
             page.set_viewport_size({"width": width, "height": height})
+            page.wait_for_timeout(1000)
             picture(page, directory, f"{name}-{theme}-{size}")
     page.emulate_media(color_scheme="light")
     page.set_viewport_size({"width": 1280, "height": 800})
