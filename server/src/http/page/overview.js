@@ -43,7 +43,7 @@ function tilesOf({ server, indices, hasFigures }) {
   const figures = hasFigures ? { value: rate(calls.rate), more: percentiles } : { value: "–", more: NO_FIGURES };
   const tiles = [
     { name: "Server", value: server.state, more: server.version && `version ${server.version}`, words: true },
-    { name: "Durability", value: server.durability, more: DURABILITY[server.durability] ?? "", words: true },
+    { name: "Durability", value: server.durability || "–", more: DURABILITY[server.durability] ?? "", words: true },
     { name: "Points", value: short(points), more: `in ${indices.length} ${indices.length === 1 ? "index" : "indices"}` },
     { name: "Calls a second", ...figures },
   ];

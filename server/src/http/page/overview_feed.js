@@ -26,12 +26,10 @@ export function listen(listener) {
 /** Listens to the server for as long as the page lives. A page that nobody sees does not listen. */
 export function start() {
   let stream = null;
-  // The version and the durability, which change only with the process.
-  let server = {};
   const open = () => {
     stream = follow(() => "api/v1/overview", {
-      begin: async () => (server = await callServer("server", {}).catch(() => server)),
-      take: (head) => head.kind === "overview" && take(sampleOf(server, head)),
+      begin: askForServer,
+      take: (head) => head.kind === "overview" && take(head),
       state: (state, problem) => report(STREAM, state, problem),
     });
   };
@@ -46,8 +44,27 @@ export function start() {
   show();
 }
 
-function take(sample) {
-  newest = sample;
+// The version and the durability, which change only with the process.
+let server = {};
+let lastHead = null;
+
+async function askForServer() {
+  try {
+    server = await callServer("server", {});
+    if (lastHead) tell(sampleOf(server, lastHead));
+  } catch {
+    // The stream tells about the connection. Without the answer, two tiles stay empty.
+  }
+}
+
+function take(head) {
+  lastHead = head;
+  const sample = sampleOf(server, head);
   history.add(sample, performance.now());
+  tell(sample);
+}
+
+function tell(sample) {
+  newest = sample;
   for (const listener of listeners) listener(sample);
 }

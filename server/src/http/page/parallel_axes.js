@@ -9,7 +9,7 @@ const NARROW_MARGIN = { left: 22, right: 22, top: 132, bottom: 56 };
 const NARROW_PIXELS = 560;
 // Below this distance of two axes, names are turned and axes have only the numbers of their ends.
 const CLOSE_PIXELS = 74;
-const CHARACTER_PIXELS = 7;
+const CHARACTER_PIXELS = 7.5;
 const MAX_LINES = 100;
 const LABEL_PIXELS = 15;
 
@@ -50,9 +50,14 @@ export function drawParallelAxes(target, { axes, top, bottom, width, height, apa
     const isTurned = isClose || CHARACTER_PIXELS * axis.name.length > apart;
     const place = { x: axis.x, y: top - 12 };
     if (isTurned) text("name small", place.x, place.y, axis.name, { "text-anchor": "start", transform: `rotate(-50 ${place.x} ${place.y})` });
-    else text("name", place.x, place.y, axis.name);
+    else text("name", kept(place.x, (CHARACTER_PIXELS * axis.name.length) / 2, width), place.y, axis.name);
   }
   target.replaceChildren(...made);
+}
+
+// A place for the middle of a text, so that its halves stay on the canvas.
+function kept(x, half, width) {
+  return Math.max(half + 8, Math.min(x, width - half - 8));
 }
 
 /** Draws the probe and its neighbours, nearest first, as rows of coordinates. */
