@@ -13,6 +13,7 @@ from playwright.sync_api import expect, sync_playwright
 
 import edge_steps
 import health_steps
+import overlay_steps
 import parallel_steps
 import probe_steps
 import projection_steps
@@ -58,6 +59,7 @@ STEPS = [
     sampling_steps.a_sample_goes_on_after_a_cut,
     sampling_steps.an_index_that_grows_is_sampled_again,
     projection_steps.projections_are_the_geometry,
+    overlay_steps.many_indices_leave_room_for_calls,
     parallel_steps.joints_are_lines,
     parallel_steps.lines_are_sampled_and_follow_the_slider,
     health_steps.a_server_that_comes_back_is_seen_again,

@@ -1,5 +1,6 @@
 // The page of one or several indices: it joins the picture, the settings, the probe and the slider.
 
+import { forget, report } from "./connection.js";
 import { byId, setText } from "./dom.js";
 import { count, counted } from "./format.js";
 import { Layer } from "./layer.js";
@@ -12,6 +13,11 @@ import { ViewPanel } from "./view_panel.js";
 
 // The numbers of a growing index change this often at most.
 const SHOWN_MS = 100;
+
+// Each index takes a connection for as long as it is shown. Without TLS a browser has six for a server: one is for the overview, and
+// one is left for calls.
+const MAX_LAYERS = performance.getEntriesByType("navigation")[0]?.nextHopProtocol === "h2" ? 8 : 4;
+const TOO_MANY = "number of indices";
 
 // The parts listen to the elements of the page, which stay. So they are made once and serve all pages of indices.
 let parts;
@@ -29,7 +35,10 @@ export class IndexPage {
   }
 
   /** Shows these indices. Those that are shown already keep their points. */
-  show(names) {
+  show(asked) {
+    const names = asked.slice(0, MAX_LAYERS);
+    if (names.length < asked.length) report(TOO_MANY, "live", `At most ${MAX_LAYERS} indices are shown in one picture.`);
+    else forget(TOO_MANY);
     const kept = this.#layers.filter((layer) => names.includes(layer.name));
     for (const layer of this.#layers) if (!kept.includes(layer)) layer.close();
     // A revision of other indices says nothing of these.
@@ -43,6 +52,7 @@ export class IndexPage {
 
   close() {
     this.stop();
+    forget(TOO_MANY);
     for (const layer of this.#layers) layer.close();
     this.#layers = [];
     parts.picture?.setLayers([]);

@@ -38,7 +38,7 @@ export class Past {
   get loaded() {
     if (!this.#stream) return 1;
     const { from, reached } = this.#replay;
-    return (reached - from) / Math.max(this.cloud.knownFrom - from, 1);
+    return Math.min((reached - from) / Math.max(this.cloud.knownFrom - from, 1), 0.99);
   }
 
   /** Gives up what is on its way. */

@@ -10,6 +10,8 @@ const REPLAY_MS = 10_000;
 export class Timeline {
   #isLive = true;
   #replay = 0;
+  // What is yet to be loaded of the past.
+  #queue = [];
 
   /** `layers()` are those of the picture. `shown` is called when another revision is shown. */
   constructor(layers, picture, shown) {
@@ -47,6 +49,7 @@ export class Timeline {
   /** Brings the slider up to date with the points. */
   update() {
     const { newest, slider } = this;
+    this.#loadNext();
     slider.max = newest;
     if (this.#isLive) slider.value = newest;
     else if (this.picture) this.picture.revision = Number(slider.value);
@@ -58,13 +61,20 @@ export class Timeline {
   }
 
   #loadPast() {
-    for (const layer of this.layers()) layer.past.load();
+    this.#queue = this.layers().map((layer) => layer.past);
+    this.#loadNext();
     this.#show();
+  }
+
+  // One after the other: each takes a connection, of which a browser has few.
+  #loadNext() {
+    while (this.#queue.length > 0 && this.layers().every((layer) => layer.past.loaded === 1)) this.#queue.shift().load();
   }
 
   // The part of the past that is loaded.
   get #loaded() {
-    return Math.min(1, ...this.layers().map((layer) => layer.past.loaded));
+    const parts = this.layers().map(({ past }) => (this.#queue.includes(past) ? 0 : past.loaded));
+    return parts.length > 0 ? parts.reduce((sum, part) => sum + part, 0) / parts.length : 1;
   }
 
   #goTo(revision) {

@@ -217,3 +217,60 @@ async fn more_points_than_asked_for_are_sampled() {
         assert_eq!(refused.status(), StatusCode::BAD_REQUEST, "{query}");
     }
 }
+
+/// The points that a mutation stores in the place of others are told before it; new points, and those with another tag, are not.
+#[tokio::test]
+async fn a_stream_tells_which_points_are_replaced() {
+    let service = service().await;
+    let put = async |id: u64, x: f64, tag: u64| {
+        let request = v1::InsertRequest {
+            index_name: "arm".into(),
+            ids: vec![id],
+            tags: vec![tag],
+            states: Some(v1::States {
+                row_count: 1,
+                coordinates: vec![x, 0.5],
+            }),
+            on_conflict: v1::OnConflict::Replace.into(),
+            ..Default::default()
+        };
+        service.insert(&Call::default(), request).await.unwrap();
+    };
+    put(3, 7.25, 0).await;
+    let tag = v1::UpdateRequest {
+        index_name: "arm".into(),
+        ids: vec![4],
+        tags: vec![9],
+        ..Default::default()
+    };
+    service.update(&Call::default(), tag).await.unwrap();
+    put(POINTS, 1.0, 0).await;
+    let mut router = router(&service, Identities::default());
+    let (_, described) = post(&mut router, "arm/info", json!({})).await;
+    let uid = described["index"]["revision"]["uid"].as_str().unwrap();
+    let newest = POINTS + 3;
+    let request = Request::post(format!("/api/v1/arm/points?after={uid}:{POINTS}"));
+    let answer = ask(&mut router, request, "").await;
+    let mut body = answer.into_body().into_data_stream();
+    let (mut seen, mut reached) = (Vec::new(), Value::Null);
+    while reached != newest {
+        let next = futures_util::StreamExt::next(&mut body).await;
+        for (head, body) in heads(&next.unwrap().unwrap()) {
+            match body.first_chunk() {
+                Some(id) => {
+                    let kind = head["kind"].as_str().unwrap().to_owned();
+                    seen.push((kind, u64::from_le_bytes(*id)));
+                }
+                None => reached = head["revision"].clone(),
+            }
+        }
+    }
+    let seen: Vec<(&str, u64)> = seen.iter().map(|(kind, id)| (&**kind, *id)).collect();
+    let expected = [
+        ("replaced", 3),
+        ("points", 3),
+        ("points", 4),
+        ("points", POINTS),
+    ];
+    assert_eq!(seen, expected);
+}
