@@ -194,28 +194,28 @@ export class Cloud {
   }
 
   #compact(isKept) {
-    const { coordinates, born, died } = this;
-    this.slots = new IdMap();
+    const { coordinates, ids, born, died } = this;
     const moved = new Int32Array(this.length).fill(-1);
-    let to = 0;
+    let kept = 0;
+    for (let slot = 0; slot < this.length; slot++) if (isKept(slot)) moved[slot] = kept++;
+    this.edges.rename(moved, ids);
+    this.slots = new IdMap();
     this.alive = 0;
     for (let from = 0; from < this.length; from++) {
-      if (!isKept(from)) continue;
-      this.ids.copyWithin(2 * to, 2 * from, 2 * from + 2);
+      const to = moved[from];
+      if (to < 0) continue;
+      ids.copyWithin(2 * to, 2 * from, 2 * from + 2);
       this.tags.copyWithin(2 * to, 2 * from, 2 * from + 2);
       this.rows.copyWithin(coordinates * to, coordinates * from, coordinates * (from + 1));
       born[to] = born[from];
       died[to] = died[from];
-      moved[from] = to;
-      if (died[to] === ALIVE) {
-        this.alive += 1;
-        this.slots.set(this.ids[2 * to], this.ids[2 * to + 1], to);
-      }
-      to += 1;
+      if (died[to] === ALIVE) this.alive += 1;
+      // The slot of an id is that of its last point: what is listed of a removed one reaches the next.
+      const other = this.slots.get(ids[2 * to], ids[2 * to + 1]);
+      if (other < 0 || died[other] < died[to]) this.slots.set(ids[2 * to], ids[2 * to + 1], to);
     }
-    this.edges.rename(moved);
-    this.length = to;
-    this.changed = { from: 0, to };
+    this.length = kept;
+    this.changed = { from: 0, to: kept };
     this.generation += 1;
   }
 }

@@ -86,10 +86,16 @@ export class Edges {
     return count;
   }
 
-  /** Renames the slots after some were given up, for which `moved` has −1. */
-  rename(moved) {
+  /** Renames the slots, of which some are given up: `moved` has −1 for them. `ids` are those of the slots so far. */
+  rename(moved, ids) {
     this.#waiting = this.#waiting.renamed(moved, this.share);
     this.#untold = new Set([...this.#untold].map((slot) => moved[slot]).filter((slot) => slot >= 0));
+    // A point that is listed, and is given up, may come again.
+    for (let end = 0; end < 2 * this.length; end++) {
+      const [slot, other] = [this.pairs[end], this.pairs[end ^ 1]];
+      const isListed = slot !== other && this.#listed[end >> 1] & bitOf(end);
+      if (isListed && moved[slot] >= 0 && moved[other] < 0) this.#wait(moved[slot], ids[2 * other], ids[2 * other + 1]);
+    }
     this.#rebuild((slot) => moved[slot]);
   }
 
@@ -104,8 +110,7 @@ export class Edges {
       const other = slots.get(ids[i], ids[i + 1]);
       if (other === slot || listed.has(other)) continue;
       if (other < 0) {
-        // Of a point outside the sample nothing ever comes.
-        if (this.share.has(ids[i], ids[i + 1])) this.#waiting.add(slot, ids[i], ids[i + 1]);
+        this.#wait(slot, ids[i], ids[i + 1]);
         continue;
       }
       listed.add(other);
@@ -115,6 +120,11 @@ export class Edges {
     }
     for (const [other, end] of old) if (!listed.has(other)) this.#unlist(end);
     if (this.#gone > MIN_GONE && 2 * this.#gone > this.length) this.#rebuild((same) => same);
+  }
+
+  // Keeps an edge for when its other end comes. A point outside the sample never does.
+  #wait(slot, low, high) {
+    if (this.share.has(low, high)) this.#waiting.add(slot, low, high);
   }
 
   // A point that was replaced, or removed and stored again, lists nothing any more. What others list reaches the new one.
