@@ -13,6 +13,7 @@ from playwright.sync_api import expect, sync_playwright
 
 import edge_steps
 import health_steps
+import model_steps
 import overlay_steps
 import parallel_steps
 import probe_steps
@@ -54,6 +55,7 @@ STEPS = [
     probe_steps.the_texts_run,
     time_steps.the_slider_counts_as_scans_did,
     time_steps.what_the_window_does_not_have_is_said,
+    model_steps.histories_are_those_of_a_model,
     edge_steps.edges_follow_the_payloads,
     edge_steps.edges_need_a_declaration,
     sampling_steps.a_sample_goes_on_after_a_cut,

@@ -69,8 +69,8 @@ export class Past {
   }
 }
 
-/** The mutations after a revision, replayed. */
-class Replay {
+/** The mutations after the start of a cloud's window, replayed. */
+export class Replay {
   cloud = new Cloud();
   /** The points that were there at the start, as far as only their deaths were told. */
   lost = new Lost();
