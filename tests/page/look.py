@@ -53,6 +53,7 @@ def a_planner_is_seen_growing(page, programs, pictures, milestones):
 STEPS = [
     probe_steps.the_probe_answers_as_the_command_line,
     probe_steps.the_texts_run,
+    probe_steps.texts_of_servers_with_tls_have_the_authority,
     time_steps.the_slider_counts_as_scans_did,
     time_steps.what_the_window_does_not_have_is_said,
     model_steps.histories_are_those_of_a_model,
@@ -61,6 +62,7 @@ STEPS = [
     sampling_steps.a_sample_goes_on_after_a_cut,
     sampling_steps.an_index_that_grows_is_sampled_again,
     projection_steps.projections_are_the_geometry,
+    projection_steps.numbers_of_axes_tell_their_steps,
     overlay_steps.many_indices_leave_room_for_calls,
     parallel_steps.joints_are_lines,
     parallel_steps.lines_are_sampled_and_follow_the_slider,

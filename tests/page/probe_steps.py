@@ -86,3 +86,19 @@ def the_texts_run(page, programs, pictures):
                     done = subprocess.run([python, "-c", text], check=True, stdout=subprocess.PIPE, text=True, env={**os.environ, **secret})
                     found = [(id, float(distance)) for id, distance in map(str.split, done.stdout.splitlines())]
                     assert found == shown, (found, shown)
+
+
+TEXTS = """async server => {
+  const { snippets } = await import('./snippets.js');
+  return snippets({ index: 'arm', state: [1, 2.5], k: 3 }, server).map(({ text }) => text);
+}"""
+
+
+def texts_of_servers_with_tls_have_the_authority(page, programs, pictures):
+    with running(programs) as server:
+        page.goto(server.page)
+        told = {"uri": "https://10.0.0.7:50051", "hasTls": True, "hasIdentities": False}
+        for text in page.evaluate(TEXTS, told):
+            assert "ca.pem" in text and told["uri"] in text and "TOKEN" not in text, text
+        command = page.evaluate(TEXTS, told)[0]
+        assert command == "wayfold knn arm --state=1,2.5 -k 3 --server https://10.0.0.7:50051 --ca ca.pem", command

@@ -2,7 +2,9 @@
 
 import math
 
-from support import running
+from playwright.sync_api import expect
+
+from support import looks, open_index, running, wait_for_count
 
 PLACES = """async ([text, width, id, states]) => {
   const { parseSpace } = await import('./space.js');
@@ -53,3 +55,18 @@ def projections_are_the_geometry(page, programs, pictures):
         for space, width in [("sum(R1^7)", 7), ("R6", 6), ("SO2^6", 6), ("SO2[2]^4", 4)]:
             states = [[at + c for c in range(width)] for at in range(3)]
             expect_places(space, width, "first", states, [state[:3] for state in states], first="parallel")
+
+
+def numbers_of_axes_tell_their_steps(page, programs, pictures):
+    """Points that differ in the fourth digit: so do the numbers beside them."""
+    with running(programs) as server:
+        server.command("create", "near", "--space", "R2")
+        server.insert("near", [[1 + number / 10_000, 10 + number / 10_000] for number in range(21)])
+        open_index(page, server, "near")
+        wait_for_count(page, 21)
+        for view in ("flat-0", "parallel"):
+            page.select_option("#axes-preset", view)
+            expect(page.locator("#axes .number", has_text="1.0005")).to_have_count(1)
+            numbers = page.locator("#axes .number").all_text_contents()
+            assert len(set(numbers)) == len(numbers) and "10.0010" in numbers, numbers
+            looks(page, pictures, f"numbers-{view}")

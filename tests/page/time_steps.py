@@ -6,7 +6,7 @@ import re
 
 from playwright.sync_api import expect
 
-from support import MAX_WAIT_S, open_index, picture, running, set_slider, wait_for_count
+from support import MAX_WAIT_S, looks, open_index, picture, running, set_slider, wait_for_count
 
 # The corners of the picture, which stay: so that pictures of different points have the same box.
 CORNERS = [(0, 0.0, 0.0), (1, 9.0, 9.0)]
@@ -147,7 +147,7 @@ def what_the_window_does_not_have_is_said(page, programs, pictures):
         # The window has some of the revisions, and not all.
         assert known == list(range(min(known), newest + 1)) and 1 < min(known) < newest - 20, (known, newest)
         set_slider(page, min(known))
-        picture(page, pictures, "window")
+        looks(page, pictures, "window")
         page.click("#play")
         expect(page.locator("#live")).to_have_attribute("aria-pressed", "true", timeout=MAX_WAIT_S * 1000)
         expect(page.locator("#play")).to_have_attribute("aria-label", re.compile("^Replay"), timeout=MAX_WAIT_S * 1000)
