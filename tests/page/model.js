@@ -32,7 +32,9 @@ async ({ seed, rounds }) => {
     const columns = [0, 1].flatMap((end) => pairs.flatMap((pair) => [pair[end], 0]));
     return [{ kind: "edges", count: pairs.length }, new Uint32Array(columns).buffer];
   };
-  const idsFrame = (kind, ids, revision) => [{ kind, count: ids.length, revision }, new Uint32Array(ids.flatMap((id) => [id, 0])).buffer];
+  const idsFrame = (kind, ids, revision) => {
+    return [{ kind, count: ids.length, revision }, new Uint32Array(ids.flatMap((id) => [id, 0])).buffer];
+  };
   const take = (cloud, frames) => {
     for (const [head, body] of frames) {
       if (head.kind === "points") cloud.append(head, body);

@@ -35,13 +35,17 @@ def text_of(page, language):
     return page.locator(f'#snippets [data-language="{language}"] code').inner_text()
 
 
+def output_of(command, environment):
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, timeout=MAX_WAIT_S, env=environment)
+    return done.stdout
+
+
 def run_as_shown(programs, text, **settings):
     """Runs the text for the command line, letter by letter, where `wayfold` is the program of the suite."""
     with tempfile.TemporaryDirectory() as directory:
         (pathlib.Path(directory) / "wayfold").symlink_to(programs / "cli-process")
         environment = {**os.environ, "PATH": f"{directory}:{os.environ['PATH']}", **settings}
-        done = subprocess.run(["bash", "-c", text], check=True, stdout=subprocess.PIPE, text=True, timeout=MAX_WAIT_S, env=environment)
-    return done.stdout
+        return output_of(["bash", "-c", text], environment)
 
 
 def rows_of(table):
@@ -83,8 +87,8 @@ def the_texts_run(page, programs, pictures):
                     picture(page, pictures, "token")
                 if python:
                     text = text_of(page, "Python")
-                    done = subprocess.run([python, "-c", text], check=True, stdout=subprocess.PIPE, text=True, env={**os.environ, **secret})
-                    found = [(id, float(distance)) for id, distance in map(str.split, done.stdout.splitlines())]
+                    printed = output_of([python, "-c", text], {**os.environ, **secret})
+                    found = [(id, float(distance)) for id, distance in map(str.split, printed.splitlines())]
                     assert found == shown, (found, shown)
 
 

@@ -6,6 +6,8 @@ import { ticksOf } from "./ticks.js";
 
 // About the width of a character of a name.
 const CHARACTER_PIXELS = 7.5;
+// About that of a digit of a number.
+const NUMBER_PIXELS = 6.6;
 
 /**
  * Draws the box on an SVG of the size of the canvas. An axis that is not numbered, as one of a ring, shows no quantity of
@@ -54,10 +56,14 @@ export function drawAxes(target, { matrix, eye, box, ranges, names, isNumbered, 
       // Numbers that would touch, or are not on the canvas, are left out.
       if (!isInside(on) || (last && Math.hypot(on[0] - last[0], on[1] - last[1]) < 32)) continue;
       last = on;
-      made.push(text("number", on[0] + 13 * away[0], on[1] + 13 * away[1], tick.text));
+      made.push(text("number", on[0] + 13 * away[0], on[1] + 13 * away[1], tick.text, away));
     }
     const middle = screen(edge.place(0));
-    if (isInside(middle) && names[axis]) made.push(text("name", middle[0] + 36 * away[0], middle[1] + 30 * away[1], names[axis], away));
+    if (!isInside(middle) || !names[axis]) return;
+    // The name stands beyond the longest number.
+    const longest = Math.max(0, ...ticks[axis].map((tick) => tick.text.length));
+    const beyond = Math.max(36, 22 + NUMBER_PIXELS * longest);
+    made.push(text("name", middle[0] + beyond * away[0], middle[1] + 30 * away[1], names[axis], away));
   }
 
   function isInside(on) {

@@ -14,8 +14,8 @@ import { ViewPanel } from "./view_panel.js";
 // The numbers of a growing index change this often at most.
 const SHOWN_MS = 100;
 
-// Each index takes a connection for as long as it is shown. Without TLS a browser has six for a server: one is for the overview, and
-// one is left for calls.
+// Each index takes a connection for as long as it is shown. Without TLS a browser has six for a server: one is for the
+// overview, and one is left for calls.
 const MAX_LAYERS = performance.getEntriesByType("navigation")[0]?.nextHopProtocol === "h2" ? 8 : 4;
 const TOO_MANY = "number of indices";
 

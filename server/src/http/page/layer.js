@@ -10,7 +10,8 @@ import { parseSpace } from "./space.js";
 import { follow } from "./stream.js";
 import { Vertices } from "./vertices.js";
 
-// A telephone has less memory, and a smaller screen shows fewer points anyway. `?max=N` before the `#` of the address is another number.
+// A telephone has less memory, and a smaller screen shows fewer points anyway. `?max=N` before the `#` of the address is another
+// number.
 const USUAL_POINTS = matchMedia("(max-width: 560px)").matches ? 250_000 : 1_000_000;
 const MAX_POINTS = Math.max(1, Math.floor(Number(new URLSearchParams(location.search).get("max"))) || USUAL_POINTS);
 // An index may grow by so much beyond that before it is sampled again.

@@ -44,8 +44,10 @@ export function drawParallelAxes(target, { axes, top, bottom, width, height, apa
       const y = bottom - (bottom - top) * shareOf(axis, at);
       made.push(svg("line", { class: "upright", x1: axis.x - 4, y1: y, x2: axis.x, y2: y }));
       // A number that reaches the axis before is left out.
-      if (CHARACTER_PIXELS * number.length + 8 > Math.max(apart - 6, 20)) continue;
-      text("number behind", axis.x - 7, y, number, { "text-anchor": "end", "dominant-baseline": "middle" });
+      const extent = CHARACTER_PIXELS * number.length + 8;
+      if (extent > Math.max(apart - 6, 20)) continue;
+      const [x, anchor] = extent > axis.x ? [axis.x + 6, "start"] : [axis.x - 7, "end"];
+      text("number behind", x, y, number, { "text-anchor": anchor, "dominant-baseline": "middle" });
     }
     const isTurned = isClose || CHARACTER_PIXELS * axis.name.length > apart;
     const place = { x: axis.x, y: top - 12 };
