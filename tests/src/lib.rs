@@ -6,6 +6,7 @@ pub mod brute_force;
 mod content;
 pub mod echo;
 pub mod figures;
+pub mod history;
 pub mod ledger;
 pub mod measuring;
 mod model;

@@ -1,0 +1,266 @@
+//! A store with one order, for clients whose operations overlap, and its faults.
+
+use std::collections::BTreeMap;
+
+use proptest::prelude::*;
+use wayfold_tests::history::{Answer, Call, NEVER, Operation, Point, Seen, Step};
+
+/// The nanoseconds between two moments at which operations take effect.
+const BEAT: u64 = 100;
+
+/// What a client asks of the store.
+#[derive(Clone, Debug)]
+pub(crate) enum Kind {
+    /// A point with an id of the store's.
+    Put,
+    /// The removal of one of the stored points.
+    Remove(u64),
+    /// A tag for one of the stored points.
+    SetTag(u64, u64),
+    /// A read of all points.
+    Latest,
+    /// A read of all points as of a revision that the client has not passed.
+    Plain(u64),
+}
+
+/// An operation to come.
+#[derive(Clone, Debug)]
+pub(crate) struct Request {
+    kind: Kind,
+    /// The nanoseconds from the invocation to the effect, and from the effect to the answer.
+    before: u64,
+    after: u64,
+    /// The answer is lost; the flag says whether the effect is too.
+    unknown: Option<bool>,
+}
+
+pub(crate) fn request() -> impl Strategy<Value = Request> {
+    let kind = prop_oneof![
+        4 => Just(Kind::Put),
+        2 => any::<u64>().prop_map(Kind::Remove),
+        1 => (any::<u64>(), any::<u64>()).prop_map(|(id, tag)| Kind::SetTag(id, tag)),
+        2 => Just(Kind::Latest),
+        2 => any::<u64>().prop_map(Kind::Plain),
+    ];
+    let unknown = prop_oneof![6 => Just(None), 1 => any::<bool>().prop_map(Some)];
+    let times = (0..5 * BEAT, 0..5 * BEAT);
+    (kind, times, unknown).prop_map(|(kind, (before, after), unknown)| Request {
+        kind,
+        before,
+        after,
+        unknown,
+    })
+}
+
+/// A fault of the first operation that can have it, from one on.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Fault {
+    /// An acknowledged point is not stored.
+    Forget,
+    /// An acknowledged point is stored twice.
+    Double,
+    /// A read of the latest is answered from before an answer that had returned.
+    Past,
+}
+
+type Points = BTreeMap<u64, Point>;
+
+#[derive(Default)]
+pub(crate) struct Store {
+    points: Points,
+    revision: u64,
+    next_id: u64,
+    next_payload: u64,
+    /// The contents by revision.
+    past: BTreeMap<u64, Points>,
+    /// The end of each client's last operation, and the revision that it knows.
+    clients: Vec<(u64, u64)>,
+    /// The points that are stored twice; their clients do not remove them, which would hide it.
+    twins: Vec<u64>,
+    /// True if the fault could be had.
+    pub(crate) has_failed: bool,
+}
+
+impl Store {
+    /// Answers requests in their order, and a read of all points. Returns the history and the number of mutations without
+    /// an answer.
+    pub(crate) fn serve(
+        &mut self,
+        requests: &[Request],
+        fault: Option<(usize, Fault)>,
+    ) -> (Vec<Operation>, u64) {
+        let mut history = Vec::new();
+        let mut unknown = 0;
+        self.past.insert(0, Points::new());
+        for (at, request) in requests.iter().enumerate() {
+            let now = (at as u64 + 10) * BEAT;
+            let fault = fault.filter(|(first, _)| *first <= at && !self.has_failed);
+            let fault = fault.map(|(_, it)| it);
+            let operation = self.answer(request, now, fault, &history);
+            unknown += u64::from(operation.returned == NEVER);
+            history.push(operation);
+        }
+        let last = Request {
+            kind: Kind::Latest,
+            before: 0,
+            after: 0,
+            unknown: None,
+        };
+        let now = (requests.len() as u64 + 20) * BEAT;
+        history.push(self.answer(&last, now, None, &[]));
+        (history, unknown)
+    }
+
+    fn answer(
+        &mut self,
+        request: &Request,
+        now: u64,
+        fault: Option<Fault>,
+        history: &[Operation],
+    ) -> Operation {
+        let client = self.client(now);
+        let (free, known) = self.clients[client];
+        let invoked = (now - request.before).max(free + 1);
+        let mut returned = now + request.after;
+        let mut answer_is_lost = false;
+        let call = match &request.kind {
+            Kind::Latest => {
+                self.change();
+                let mut revision = self.revision;
+                if let Some(Fault::Past) = fault {
+                    let before = history.iter().filter(|it| it.returned < invoked);
+                    let newest = before.filter_map(answered_revision).max();
+                    if let Some(past) = newest.and_then(|it| it.checked_sub(1)) {
+                        (revision, self.has_failed) = (past, true);
+                    }
+                }
+                self.read(true, revision)
+            }
+            Kind::Plain(at) => {
+                let revision = known + at % (self.revision - known + 1);
+                self.read(false, revision)
+            }
+            mutation => {
+                answer_is_lost = request.unknown.is_some();
+                let has_effect = request.unknown != Some(false);
+                self.mutate(mutation, has_effect, answer_is_lost, fault)
+            }
+        };
+        let revision = match &call {
+            Call::Read { revision, .. } => *revision,
+            Call::Mutation { answer, .. } => answer.map_or(known, |it| it.revision),
+        };
+        if answer_is_lost {
+            returned = NEVER;
+        }
+        self.clients[client] = (returned, known.max(revision));
+        Operation {
+            client: client as u64,
+            invoked,
+            returned,
+            call,
+        }
+    }
+
+    /// A client without an operation at this time.
+    fn client(&mut self, now: u64) -> usize {
+        let free = self.clients.iter().position(|(until, _)| *until < now - 1);
+        free.unwrap_or_else(|| {
+            self.clients.push((0, 0));
+            self.clients.len() - 1
+        })
+    }
+
+    /// Makes a revision of what is stored.
+    fn change(&mut self) {
+        self.revision += 1;
+        self.past.insert(self.revision, self.points.clone());
+    }
+
+    fn read(&self, latest: bool, revision: u64) -> Call {
+        Call::Read {
+            latest,
+            revision,
+            seen: Seen::All(self.past[&revision].clone()),
+        }
+    }
+
+    fn mutate(
+        &mut self,
+        mutation: &Kind,
+        has_effect: bool,
+        answer_is_lost: bool,
+        fault: Option<Fault>,
+    ) -> Call {
+        let stored = self.points.keys().copied();
+        let stored: Vec<u64> = stored.filter(|id| !self.twins.contains(id)).collect();
+        let choose = |at: u64| match stored.len() as u64 {
+            0 => u64::MAX,
+            count => stored[(at % count) as usize],
+        };
+        let step = match *mutation {
+            Kind::Remove(at) => Step::Remove(choose(at)),
+            Kind::SetTag(at, tag) => Step::SetTag(choose(at), tag),
+            _ => {
+                self.next_payload += 1;
+                Step::Put {
+                    id: (!answer_is_lost).then_some(self.next_id),
+                    tag: 0,
+                    payload: self.next_payload,
+                }
+            }
+        };
+        if has_effect {
+            self.apply(step, fault.filter(|_| !answer_is_lost));
+        }
+        let answer = Answer {
+            revision: self.revision,
+            changed: true,
+        };
+        Call::Mutation {
+            steps: vec![step],
+            answer: (!answer_is_lost).then_some(answer),
+        }
+    }
+
+    fn apply(&mut self, step: Step, fault: Option<Fault>) {
+        match step {
+            Step::Put { tag, payload, .. } => {
+                let point = Point {
+                    tag,
+                    payload,
+                    state: payload,
+                    stored: self.revision + 1,
+                };
+                let times = match fault {
+                    Some(Fault::Forget) => 0,
+                    Some(Fault::Double) => 2,
+                    _ => 1,
+                };
+                self.has_failed |= times != 1;
+                if times == 2 {
+                    self.twins = vec![self.next_id, self.next_id + 1];
+                }
+                for id in self.next_id..self.next_id + times {
+                    self.points.insert(id, point);
+                }
+                self.next_id += times.max(1);
+            }
+            Step::Remove(id) => drop(self.points.remove(&id)),
+            Step::SetTag(id, tag) => {
+                if let Some(point) = self.points.get_mut(&id) {
+                    point.tag = tag;
+                }
+            }
+        }
+        self.change();
+    }
+}
+
+/// The revision of an operation with an answer.
+fn answered_revision(operation: &Operation) -> Option<u64> {
+    match &operation.call {
+        Call::Read { revision, .. } => Some(*revision),
+        Call::Mutation { answer, .. } => answer.map(|it| it.revision),
+    }
+}
