@@ -45,6 +45,17 @@ impl Content {
             include: Some(INCLUDE_ALL),
             ..Default::default()
         };
+        Self::read_as(stubs, request).await
+    }
+
+    /// Reads the answer to a scan of all columns.
+    ///
+    /// # Errors
+    /// The scan's status.
+    ///
+    /// # Panics
+    /// Panics where [`Content::read`] does.
+    pub async fn read_as(stubs: &Stubs, request: ScanRequest) -> Result<Self, Status> {
         let mut parts = stubs.points.clone().scan(request).await?.into_inner();
         let mut content: Option<(Self, u64)> = None;
         let mut last_id = None;

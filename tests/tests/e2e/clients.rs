@@ -21,7 +21,7 @@ use wayfold_tests::{
 use builder::Builder;
 use reader::{Reader, ReaderAnswer};
 pub(crate) use tally::Tally;
-pub(crate) use writer::{Load, Writer};
+pub(crate) use writer::{Acknowledged, Load, Writer};
 
 /// The space of the index that the writers and readers share, `arm`.
 pub(crate) const SPACE: &str = "R3*SO3:0.15";
@@ -299,7 +299,8 @@ impl Clients {
     /// The mutations acknowledged since the last call, in the order of revisions.
     fn acknowledged(&mut self) -> Vec<Entry> {
         let ledgers = self.writers.iter_mut().map(|writer| &mut writer.ledger);
-        let mut entries: Vec<Entry> = ledgers.flat_map(|ledger| ledger.drain(..)).collect();
+        let drained = ledgers.flat_map(|ledger| ledger.drain(..));
+        let mut entries: Vec<Entry> = drained.map(|it| it.entry).collect();
         entries.sort_by_key(Entry::revision);
         for entry in &entries {
             self.tally.note(entry);

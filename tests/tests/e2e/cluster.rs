@@ -1,21 +1,27 @@
 //! Servers that share a journal in NATS, while servers of both kinds are killed and stand still under their writers: each
-//! acknowledged mutation takes effect once, and all servers have the same points.
+//! acknowledged mutation takes effect once, all servers have the same points, and the history of the clients holds.
+
+mod client;
+mod history;
 
 use std::{
     path::PathBuf,
     process::Command,
     sync::{Arc, Mutex},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
 use tokio::{sync::watch, task::JoinSet, time::timeout};
-use tonic::{Code, transport::Endpoint};
 use wayfold_proto::v1::GetRequest;
 use wayfold_tests::{
-    Content, Model, Process, ServerProcess, Signal, Stubs, ledger::Entry, nats::Nats, revision,
+    Content, Model, Process, ServerProcess, Signal, Stubs, history::check, ledger::Entry,
+    nats::Nats, revision,
 };
+
+use client::{Client, Scene};
+use history::{History, scan};
 
 use crate::{
     clients::{Load, SPACE, Tally, Writer},
@@ -35,12 +41,8 @@ const LOAD: Load = Load {
 const FAULTS: u64 = 6;
 /// The seed, unless `CLUSTER_SEED` sets another.
 const SEED: u64 = 5;
-/// A client moves to another server after this many calls.
-const CALLS_A_SERVER: usize = 10;
 /// The time in which writing goes on after a fault; NATS alone may take ten seconds to choose another leader.
 const MAX_PAUSE: Duration = Duration::from_secs(60);
-/// The silence of a server after which a writer probes it, and after which it leaves.
-const MAX_SILENCE: Duration = Duration::from_secs(1);
 
 fn variable(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |value| value.parse().unwrap())
@@ -166,41 +168,6 @@ impl Cluster {
     }
 }
 
-/// Connects as a client that leaves a server which stands still.
-async fn connect(uri: &str) -> Result<Stubs, tonic::transport::Error> {
-    let endpoint = Endpoint::from_shared(uri.to_owned()).expect("a URI");
-    let endpoint = endpoint.http2_keep_alive_interval(MAX_SILENCE);
-    Stubs::open(&endpoint.keep_alive_timeout(MAX_SILENCE)).await
-}
-
-/// Writes at one server after the other, until `over`.
-async fn write(
-    mut writer: Writer,
-    uris: Arc<Mutex<Vec<String>>>,
-    acknowledged: watch::Sender<u64>,
-    over: watch::Receiver<bool>,
-) -> Writer {
-    let mut random = ChaCha8Rng::seed_from_u64(writer.name);
-    while !*over.borrow() {
-        let uri = uris.lock().unwrap().choose(&mut random).unwrap().clone();
-        let Ok(stubs) = connect(&uri).await else {
-            tokio::task::yield_now().await;
-            continue;
-        };
-        writer = writer
-            .write(stubs, acknowledged.clone(), CALLS_A_SERVER)
-            .await;
-        if let Some(refusal) = &writer.refusal {
-            let is_expected = matches!(
-                refusal.code(),
-                Code::Unavailable | Code::Unknown | Code::Internal | Code::Cancelled
-            );
-            assert!(is_expected, "{refusal:?}");
-        }
-    }
-    writer
-}
-
 #[ignore = "needs nats-server"]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn servers_that_share_a_journal_lose_and_double_nothing() {
@@ -209,6 +176,7 @@ async fn servers_that_share_a_journal_lose_and_double_nothing() {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut cluster = Cluster::start();
     let first = cluster.uris.lock().unwrap()[0].clone();
+    let history = History::new();
     let mut stubs = Stubs::connect(&first).await;
     let uid = stubs.create("arm", SPACE).await.revision.unwrap().uid;
     let mut writers: Vec<_> = (0..WRITERS)
@@ -218,10 +186,16 @@ async fn servers_that_share_a_journal_lose_and_double_nothing() {
         writer.open_session(&mut stubs, &uid).await;
     }
     let (acknowledged, over) = (watch::Sender::new(0), watch::Sender::new(false));
-    let mut writing = JoinSet::new();
+    let scene = Scene {
+        uid: uid.clone(),
+        uris: Arc::clone(&cluster.uris),
+        history,
+        acknowledged: acknowledged.clone(),
+        over: over.subscribe(),
+    };
+    let mut working = JoinSet::new();
     for writer in writers {
-        let uris = Arc::clone(&cluster.uris);
-        writing.spawn(write(writer, uris, acknowledged.clone(), over.subscribe()));
+        working.spawn(Client::new(writer).work(scene.clone()));
     }
     let mut at = acknowledged.subscribe();
     let mut reach_more = async |more: u64| {
@@ -250,17 +224,19 @@ async fn servers_that_share_a_journal_lose_and_double_nothing() {
     }
     over.send_replace(true);
     cluster.kill_all();
-    let mut writers = writing.join_all().await;
+    let mut clients = working.join_all().await;
     let uris = cluster.uris.lock().unwrap().clone();
     let mut stubs = Stubs::connect(&uris[0]).await;
-    for writer in &mut writers {
+    let (mut entries, mut operations) = (Vec::new(), Vec::new());
+    for client in &mut clients {
+        let writer = &mut client.writer;
         writer.resolve(&mut stubs).await;
+        operations.append(&mut client.reads);
+        for acknowledged in writer.ledger.drain(..) {
+            operations.push(history.mutation(writer.name, &acknowledged));
+            entries.push(acknowledged.entry);
+        }
     }
-
-    let mut entries: Vec<Entry> = writers
-        .iter_mut()
-        .flat_map(|it| it.ledger.drain(..))
-        .collect();
     entries.sort_by_key(Entry::revision);
     let (mut tally, mut model) = (Tally::default(), Model::new(SPACE.parse().unwrap()));
     for entry in &entries {
@@ -272,8 +248,8 @@ async fn servers_that_share_a_journal_lose_and_double_nothing() {
     let newest = Content::read(&stubs, "arm").await.unwrap().revision;
     assert!(newest >= model.revision());
     model.skip_to(newest);
-    for uri in &uris {
-        let stubs = Stubs::connect(uri).await;
+    for (server, uri) in uris.iter().enumerate() {
+        let (stubs, invoked) = (Stubs::connect(uri).await, Instant::now());
         let request = GetRequest {
             index_name: "arm".into(),
             min_revision: revision(&uid, newest),
@@ -283,7 +259,13 @@ async fn servers_that_share_a_journal_lose_and_double_nothing() {
         let content = Content::read(&stubs, "arm").await.unwrap();
         model.check_content(&content);
         tally.count(&content);
+        let read = scan(false, &content);
+        let reader = WRITERS + server as u64;
+        operations.push(history.operation(reader, invoked, Instant::now(), read));
     }
+    let checked = check(&operations);
+    println!("{checked:?}");
+    assert!(checked.is_ok());
     println!("{tally}; {} copies taken of other servers", cluster.copies);
     assert_eq!((tally.lost, tally.duplicated), (0, 0));
 }

@@ -190,7 +190,7 @@ fn an_order_against_real_time_is_rejected() {
         returned: 2,
     };
     let mutations = [put(0, (0, 1), 2, 7), put(1, (2, 3), 1, 8)];
-    assert_eq!(rejected(&mutations), [violation.clone()]);
+    assert_eq!(rejected(&mutations), std::slice::from_ref(&violation));
     // The read has seen what was not yet asked for.
     let future = [read(0, (0, 1), false, 2, &[(7, 1)]), put(1, (2, 3), 1, 7)];
     assert_eq!(rejected(&future), [violation]);

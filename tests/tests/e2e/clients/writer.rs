@@ -1,5 +1,7 @@
 //! A client that writes and keeps a ledger of the acknowledged mutations.
 
+use std::time::Instant;
+
 use prost::bytes::Bytes;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -43,11 +45,20 @@ pub(crate) struct Writer {
     heavy: Vec<u64>,
     /// The session in which it writes, if it has one.
     session: Option<Session>,
-    unknown: Option<Request>,
+    unknown: Option<(Request, Instant)>,
     /// The refusal of that mutation, if it was refused.
     pub(crate) refusal: Option<Status>,
     /// The acknowledged mutations since they were last taken.
-    pub(crate) ledger: Vec<Entry>,
+    pub(crate) ledger: Vec<Acknowledged>,
+}
+
+/// An acknowledged mutation.
+pub(crate) struct Acknowledged {
+    pub(crate) entry: Entry,
+    /// The time before its first attempt.
+    pub(crate) invoked: Instant,
+    /// The time after the answer.
+    pub(crate) returned: Instant,
 }
 
 #[derive(Clone)]
@@ -101,6 +112,7 @@ impl Writer {
             reserve_count: RESERVED_IDS,
             ..Default::default()
         };
+        let invoked = Instant::now();
         let opened = stubs.points.open_session(request.clone()).await;
         let response = opened.unwrap().into_inner();
         let session = self.session.insert(Session {
@@ -110,7 +122,20 @@ impl Writer {
             ids: Vec::new(),
         });
         session.take_over(response.reserved);
-        self.ledger.push(Entry::OpenSession(request, response));
+        self.note(Entry::OpenSession(request, response), invoked);
+    }
+
+    fn note(&mut self, entry: Entry, invoked: Instant) {
+        self.ledger.push(Acknowledged {
+            entry,
+            invoked,
+            returned: Instant::now(),
+        });
+    }
+
+    /// The ids of points that it has stored and not removed.
+    pub(crate) fn stored_ids(&self) -> &[u64] {
+        &self.mine
     }
 
     fn next(&mut self) -> Request {
@@ -218,11 +243,11 @@ impl Writer {
         most: usize,
     ) -> Self {
         for _ in 0..most {
-            let request = match self.unknown.take() {
-                Some(request) => request,
-                None => self.next(),
+            let (request, invoked) = match self.unknown.take() {
+                Some(unknown) => unknown,
+                None => (self.next(), Instant::now()),
             };
-            if !self.send(&mut stubs, request).await {
+            if !self.send(&mut stubs, request, invoked).await {
                 return self;
             }
             acknowledged.send_modify(|count| *count += 1);
@@ -239,13 +264,13 @@ impl Writer {
     /// Retries the unknown mutation; false if its outcome is still unknown.
     pub(crate) async fn ask_again(&mut self, stubs: &mut Stubs) -> bool {
         match self.unknown.take() {
-            Some(request) => self.send(stubs, request).await,
+            Some((request, invoked)) => self.send(stubs, request, invoked).await,
             None => true,
         }
     }
 
     /// Returns true if the mutation was acknowledged; otherwise its outcome is unknown.
-    async fn send(&mut self, stubs: &mut Stubs, request: Request) -> bool {
+    async fn send(&mut self, stubs: &mut Stubs, request: Request, invoked: Instant) -> bool {
         let answered = match &request {
             Request::Insert(insert) => {
                 let answered = stubs.points.insert(InsertRequest::clone(insert)).await;
@@ -266,7 +291,7 @@ impl Writer {
         let entry = match answered {
             Ok(entry) => entry,
             Err(status) => {
-                self.unknown = Some(request);
+                self.unknown = Some((request, invoked));
                 self.refusal = Some(status);
                 return false;
             }
@@ -285,7 +310,7 @@ impl Writer {
             }
             _ => {}
         }
-        self.ledger.push(entry);
+        self.note(entry, invoked);
         true
     }
 

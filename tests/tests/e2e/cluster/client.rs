@@ -1,0 +1,160 @@
+//! A client that writes and reads at one server after the other.
+
+use std::{
+    sync::{Arc, Mutex},
+    time::{Duration, Instant},
+};
+
+use rand::{RngExt, SeedableRng, seq::IndexedRandom};
+use rand_chacha::ChaCha8Rng;
+use tokio::sync::watch;
+use tonic::{Code, Status, transport::Endpoint};
+use wayfold_proto::v1::{GetRequest, ScanRequest};
+use wayfold_tests::{Content, INCLUDE_ALL, Stubs, history::Operation, number, revision};
+
+use super::history::{History, points, scan};
+use crate::clients::Writer;
+
+/// A client moves to another server after this many mutations and as many looks.
+const TURNS_A_SERVER: usize = 4;
+/// The mutations before a look.
+const CALLS_A_TURN: usize = 3;
+/// The points of a read of some.
+const POINTS_A_GET: usize = 5;
+/// One read in this many is of all points.
+const SCANS: u32 = 20;
+/// The silence of a server after which a client probes it, and after which it leaves.
+const MAX_SILENCE: Duration = Duration::from_secs(1);
+
+/// What all clients know.
+#[derive(Clone)]
+pub(super) struct Scene {
+    pub(super) uid: String,
+    pub(super) uris: Arc<Mutex<Vec<String>>>,
+    pub(super) history: History,
+    pub(super) acknowledged: watch::Sender<u64>,
+    pub(super) over: watch::Receiver<bool>,
+}
+
+/// A writer that reads too.
+pub(super) struct Client {
+    pub(super) writer: Writer,
+    /// Its reads.
+    pub(super) reads: Vec<Operation>,
+    random: ChaCha8Rng,
+    /// The newest revision that it knows.
+    newest: u64,
+}
+
+impl Client {
+    pub(super) fn new(writer: Writer) -> Self {
+        Self {
+            random: ChaCha8Rng::seed_from_u64(writer.name),
+            writer,
+            reads: Vec::new(),
+            newest: 0,
+        }
+    }
+
+    /// Writes and reads until it is over.
+    pub(super) async fn work(mut self, scene: Scene) -> Self {
+        while !*scene.over.borrow() {
+            let uri = {
+                let uris = scene.uris.lock().unwrap();
+                uris.choose(&mut self.random).unwrap().clone()
+            };
+            let Ok(stubs) = connect(&uri).await else {
+                tokio::task::yield_now().await;
+                continue;
+            };
+            for _ in 0..TURNS_A_SERVER {
+                // It has just come from another server, and must not go backwards.
+                if !self.look(&stubs, &scene).await {
+                    break;
+                }
+                let acknowledged = scene.acknowledged.clone();
+                let writing = self.writer.write(stubs.clone(), acknowledged, CALLS_A_TURN);
+                self.writer = writing.await;
+                if let Some(refusal) = &self.writer.refusal {
+                    check_refusal(refusal);
+                    break;
+                }
+            }
+        }
+        self
+    }
+
+    /// Reads some points or all, the latest or what the server has; false if it is refused.
+    async fn look(&mut self, stubs: &Stubs, scene: &Scene) -> bool {
+        let newest = self.writer.ledger.last().map(|it| it.entry.revision());
+        self.newest = self.newest.max(newest.unwrap_or_default());
+        let (latest, scans) = (
+            self.random.random_bool(0.5),
+            self.random.random_ratio(1, SCANS),
+        );
+        let min_revision = revision(&scene.uid, self.newest).filter(|it| it.number > 0);
+        let invoked = Instant::now();
+        let seen = if scans {
+            let request = ScanRequest {
+                index_name: "arm".into(),
+                include: Some(INCLUDE_ALL),
+                min_revision,
+                latest,
+                ..Default::default()
+            };
+            let content = Content::read_as(stubs, request).await;
+            content.map(|content| (content.revision, scan(latest, &content)))
+        } else {
+            let mine = self.writer.stored_ids();
+            let ids: Vec<u64> = mine
+                .sample(&mut self.random, POINTS_A_GET)
+                .copied()
+                .collect();
+            let request = GetRequest {
+                index_name: "arm".into(),
+                ids,
+                include: Some(INCLUDE_ALL),
+                min_revision,
+                latest,
+            };
+            let answer = stubs.points.clone().get(request).await;
+            let answer = answer.map(tonic::Response::into_inner);
+            answer.map(|answer| (number(&answer.revision), points(latest, &answer)))
+        };
+        match seen {
+            Ok((revision, call)) => {
+                self.newest = self.newest.max(revision);
+                let (client, returned) = (self.writer.name, Instant::now());
+                let read = scene.history.operation(client, invoked, returned, call);
+                self.reads.push(read);
+                true
+            }
+            Err(refusal) => {
+                check_refusal(&refusal);
+                false
+            }
+        }
+    }
+}
+
+/// Connects as a client that leaves a server which stands still.
+pub(super) async fn connect(uri: &str) -> Result<Stubs, tonic::transport::Error> {
+    let endpoint = Endpoint::from_shared(uri.to_owned()).expect("a URI");
+    let endpoint = endpoint
+        .connect_timeout(MAX_SILENCE)
+        .http2_keep_alive_interval(MAX_SILENCE);
+    Stubs::open(&endpoint.keep_alive_timeout(MAX_SILENCE)).await
+}
+
+/// Only refusals that leave the outcome open are expected: a point that a client knows is there.
+fn check_refusal(refusal: &Status) {
+    let is_expected = matches!(
+        refusal.code(),
+        Code::Unavailable
+            | Code::Unknown
+            | Code::Internal
+            | Code::Cancelled
+            | Code::DeadlineExceeded
+    );
+    assert!(is_expected, "{refusal:?}");
+}

@@ -1,0 +1,143 @@
+//! The answers to clients as the operations that the checker of histories knows.
+
+use std::{collections::BTreeMap, time::Instant};
+
+use prost::bytes::Bytes;
+use wayfold_proto::v1::{GetResponse, StepKind};
+use wayfold_tests::{
+    Content, bits,
+    history::{Answer, Call, Operation, Point, Seen, Step, digest},
+    ledger::Entry,
+    number,
+};
+
+use crate::clients::Acknowledged;
+
+/// The clock of a history.
+#[derive(Clone, Copy)]
+pub(super) struct History {
+    start: Instant,
+}
+
+impl History {
+    pub(super) fn new() -> Self {
+        Self {
+            start: Instant::now(),
+        }
+    }
+
+    pub(super) fn operation(
+        &self,
+        client: u64,
+        invoked: Instant,
+        returned: Instant,
+        call: Call,
+    ) -> Operation {
+        let nanoseconds = |time: Instant| {
+            let nanoseconds = time.saturating_duration_since(self.start).as_nanos();
+            u64::try_from(nanoseconds).expect("less than centuries")
+        };
+        Operation {
+            client,
+            invoked: nanoseconds(invoked),
+            returned: nanoseconds(returned),
+            call,
+        }
+    }
+
+    /// An acknowledged mutation.
+    pub(super) fn mutation(&self, client: u64, acknowledged: &Acknowledged) -> Operation {
+        let Acknowledged {
+            entry,
+            invoked,
+            returned,
+        } = acknowledged;
+        let answer = Answer {
+            revision: entry.revision(),
+            changed: entry.changed(),
+        };
+        let call = Call::Mutation {
+            steps: steps(entry),
+            answer: Some(answer),
+        };
+        self.operation(client, *invoked, *returned, call)
+    }
+}
+
+/// A read of all points.
+pub(super) fn scan(latest: bool, content: &Content) -> Call {
+    let points = content.points.iter().map(|(&id, stored)| {
+        let point = Point {
+            tag: stored.tag,
+            payload: digest(&stored.payload[..]),
+            state: digest(&stored.state[..]),
+            stored: stored.revision,
+        };
+        (id, point)
+    });
+    Call::Read {
+        latest,
+        revision: content.revision,
+        seen: Seen::All(points.collect()),
+    }
+}
+
+/// A read of some points.
+pub(super) fn points(latest: bool, answer: &GetResponse) -> Call {
+    let mut seen = BTreeMap::new();
+    if let Some(points) = &answer.points {
+        let coordinates = points.states.iter().flat_map(|it| &it.coordinates);
+        let coordinates: Vec<f64> = coordinates.copied().collect();
+        let width = coordinates.len() / points.ids.len().max(1);
+        for (at, &id) in points.ids.iter().enumerate() {
+            let point = Point {
+                tag: points.tags[at],
+                payload: digest(&points.payloads[at][..]),
+                state: digest(&bits(&coordinates[at * width..][..width])[..]),
+                stored: points.revisions[at],
+            };
+            seen.insert(id, point);
+        }
+    }
+    Call::Read {
+        latest,
+        revision: number(&answer.revision),
+        seen: Seen::These(seen),
+    }
+}
+
+/// The steps of a mutation, with the ids of its answer.
+fn steps(entry: &Entry) -> Vec<Step> {
+    let put = |id: u64, tag: u64, payload: &Bytes| Step::Put {
+        id: Some(id),
+        tag,
+        payload: digest(&payload[..]),
+    };
+    match entry {
+        Entry::Insert(request, response) => {
+            let rows = response
+                .ids
+                .iter()
+                .zip(&request.tags)
+                .zip(&request.payloads);
+            rows.map(|((&id, &tag), payload)| put(id, tag, payload))
+                .collect()
+        }
+        Entry::Remove(request, _) => request.ids.iter().map(|&id| Step::Remove(id)).collect(),
+        Entry::Write(request, _) => {
+            let mut payloads = request.payloads.iter();
+            let steps = request.kinds().zip(&request.ids).zip(&request.tags);
+            let step = |((kind, &id), &tag)| match kind {
+                StepKind::Put => put(id, tag, payloads.next().expect("a payload a put")),
+                StepKind::Remove => Step::Remove(id),
+                StepKind::SetTag => Step::SetTag(id, tag),
+                StepKind::Replace | StepKind::SetPayload | StepKind::Unspecified => {
+                    panic!("no writer sends {kind:?}")
+                }
+            };
+            steps.map(step).collect()
+        }
+        Entry::OpenSession(..) => Vec::new(),
+        Entry::Knn(..) | Entry::Query(..) => panic!("no mutation: {entry:?}"),
+    }
+}
