@@ -1,9 +1,12 @@
 //! Servers of NATS under test, on ports of their own of the loopback interface.
 
 use std::{
-    env, fs,
+    env,
+    ffi::OsStr,
+    fs,
     net::TcpListener,
     path::{Path, PathBuf},
+    process::Command,
 };
 
 use async_nats::jetstream::{self, message::StreamMessage, stream::Stream};
@@ -17,7 +20,39 @@ pub const PROGRAM: &str = "NATS_SERVER";
 pub struct Nats {
     directory: PathBuf,
     nodes: Vec<Option<Process>>,
+    hosts: Vec<Host>,
     ports: Vec<u16>,
+}
+
+/// The host of a server.
+#[derive(Clone, Debug)]
+pub struct Host {
+    /// Its address.
+    pub address: String,
+    /// The command that starts a program there, and its arguments; empty for this machine.
+    pub enter: Vec<String>,
+}
+
+impl Host {
+    /// This machine, by its loopback interface.
+    pub fn local() -> Self {
+        Self {
+            address: "127.0.0.1".into(),
+            enter: Vec::new(),
+        }
+    }
+
+    /// A command that starts a program there.
+    pub fn command(&self, program: impl AsRef<OsStr>) -> Command {
+        match self.enter.split_first() {
+            None => Command::new(program),
+            Some((enter, arguments)) => {
+                let mut command = Command::new(enter);
+                command.args(arguments).arg(program);
+                command
+            }
+        }
+    }
 }
 
 impl Nats {
@@ -34,23 +69,30 @@ impl Nats {
     /// # Panics
     /// If they do not come up.
     pub fn start_with(directory: &Path, count: usize, more: &str) -> Self {
+        Self::start_at(directory, vec![Host::local(); count], more)
+    }
+
+    /// The same, each on its own host.
+    ///
+    /// # Panics
+    /// If they do not come up.
+    pub fn start_at(directory: &Path, hosts: Vec<Host>, more: &str) -> Self {
+        let count = hosts.len();
         let free = free_ports(2 * count);
         let (ports, routes) = free.split_at(count);
-        let all: Vec<_> = routes
-            .iter()
-            .map(|port| format!("nats://127.0.0.1:{port}"))
-            .collect();
+        let all = hosts.iter().zip(routes);
+        let all = all.map(|(host, port)| format!("nats://{}:{port}", host.address));
+        let all = all.collect::<Vec<_>>().join(", ");
         for (node, (port, route)) in ports.iter().zip(routes).enumerate() {
-            let store = directory.join(format!("nats-{node}"));
+            let (store, address) = (store(directory, node), &hosts[node].address);
             let cluster = match count {
                 1 => String::new(),
                 _ => format!(
-                    "cluster {{ name: test, listen: \"127.0.0.1:{route}\", routes: [{}] }}",
-                    all.join(", ")
+                    "cluster {{ name: test, listen: \"{address}:{route}\", routes: [{all}] }}"
                 ),
             };
             let text = format!(
-                "server_name: node-{node}\nlisten: \"127.0.0.1:{port}\"\n\
+                "server_name: node-{node}\nlisten: \"{address}:{port}\"\n\
                  max_payload: 65536\n\
                  jetstream {{ store_dir: {store:?}, sync_interval: always }}\n{cluster}\n{more}\n"
             );
@@ -60,6 +102,7 @@ impl Nats {
             directory: directory.to_owned(),
             nodes: (0..count).map(|_| None).collect(),
             ports: ports.to_vec(),
+            hosts,
         };
         for node in 0..count {
             nats.launch(node);
@@ -77,20 +120,37 @@ impl Nats {
 
     /// Their URLs.
     pub fn urls(&self) -> String {
-        let urls = self
-            .ports
-            .iter()
-            .map(|port| format!("nats://127.0.0.1:{port}"));
+        let urls = self.hosts.iter().zip(&self.ports);
+        let urls = urls.map(|(host, port)| format!("nats://{}:{port}", host.address));
         urls.collect::<Vec<_>>().join(",")
     }
 
-    /// Kills a server.
+    /// The directory of a server's files.
+    pub fn store(&self, node: usize) -> PathBuf {
+        store(&self.directory, node)
+    }
+
+    /// Sends a signal to a server.
     ///
     /// # Panics
     /// If it does not run.
-    pub fn kill(&mut self, node: usize) {
+    pub fn signal(&self, node: usize, signal: Signal) {
+        let process = self.nodes[node].as_ref().expect("a server that runs");
+        process.signal(signal);
+    }
+
+    /// Kills a server. Returns its log.
+    ///
+    /// # Panics
+    /// If it does not run.
+    pub fn kill(&mut self, node: usize) -> String {
         let killed = self.nodes[node].take().expect("a server that runs");
-        killed.stop(Signal::Kill);
+        killed.stop(Signal::Kill).stderr
+    }
+
+    /// Kills all servers that run.
+    pub fn kill_all(&mut self) {
+        self.nodes.fill_with(|| None);
     }
 
     /// Starts a server that was killed.
@@ -153,7 +213,8 @@ impl Nats {
         let program = env::var(PROGRAM).expect("NATS_SERVER, the path of the program nats-server");
         let config = config(&self.directory, node);
         let config = config.to_str().expect("a path in UTF-8");
-        self.nodes[node] = Some(Process::start(program, &["--config", config]));
+        let mut command = self.hosts[node].command(program);
+        self.nodes[node] = Some(Process::spawn(command.args(["--config", config])));
     }
 }
 
@@ -164,6 +225,10 @@ pub fn member_settings(urls: &str, replicas: usize) -> [(&'static str, String); 
         ("WAYFOLD_CLUSTER__REPLICAS", replicas.to_string()),
         ("WAYFOLD_CLUSTER__LISTEN", "127.0.0.1:0".into()),
     ]
+}
+
+fn store(directory: &Path, node: usize) -> PathBuf {
+    directory.join(format!("nats-{node}"))
 }
 
 fn config(directory: &Path, node: usize) -> PathBuf {

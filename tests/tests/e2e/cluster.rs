@@ -1,35 +1,42 @@
-//! Servers that share a journal in NATS, while servers of both kinds are killed and stand still under their writers: each
-//! acknowledged mutation takes effect once, all servers have the same points, and the history of the clients holds.
+//! Servers that share a journal in NATS, while servers of both kinds fail under their writers: each acknowledged mutation
+//! takes effect once, all servers have the same points, and the history of the clients holds.
+//!
+//! A run is a sequence of rounds, each with servers, clients and a seed of its own. `tests/cluster/run` starts it.
 
 mod client;
+mod clock;
+mod damage;
+mod disk;
+mod fault;
 mod history;
+mod judge;
+mod network;
+mod notices;
+mod record;
+mod servers;
+mod suffer;
 
 use std::{
-    path::PathBuf,
-    process::Command,
-    sync::{Arc, Mutex},
+    env,
+    sync::Arc,
     time::{Duration, Instant},
 };
 
-use rand::{RngExt, SeedableRng, seq::IndexedRandom};
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use serde_json::json;
 use tokio::{sync::watch, task::JoinSet, time::timeout};
-use wayfold_proto::v1::GetRequest;
-use wayfold_tests::{
-    Content, Model, Process, ServerProcess, Signal, Stubs, history::check, ledger::Entry,
-    nats::Nats, revision,
-};
+use wayfold_tests::Stubs;
 
 use client::{Client, Scene};
-use history::{History, scan};
+use fault::Fault;
+use history::History;
+use judge::Judge;
+use record::Record;
+use servers::{Cluster, SERVERS};
 
-use crate::{
-    clients::{Load, SPACE, Tally, Writer},
-    healing::HEALED,
-};
+use crate::clients::{Load, SPACE, Writer};
 
-const SERVERS: usize = 3;
-const NATS_SERVERS: usize = 3;
 const WRITERS: u64 = 8;
 const LOAD: Load = Load {
     rows: 20,
@@ -37,133 +44,95 @@ const LOAD: Load = Load {
     heavy: 0.05,
     removals: 0.2,
 };
-/// The number of faults, unless the environment variable `CLUSTER_FAULTS` sets another.
-const FAULTS: u64 = 6;
+/// The number of faults, unless the environment variable `CLUSTER_FAULTS` sets another: one of each that needs no root.
+const FAULTS: u64 = 8;
+const FAULTS_A_ROUND: u64 = 20;
 /// The seed, unless `CLUSTER_SEED` sets another.
 const SEED: u64 = 5;
+/// The kinds of faults, unless `CLUSTER_KINDS` sets others.
+const KINDS: &str = "plain";
 /// The time in which writing goes on after a fault; NATS alone may take ten seconds to choose another leader.
 const MAX_PAUSE: Duration = Duration::from_secs(60);
 
 fn variable(name: &str, default: u64) -> u64 {
-    std::env::var(name).map_or(default, |value| value.parse().unwrap())
+    env::var(name).map_or(default, |value| value.parse().unwrap())
 }
 
-/// A fault under the writers.
-#[derive(Clone, Copy, Debug)]
-enum Fault {
-    /// A server is killed, and started again once writing has gone on without it.
-    Kill,
-    /// A server is killed and loses its data directory.
-    Lose,
-    /// A server stands still for as long as writing goes on without it.
-    Pause,
-    /// A server of NATS is killed.
-    KillNats,
-    /// All servers of both kinds are killed at once.
-    KillAll,
+/// A run, by its seed.
+struct Run {
+    seed: u64,
+    /// The list of the kinds as it was given.
+    list: String,
+    kinds: Vec<Fault>,
+    record: Record,
 }
 
-/// The servers, and the addresses that clients know.
-struct Cluster {
-    directory: tempfile::TempDir,
-    nats: Nats,
-    servers: Vec<Option<ServerProcess>>,
-    uris: Arc<Mutex<Vec<String>>>,
-    /// The copies that killed servers had taken of others.
-    copies: usize,
-}
-
-impl Cluster {
-    fn start() -> Self {
-        let directory = tempfile::tempdir().unwrap();
-        let nats = Nats::start(directory.path(), NATS_SERVERS);
-        let mut cluster = Self {
-            directory,
-            nats,
-            servers: (0..SERVERS).map(|_| None).collect(),
-            uris: Arc::new(Mutex::new(vec![String::new(); SERVERS])),
-            copies: 0,
+impl Run {
+    /// Causes the faults of these numbers under writers, and judges what the clients saw.
+    async fn round(&self, round: u64, faults: std::ops::Range<u64>) {
+        let seed = self.seed.wrapping_mul(1_000_003).wrapping_add(round);
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut cluster = Cluster::start(&self.kinds);
+        let first = cluster.uris.lock().unwrap()[0].clone();
+        let history = History::new();
+        let mut stubs = Stubs::connect(&first).await;
+        let uid = stubs.create("arm", SPACE).await.revision.unwrap().uid;
+        let mut writers: Vec<_> = (0..WRITERS)
+            .map(|name| Writer::new(name, seed, LOAD))
+            .collect();
+        for writer in writers.iter_mut().skip(1).step_by(2) {
+            writer.open_session(&mut stubs, &uid).await;
+        }
+        let (acknowledged, over) = (watch::Sender::new(0), watch::Sender::new(false));
+        let scene = Scene {
+            uid: uid.clone(),
+            uris: Arc::clone(&cluster.uris),
+            history,
+            acknowledged: acknowledged.clone(),
+            over: over.subscribe(),
         };
-        cluster.start_servers(&[0, 1, 2]);
-        cluster
-    }
-
-    fn data(&self, server: usize) -> PathBuf {
-        self.directory.path().join(format!("data-{server}"))
-    }
-
-    fn start_servers(&mut self, servers: &[usize]) {
-        let started: Vec<_> = servers.iter().map(|server| self.launch(*server)).collect();
-        for (&server, process) in servers.iter().zip(started) {
-            let process = ServerProcess::ready(process);
-            self.uris.lock().unwrap()[server] = process.uri().to_owned();
-            self.servers[server] = Some(process);
+        let mut working = JoinSet::new();
+        for writer in writers {
+            working.spawn(Client::new(writer).work(scene.clone()));
         }
-    }
-
-    fn launch(&self, server: usize) -> Process {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-        command
-            .args(["--grpc", "127.0.0.1:0", "--data"])
-            .arg(self.data(server))
-            .envs(self.nats.member_settings())
-            .env("WAYFOLD_INDEX__GROWING_ROWS", "32")
-            // Most servers that come back are behind what NATS keeps, and take a copy.
-            .env("WAYFOLD_INDEX__WINDOW_SECONDS", "1")
-            // A server without a processor would shed calls.
-            .env("WAYFOLD_ADMISSION__QUEUE_TARGET_MS", "60000");
-        Process::spawn(&mut command)
-    }
-
-    fn kill(&mut self, server: usize) {
-        let killed = self.servers[server].take().unwrap();
-        let log = killed.stop(Signal::Kill).stderr;
-        self.copies += log.matches(HEALED).count();
-    }
-
-    fn kill_all(&mut self) {
+        let mut at = acknowledged.subscribe();
+        let mut reach_more = async |more: u64| {
+            let wanted = *at.borrow() + more;
+            let reached = timeout(MAX_PAUSE, at.wait_for(|&now| now >= wanted)).await;
+            assert!(reached.is_ok(), "nothing is acknowledged any more");
+        };
+        for number in faults.clone() {
+            let fault = Fault::of(number, &self.kinds, &mut random);
+            reach_more(random.random_range(20..100)).await;
+            let of = random.random_range(0..SERVERS);
+            println!("{fault:?} of {of}");
+            let began = Instant::now();
+            let what = cluster
+                .suffer(fault, of, &mut random, async || reach_more(20).await)
+                .await;
+            self.record.append(&json!({
+                "seed": self.seed, "fault": number, "kind": format!("{fault:?}"), "of": of, "what": what,
+                "acknowledged": *acknowledged.borrow(), "seconds": began.elapsed().as_secs_f32(),
+            }));
+        }
+        over.send_replace(true);
+        cluster.kill_all();
+        let clients = working.join_all().await;
+        let uris = cluster.uris.lock().unwrap().clone();
+        let verdict = Judge::new(history, uid).judge(clients, &uris).await;
         for server in 0..SERVERS {
-            self.kill(server);
+            cluster.kill(server);
         }
-        for node in 0..NATS_SERVERS {
-            self.nats.kill(node);
-        }
-        for node in 0..NATS_SERVERS {
-            self.nats.restart(node);
-        }
-        self.start_servers(&[0, 1, 2]);
-    }
-
-    /// Causes a fault, waits with `go_on` until writing has gone on, and repairs it.
-    async fn suffer(&mut self, fault: Fault, of: usize, go_on: impl AsyncFnOnce()) {
-        println!("{fault:?} of {of}");
-        match fault {
-            Fault::Kill => {
-                self.kill(of);
-                go_on().await;
-                self.start_servers(&[of]);
-            }
-            Fault::Lose => {
-                self.kill(of);
-                std::fs::remove_dir_all(self.data(of)).unwrap();
-                go_on().await;
-                self.start_servers(&[of]);
-            }
-            Fault::Pause => {
-                let process = self.servers[of].as_ref().unwrap().process();
-                process.signal(Signal::Pause);
-                go_on().await;
-                process.signal(Signal::Resume);
-            }
-            Fault::KillNats => {
-                self.nats.kill(of);
-                go_on().await;
-                self.nats.restart(of);
-            }
-            Fault::KillAll => {
-                self.kill_all();
-                go_on().await;
-            }
+        self.record.append(&json!({
+            "seed": self.seed, "kinds": self.list, "round": round, "faults": faults.end - faults.start,
+            "ok": verdict.is_good(), "acknowledged": verdict.acknowledged, "latest": verdict.latest,
+            "plain": verdict.plain, "lost": verdict.lost, "twice": verdict.twice,
+            "divergent": verdict.divergent, "violations": verdict.violations,
+            "notices": cluster.notices.counts(),
+        }));
+        if !verdict.is_good() {
+            let lines = cluster.notices.lines.join("\n");
+            panic!("{verdict:?}\n{lines}");
         }
     }
 }
@@ -172,100 +141,20 @@ impl Cluster {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn servers_that_share_a_journal_lose_and_double_nothing() {
     let seed = variable("CLUSTER_SEED", SEED);
-    println!("seed {seed}");
-    let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut cluster = Cluster::start();
-    let first = cluster.uris.lock().unwrap()[0].clone();
-    let history = History::new();
-    let mut stubs = Stubs::connect(&first).await;
-    let uid = stubs.create("arm", SPACE).await.revision.unwrap().uid;
-    let mut writers: Vec<_> = (0..WRITERS)
-        .map(|name| Writer::new(name, seed, LOAD))
-        .collect();
-    for writer in writers.iter_mut().skip(1).step_by(2) {
-        writer.open_session(&mut stubs, &uid).await;
-    }
-    let (acknowledged, over) = (watch::Sender::new(0), watch::Sender::new(false));
-    let scene = Scene {
-        uid: uid.clone(),
-        uris: Arc::clone(&cluster.uris),
-        history,
-        acknowledged: acknowledged.clone(),
-        over: over.subscribe(),
+    let list = env::var("CLUSTER_KINDS").unwrap_or_else(|_| KINDS.into());
+    println!("seed {seed}, faults {list}");
+    let run = Run {
+        record: Record::open(seed, &list),
+        kinds: Fault::parse(&list),
+        seed,
+        list,
     };
-    let mut working = JoinSet::new();
-    for writer in writers {
-        working.spawn(Client::new(writer).work(scene.clone()));
-    }
-    let mut at = acknowledged.subscribe();
-    let mut reach_more = async |more: u64| {
-        let wanted = *at.borrow() + more;
-        let reached = timeout(MAX_PAUSE, at.wait_for(|&now| now >= wanted)).await;
-        assert!(reached.is_ok(), "nothing is acknowledged any more");
-    };
-    let faults = [
-        Fault::Kill,
-        Fault::Lose,
-        Fault::Pause,
-        Fault::KillNats,
-        Fault::KillAll,
-    ];
-    for number in 0..variable("CLUSTER_FAULTS", FAULTS) {
-        // The first faults are one of each kind.
-        let fault = match faults.get(number as usize) {
-            Some(fault) => *fault,
-            None => *faults.choose(&mut random).unwrap(),
-        };
-        reach_more(random.random_range(20..100)).await;
-        let of = random.random_range(0..SERVERS);
-        cluster
-            .suffer(fault, of, async || reach_more(20).await)
-            .await;
-    }
-    over.send_replace(true);
-    cluster.kill_all();
-    let mut clients = working.join_all().await;
-    let uris = cluster.uris.lock().unwrap().clone();
-    let mut stubs = Stubs::connect(&uris[0]).await;
-    let (mut entries, mut operations) = (Vec::new(), Vec::new());
-    for client in &mut clients {
-        let writer = &mut client.writer;
-        writer.resolve(&mut stubs).await;
-        operations.append(&mut client.reads);
-        for acknowledged in writer.ledger.drain(..) {
-            operations.push(history.mutation(writer.name, &acknowledged));
-            entries.push(acknowledged.entry);
+    let faults = variable("CLUSTER_FAULTS", FAULTS);
+    for round in 0..faults.div_ceil(FAULTS_A_ROUND) {
+        let first = round * FAULTS_A_ROUND;
+        if !run.record.has(round) {
+            run.round(round, first..faults.min(first + FAULTS_A_ROUND))
+                .await;
         }
     }
-    entries.sort_by_key(Entry::revision);
-    let (mut tally, mut model) = (Tally::default(), Model::new(SPACE.parse().unwrap()));
-    for entry in &entries {
-        tally.note(entry);
-        model.skip_to(entry.revision() - 1);
-        model.check(entry);
-    }
-    // Retries may have left records without effect behind the last mutation.
-    let newest = Content::read(&stubs, "arm").await.unwrap().revision;
-    assert!(newest >= model.revision());
-    model.skip_to(newest);
-    for (server, uri) in uris.iter().enumerate() {
-        let (stubs, invoked) = (Stubs::connect(uri).await, Instant::now());
-        let request = GetRequest {
-            index_name: "arm".into(),
-            min_revision: revision(&uid, newest),
-            ..Default::default()
-        };
-        stubs.points.clone().get(request).await.unwrap();
-        let content = Content::read(&stubs, "arm").await.unwrap();
-        model.check_content(&content);
-        tally.count(&content);
-        let read = scan(false, &content);
-        let reader = WRITERS + server as u64;
-        operations.push(history.operation(reader, invoked, Instant::now(), read));
-    }
-    let checked = check(&operations);
-    println!("{checked:?}");
-    assert!(checked.is_ok());
-    println!("{tally}; {} copies taken of other servers", cluster.copies);
-    assert_eq!((tally.lost, tally.duplicated), (0, 0));
 }

@@ -8,6 +8,7 @@
 mod access;
 mod cancellation;
 mod clients;
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod cluster;
 mod crash;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]

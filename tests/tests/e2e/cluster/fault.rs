@@ -1,0 +1,131 @@
+//! The faults under the writers.
+
+use rand::{Rng, RngExt, seq::IndexedRandom};
+
+/// A fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Fault {
+    /// A server is killed, and started again once writing has gone on without it.
+    Kill,
+    /// A server is killed and loses its data directory.
+    Lose,
+    /// A server stands still for as long as writing goes on without it, and for longer than the lease.
+    Pause,
+    /// A server of NATS is killed.
+    KillNats,
+    /// All servers of both kinds are killed at once.
+    KillAll,
+    /// The time of day of a server jumps by up to a day.
+    Clock,
+    /// Bits flip in the store of a server of NATS.
+    Flip,
+    /// A file in the store of a server of NATS is cut short.
+    Cut,
+    /// A server of NATS loses its power.
+    PowerNats,
+    /// All servers of NATS lose their power at once.
+    PowerAllNats,
+    /// A server and the server of NATS beside it lose their power.
+    PowerBoth,
+    /// The disk of a server is full.
+    Full,
+    /// The disk of a server of NATS is full.
+    FullNats,
+    /// A server reaches no other and no server of NATS. Clients reach all servers.
+    CutServer,
+    /// A server of NATS reaches no other server.
+    CutNats,
+    /// A server and a server of NATS reach each other and no others. Clients reach all servers.
+    CutMinority,
+    /// No client reaches a server, which reaches all others.
+    CutFront,
+    /// No client reaches any server.
+    CutClients,
+}
+
+/// The needs of a fault beyond the programs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Needs {
+    Nothing,
+    /// A file system to mount for each server.
+    Disks,
+    /// A network namespace for each server.
+    Network,
+}
+
+impl Fault {
+    const ALL: [Fault; 18] = [
+        Fault::Kill,
+        Fault::Lose,
+        Fault::Pause,
+        Fault::KillNats,
+        Fault::KillAll,
+        Fault::Clock,
+        Fault::Flip,
+        Fault::Cut,
+        Fault::PowerNats,
+        Fault::PowerAllNats,
+        Fault::PowerBoth,
+        Fault::Full,
+        Fault::FullNats,
+        Fault::CutServer,
+        Fault::CutNats,
+        Fault::CutMinority,
+        Fault::CutFront,
+        Fault::CutClients,
+    ];
+
+    pub(super) fn needs(self) -> Needs {
+        match self {
+            Fault::Kill
+            | Fault::Lose
+            | Fault::Pause
+            | Fault::KillNats
+            | Fault::KillAll
+            | Fault::Clock
+            | Fault::Flip
+            | Fault::Cut => Needs::Nothing,
+            Fault::PowerNats
+            | Fault::PowerAllNats
+            | Fault::PowerBoth
+            | Fault::Full
+            | Fault::FullNats => Needs::Disks,
+            Fault::CutServer
+            | Fault::CutNats
+            | Fault::CutMinority
+            | Fault::CutFront
+            | Fault::CutClients => Needs::Network,
+        }
+    }
+
+    /// The faults of a list of their names, or of one of the words `plain` (without root), `disks`, `partitions`, `all`.
+    pub(super) fn parse(list: &str) -> Vec<Self> {
+        let named = |name: &str| {
+            let kinds = Self::ALL.into_iter().filter(|fault| match name {
+                "all" => true,
+                "plain" => fault.needs() == Needs::Nothing,
+                "disks" => fault.needs() == Needs::Disks,
+                "partitions" => fault.needs() == Needs::Network,
+                name => format!("{fault:?}").eq_ignore_ascii_case(name),
+            });
+            let kinds: Vec<_> = kinds.collect();
+            assert!(!kinds.is_empty(), "no fault is {name:?}: {:?}", Self::ALL);
+            kinds
+        };
+        list.split(',').flat_map(named).collect()
+    }
+
+    /// The fault of a number: the first are one of each kind.
+    pub(super) fn of(number: u64, kinds: &[Self], random: &mut impl Rng) -> Self {
+        match usize::try_from(number).ok().and_then(|at| kinds.get(at)) {
+            Some(fault) => *fault,
+            None => *kinds.choose(random).expect("a kind"),
+        }
+    }
+}
+
+/// A jump of up to a day in either direction, in nanoseconds.
+pub(super) fn jump(random: &mut impl Rng) -> i64 {
+    const DAY: i64 = 24 * 3600 * 1_000_000_000;
+    random.random_range(-DAY..=DAY)
+}

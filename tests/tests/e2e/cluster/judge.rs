@@ -1,0 +1,147 @@
+//! Judges a round: by the model, which computes every answer, and by the checker of histories.
+
+use std::time::Instant;
+
+use tokio::time::timeout;
+use wayfold_proto::v1::GetRequest;
+use wayfold_tests::{
+    Content, Model, Stubs,
+    history::{Operation, check},
+    ledger::Entry,
+    revision,
+};
+
+use super::{
+    MAX_PAUSE, WRITERS,
+    client::Client,
+    history::{History, scan},
+};
+use crate::clients::{SPACE, Tally};
+
+/// The judge of an index.
+pub(super) struct Judge {
+    history: History,
+    uid: String,
+}
+
+/// The judgement.
+#[derive(Debug, Default)]
+pub(super) struct Verdict {
+    pub(super) acknowledged: u64,
+    /// The reads that were checked: with `latest`, and others.
+    pub(super) latest: u64,
+    pub(super) plain: u64,
+    pub(super) lost: u64,
+    pub(super) twice: u64,
+    /// The servers whose content is not the first server's, or that do not answer.
+    pub(super) divergent: u64,
+    /// The contradictions of the history.
+    pub(super) violations: Vec<String>,
+}
+
+impl Verdict {
+    pub(super) fn is_good(&self) -> bool {
+        self.lost + self.twice + self.divergent == 0 && self.violations.is_empty()
+    }
+}
+
+impl Judge {
+    pub(super) fn new(history: History, uid: String) -> Self {
+        Self { history, uid }
+    }
+
+    /// Settles what is unknown, and compares the servers with all that the clients saw.
+    pub(super) async fn judge(&self, mut clients: Vec<Client>, uris: &[String]) -> Verdict {
+        let mut stubs = Stubs::connect(&uris[0]).await;
+        let (mut entries, mut operations) = (Vec::new(), Vec::new());
+        for client in &mut clients {
+            let writer = &mut client.writer;
+            let settled = async { while !writer.ask_again(&mut stubs).await {} };
+            let settled = timeout(MAX_PAUSE, settled).await;
+            assert!(settled.is_ok(), "{:?}", writer.refusal);
+            operations.append(&mut client.reads);
+            for acknowledged in writer.ledger.drain(..) {
+                operations.push(self.history.mutation(writer.name, &acknowledged));
+                entries.push(acknowledged.entry);
+            }
+        }
+        entries.sort_by_key(Entry::revision);
+        let mut verdict = Verdict::default();
+        let contents = self.contents(&stubs, uris, &mut operations).await;
+        let differ = |content: &&Option<Content>| content.is_none() || **content != contents[0];
+        verdict.divergent = contents.iter().filter(differ).count() as u64;
+        let mut tally = Tally::default();
+        for entry in &entries {
+            tally.note(entry);
+        }
+        verdict.acknowledged = tally.acknowledged;
+        for content in contents.iter().flatten() {
+            tally.count(content);
+        }
+        (verdict.lost, verdict.twice) = (tally.lost, tally.duplicated);
+        match check(&operations) {
+            Ok(checked) => (verdict.latest, verdict.plain) = (checked.latest, checked.plain),
+            Err(violations) => {
+                let violations = violations.iter().take(10);
+                verdict.violations = violations.map(|it| format!("{it:?}")).collect();
+            }
+        }
+        if verdict.is_good() {
+            check_model(&entries, &contents);
+        }
+        verdict
+    }
+
+    /// The contents of all servers, at a revision that has everything; none of a server that does not answer.
+    async fn contents(
+        &self,
+        stubs: &Stubs,
+        uris: &[String],
+        operations: &mut Vec<Operation>,
+    ) -> Vec<Option<Content>> {
+        // Retries may have left records without effect behind the last mutation.
+        let newest = Content::read(stubs, "arm").await.unwrap().revision;
+        let mut contents = Vec::new();
+        for (server, uri) in uris.iter().enumerate() {
+            let (stubs, invoked) = (Stubs::connect(uri).await, Instant::now());
+            let request = GetRequest {
+                index_name: "arm".into(),
+                min_revision: revision(&self.uid, newest),
+                ..Default::default()
+            };
+            let caught_up = async {
+                let points = &mut stubs.points.clone();
+                while points.get(request.clone()).await.is_err() {
+                    tokio::task::yield_now().await;
+                }
+            };
+            if timeout(MAX_PAUSE, caught_up).await.is_err() {
+                println!("server {server} does not reach revision {newest}");
+                contents.push(None);
+                continue;
+            }
+            let content = Content::read(&stubs, "arm").await.unwrap();
+            let (read, reader) = (scan(false, &content), WRITERS + server as u64);
+            let read = self
+                .history
+                .operation(reader, invoked, Instant::now(), read);
+            operations.push(read);
+            contents.push(Some(content));
+        }
+        contents
+    }
+}
+
+/// Compares every answer and the contents with brute force.
+fn check_model(entries: &[Entry], contents: &[Option<Content>]) {
+    let mut model = Model::new(SPACE.parse().unwrap());
+    for entry in entries {
+        model.skip_to(entry.revision() - 1);
+        model.check(entry);
+    }
+    for content in contents.iter().flatten() {
+        assert!(content.revision >= model.revision());
+        model.skip_to(content.revision);
+        model.check_content(content);
+    }
+}

@@ -1,0 +1,46 @@
+//! How servers noticed, by their own logs, that JetStream lost, hid or changed something.
+
+use std::collections::BTreeMap;
+
+/// The names of notices, and the parts of the log that say them.
+const NOTICES: [(&str, &str); 5] = [
+    ("copies", crate::healing::HEALED),
+    ("published_again", "the journal had lost its newest records"),
+    ("contradictions", "two servers contradict each other"),
+    ("stopped", "no further record is applied"),
+    ("panics", "panicked at"),
+];
+
+/// The numbers of notices in the logs.
+#[derive(Debug, Default)]
+pub(super) struct Notices {
+    counts: BTreeMap<&'static str, usize>,
+    /// The lines of servers that are of interest.
+    pub(super) lines: Vec<String>,
+}
+
+impl Notices {
+    /// Reads the log of a server that has ended.
+    pub(super) fn read(&mut self, server: usize, log: &str) {
+        for (name, part) in NOTICES {
+            *self.counts.entry(name).or_default() += log.matches(part).count();
+        }
+        let lines = log.lines().filter(|line| is_of_interest(line));
+        self.lines
+            .extend(lines.map(|line| format!("server {server}: {line}")));
+    }
+
+    /// The same for a server of NATS.
+    pub(super) fn read_nats(&mut self, log: &str) {
+        let damage = log.matches("[WRN]").count() + log.matches("[ERR]").count();
+        *self.counts.entry("nats_warnings").or_default() += damage;
+    }
+
+    pub(super) fn counts(&self) -> &BTreeMap<&'static str, usize> {
+        &self.counts
+    }
+}
+
+fn is_of_interest(line: &str) -> bool {
+    line.contains("ERROR") || NOTICES.iter().any(|(_, part)| line.contains(part))
+}

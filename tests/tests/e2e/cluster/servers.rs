@@ -1,0 +1,154 @@
+//! The servers of both kinds, and what they run on.
+
+use std::{
+    path::PathBuf,
+    sync::{Arc, Mutex},
+};
+
+use wayfold_tests::{
+    Process, ServerProcess, Signal,
+    nats::{Host, Nats},
+};
+
+use super::{
+    clock::Clocks,
+    disk::Disk,
+    fault::{Fault, Needs},
+    network::Network,
+    notices::Notices,
+};
+
+pub(super) const SERVERS: usize = 3;
+pub(super) const NATS_SERVERS: usize = 3;
+
+/// The servers, and the addresses that clients know.
+pub(super) struct Cluster {
+    pub(super) nats: Nats,
+    pub(super) servers: Vec<Option<ServerProcess>>,
+    pub(super) uris: Arc<Mutex<Vec<String>>>,
+    pub(super) clocks: Clocks,
+    /// The disks of the servers and then of those of NATS, if a fault needs them.
+    pub(super) disks: Vec<Disk>,
+    /// The same for the network, whose places have the same order.
+    pub(super) network: Option<Network>,
+    /// What killed servers had said.
+    pub(super) notices: Notices,
+    directory: tempfile::TempDir,
+}
+
+impl Cluster {
+    pub(super) fn start(kinds: &[Fault]) -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let needs = |what| kinds.iter().any(|kind| kind.needs() == what);
+        let mut disks = Vec::new();
+        if needs(Needs::Disks) {
+            for number in 0..SERVERS + NATS_SERVERS {
+                let mount = match number.checked_sub(SERVERS) {
+                    None => format!("data-{number}"),
+                    Some(node) => format!("nats-{node}"),
+                };
+                let image = directory.path().join(format!("disk-{number}"));
+                disks.push(Disk::new(image, directory.path().join(mount)));
+            }
+        }
+        let network = needs(Needs::Network).then(|| Network::new(SERVERS + NATS_SERVERS));
+        let hosts = (0..NATS_SERVERS).map(|node| host(network.as_ref(), SERVERS + node));
+        let nats = Nats::start_at(directory.path(), hosts.collect(), "");
+        let mut cluster = Self {
+            nats,
+            servers: (0..SERVERS).map(|_| None).collect(),
+            uris: Arc::new(Mutex::new(vec![String::new(); SERVERS])),
+            clocks: Clocks::new(directory.path(), SERVERS),
+            disks,
+            network,
+            notices: Notices::default(),
+            directory,
+        };
+        cluster.start_servers(&[0, 1, 2]);
+        cluster
+    }
+
+    pub(super) fn data(&self, server: usize) -> PathBuf {
+        // A disk has files of its own beside those of the server.
+        self.directory.path().join(format!("data-{server}/files"))
+    }
+
+    /// Removes the data of a server, which is stopped.
+    pub(super) fn lose_data(&self, server: usize) {
+        std::fs::remove_dir_all(self.data(server)).unwrap();
+    }
+
+    pub(super) fn start_servers(&mut self, servers: &[usize]) {
+        let started: Vec<_> = servers.iter().map(|server| self.launch(*server)).collect();
+        for (&server, process) in servers.iter().zip(started) {
+            let process = ServerProcess::ready(process);
+            self.uris.lock().unwrap()[server] = process.uri().to_owned();
+            self.servers[server] = Some(process);
+        }
+    }
+
+    fn launch(&self, server: usize) -> Process {
+        let host = host(self.network.as_ref(), server);
+        let mut command = host.command(env!("CARGO_BIN_EXE_server-process"));
+        let listen = format!("{}:0", host.address);
+        let network = self.network.as_ref();
+        let front = network.map(|network| format!("{}:0", network.front(server)));
+        command
+            .args(["--grpc", front.as_ref().unwrap_or(&listen), "--data"])
+            .arg(self.data(server))
+            .envs(self.nats.member_settings())
+            .env("WAYFOLD_CLUSTER__LISTEN", listen)
+            .envs(self.clocks.environment(server))
+            .env("WAYFOLD_INDEX__GROWING_ROWS", "32")
+            // Most servers that come back are behind what NATS keeps, and take a copy.
+            .env("WAYFOLD_INDEX__WINDOW_SECONDS", "1")
+            // A server without a processor would shed calls.
+            .env("WAYFOLD_ADMISSION__QUEUE_TARGET_MS", "60000");
+        if self.network.is_some() {
+            command.arg("--insecure");
+        }
+        Process::spawn(&mut command)
+    }
+
+    pub(super) fn kill(&mut self, server: usize) {
+        let killed = self.servers[server].take().unwrap();
+        let log = killed.stop(Signal::Kill).stderr;
+        self.notices.read(server, &log);
+    }
+
+    pub(super) fn kill_nats(&mut self, node: usize) {
+        let log = self.nats.kill(node);
+        self.notices.read_nats(&log);
+    }
+
+    pub(super) fn kill_all(&mut self) {
+        for server in 0..SERVERS {
+            self.kill(server);
+        }
+        for node in 0..NATS_SERVERS {
+            self.kill_nats(node);
+        }
+        for node in 0..NATS_SERVERS {
+            self.nats.restart(node);
+        }
+        self.start_servers(&[0, 1, 2]);
+    }
+
+    pub(super) fn signal(&self, server: usize, signal: Signal) {
+        let process = self.servers[server].as_ref().unwrap().process();
+        process.signal(signal);
+    }
+}
+
+impl Drop for Cluster {
+    fn drop(&mut self) {
+        // The processes end before their disks and their network do.
+        self.servers.clear();
+        self.nats.kill_all();
+    }
+}
+
+/// The host at a place of the network, or this machine.
+fn host(network: Option<&Network>, place: usize) -> Host {
+    network.map_or_else(Host::local, |network| network.host(place))
+}
