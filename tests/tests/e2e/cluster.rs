@@ -45,7 +45,7 @@ const LOAD: Load = Load {
     removals: 0.2,
 };
 /// The number of faults, unless the environment variable `CLUSTER_FAULTS` sets another: one of each that needs no root.
-const FAULTS: u64 = 8;
+const FAULTS: u64 = 9;
 const FAULTS_A_ROUND: u64 = 20;
 /// The seed, unless `CLUSTER_SEED` sets another.
 const SEED: u64 = 5;

@@ -31,5 +31,6 @@ mod restore;
 mod server_program;
 mod shared;
 mod shutdown;
+mod silent_nats;
 mod snapshots;
 mod trimming;

@@ -13,6 +13,8 @@ pub(super) enum Fault {
     Pause,
     /// A server of NATS is killed.
     KillNats,
+    /// A server of NATS stands still, and its connections stay open.
+    PauseNats,
     /// All servers of both kinds are killed at once.
     KillAll,
     /// The time of day of a server jumps by up to a day.
@@ -54,11 +56,12 @@ pub(super) enum Needs {
 }
 
 impl Fault {
-    const ALL: [Fault; 18] = [
+    const ALL: [Fault; 19] = [
         Fault::Kill,
         Fault::Lose,
         Fault::Pause,
         Fault::KillNats,
+        Fault::PauseNats,
         Fault::KillAll,
         Fault::Clock,
         Fault::Flip,
@@ -81,6 +84,7 @@ impl Fault {
             | Fault::Lose
             | Fault::Pause
             | Fault::KillNats
+            | Fault::PauseNats
             | Fault::KillAll
             | Fault::Clock
             | Fault::Flip

@@ -53,6 +53,13 @@ impl Cluster {
                 go_on().await;
                 self.nats.restart(of);
             }
+            Fault::PauseNats => {
+                self.nats.signal(of, Signal::Pause);
+                go_on().await;
+                pass_lease().await;
+                self.nats.signal(of, Signal::Resume);
+                go_on().await;
+            }
             Fault::KillAll => {
                 self.kill_all();
                 go_on().await;
