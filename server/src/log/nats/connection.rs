@@ -24,6 +24,10 @@ const STREAMS: usize = 4;
 /// A request to NATS without an answer for this long counts as lost.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(3);
 
+/// NATS is asked for a sign of life after this long without one. After three signs that did not come the server connects to
+/// another server of NATS. By default the first question comes after a minute, while every write would wait.
+const PING_INTERVAL: Duration = Duration::from_secs(1);
+
 /// The time in which NATS must give what a starting server asks for, and the time between two requests.
 const START_TIME: Duration = Duration::from_secs(60);
 const START_INTERVAL: Duration = Duration::from_secs(1);
@@ -46,6 +50,7 @@ impl Connection {
     pub(super) async fn open(options: &NatsOptions) -> Result<Self, NatsError> {
         let mut connecting = ConnectOptions::new()
             .name("wayfold")
+            .ping_interval(PING_INTERVAL)
             .reconnect_delay_callback(|attempts| {
                 let delay = Duration::from_millis(20) * attempts.min(100) as u32;
                 delay.min(MAX_RECONNECT_DELAY)
