@@ -69,14 +69,14 @@ impl Nats {
     /// # Panics
     /// If they do not come up.
     pub fn start_with(directory: &Path, count: usize, more: &str) -> Self {
-        Self::start_at(directory, vec![Host::local(); count], more)
+        Self::start_at(directory, vec![Host::local(); count], "always", more)
     }
 
-    /// The same, each on its own host.
+    /// The same, each on its own host, with another interval at which they sync.
     ///
     /// # Panics
     /// If they do not come up.
-    pub fn start_at(directory: &Path, hosts: Vec<Host>, more: &str) -> Self {
+    pub fn start_at(directory: &Path, hosts: Vec<Host>, sync_interval: &str, more: &str) -> Self {
         let count = hosts.len();
         let free = free_ports(2 * count);
         let (ports, routes) = free.split_at(count);
@@ -94,7 +94,7 @@ impl Nats {
             let text = format!(
                 "server_name: node-{node}\nlisten: \"{address}:{port}\"\n\
                  max_payload: 65536\n\
-                 jetstream {{ store_dir: {store:?}, sync_interval: always }}\n{cluster}\n{more}\n"
+                 jetstream {{ store_dir: {store:?}, sync_interval: {sync_interval} }}\n{cluster}\n{more}\n"
             );
             fs::write(config(directory, node), text).expect("a writable directory");
         }

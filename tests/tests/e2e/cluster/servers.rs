@@ -1,6 +1,7 @@
 //! The servers of both kinds, and what they run on.
 
 use std::{
+    env,
     path::PathBuf,
     sync::{Arc, Mutex},
 };
@@ -53,7 +54,8 @@ impl Cluster {
         }
         let network = needs(Needs::Network).then(|| Network::new(SERVERS + NATS_SERVERS));
         let hosts = (0..NATS_SERVERS).map(|node| host(network.as_ref(), SERVERS + node));
-        let nats = Nats::start_at(directory.path(), hosts.collect(), "");
+        let sync_interval = env::var("CLUSTER_NATS_SYNC").unwrap_or_else(|_| "always".into());
+        let nats = Nats::start_at(directory.path(), hosts.collect(), &sync_interval, "");
         let mut cluster = Self {
             nats,
             servers: (0..SERVERS).map(|_| None).collect(),
