@@ -29,6 +29,7 @@ use tokio::{sync::watch, task::JoinSet, time::timeout};
 use wayfold_tests::Stubs;
 
 use client::{Client, Scene};
+use disk::Disk;
 use fault::Fault;
 use history::History;
 use judge::Judge;
@@ -83,6 +84,8 @@ impl Run {
         for writer in writers.iter_mut().skip(1).step_by(2) {
             writer.open_session(&mut stubs, &uid).await;
         }
+        // NATS that does not sync each record keeps the streams at least.
+        cluster.disks.iter().for_each(Disk::sync);
         let (acknowledged, over) = (watch::Sender::new(0), watch::Sender::new(false));
         let scene = Scene {
             uid: uid.clone(),
@@ -127,7 +130,7 @@ impl Run {
             "seed": self.seed, "kinds": self.list, "round": round, "faults": faults.end - faults.start,
             "ok": verdict.is_good(), "acknowledged": verdict.acknowledged, "latest": verdict.latest,
             "plain": verdict.plain, "lost": verdict.lost, "twice": verdict.twice,
-            "divergent": verdict.divergent, "violations": verdict.violations,
+            "divergent": verdict.divergent, "data_losses": verdict.data_losses, "violations": verdict.violations,
             "notices": cluster.notices.counts(),
         }));
         if !verdict.is_good() {

@@ -41,6 +41,8 @@ pub(super) struct Client {
     pub(super) writer: Writer,
     /// Its reads.
     pub(super) reads: Vec<Operation>,
+    /// The refusals that say that NATS has lost something.
+    pub(super) data_losses: u64,
     random: ChaCha8Rng,
     /// The newest revision that it knows.
     newest: u64,
@@ -52,6 +54,7 @@ impl Client {
             random: ChaCha8Rng::seed_from_u64(writer.name),
             writer,
             reads: Vec::new(),
+            data_losses: 0,
             newest: 0,
         }
     }
@@ -75,8 +78,8 @@ impl Client {
                 let acknowledged = scene.acknowledged.clone();
                 let writing = self.writer.write(stubs.clone(), acknowledged, CALLS_A_TURN);
                 self.writer = writing.await;
-                if let Some(refusal) = &self.writer.refusal {
-                    check_refusal(refusal);
+                if let Some(refusal) = self.writer.refusal.clone() {
+                    self.check_refusal(&refusal);
                     break;
                 }
             }
@@ -130,10 +133,25 @@ impl Client {
                 true
             }
             Err(refusal) => {
-                check_refusal(&refusal);
+                self.check_refusal(&refusal);
                 false
             }
         }
+    }
+
+    /// Only refusals that leave the outcome open are expected: a point that a client knows is there.
+    fn check_refusal(&mut self, refusal: &Status) {
+        let is_expected = matches!(
+            refusal.code(),
+            Code::Unavailable
+                | Code::Unknown
+                | Code::Internal
+                | Code::Cancelled
+                | Code::DeadlineExceeded
+                | Code::DataLoss
+        );
+        assert!(is_expected, "{refusal:?}");
+        self.data_losses += u64::from(refusal.code() == Code::DataLoss);
     }
 }
 
@@ -144,17 +162,4 @@ pub(super) async fn connect(uri: &str) -> Result<Stubs, tonic::transport::Error>
         .connect_timeout(MAX_SILENCE)
         .http2_keep_alive_interval(MAX_SILENCE);
     Stubs::open(&endpoint.keep_alive_timeout(MAX_SILENCE)).await
-}
-
-/// Only refusals that leave the outcome open are expected: a point that a client knows is there.
-fn check_refusal(refusal: &Status) {
-    let is_expected = matches!(
-        refusal.code(),
-        Code::Unavailable
-            | Code::Unknown
-            | Code::Internal
-            | Code::Cancelled
-            | Code::DeadlineExceeded
-    );
-    assert!(is_expected, "{refusal:?}");
 }

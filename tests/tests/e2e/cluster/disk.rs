@@ -48,6 +48,11 @@ impl Disk {
         run(Command::new("umount").arg(&self.mount));
     }
 
+    /// Writes all that was not synced.
+    pub(super) fn sync(&self) {
+        run(Command::new("sync").arg("--file-system").arg(&self.mount));
+    }
+
     /// From now on nothing is written. The processes with open files stand still.
     pub(super) fn lose_power(&self) {
         // This is the control: it is not synced, so it is lost.

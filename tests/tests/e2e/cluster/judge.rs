@@ -35,6 +35,8 @@ pub(super) struct Verdict {
     pub(super) twice: u64,
     /// The servers whose content is not the first server's, or that do not answer.
     pub(super) divergent: u64,
+    /// The refusals that said that NATS has lost something.
+    pub(super) data_losses: u64,
     /// The contradictions of the history.
     pub(super) violations: Vec<String>,
 }
@@ -66,7 +68,10 @@ impl Judge {
             }
         }
         entries.sort_by_key(Entry::revision);
-        let mut verdict = Verdict::default();
+        let mut verdict = Verdict {
+            data_losses: clients.iter().map(|it| it.data_losses).sum(),
+            ..Verdict::default()
+        };
         let contents = self.contents(&stubs, uris, &mut operations).await;
         let differ = |content: &&Option<Content>| content.is_none() || **content != contents[0];
         verdict.divergent = contents.iter().filter(differ).count() as u64;

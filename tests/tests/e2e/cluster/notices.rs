@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 
+const PUBLISHED_AGAIN: &str = "the journal had lost its newest records";
 /// The names of notices, and the parts of the log that say them.
 const NOTICES: [(&str, &str); 5] = [
     ("copies", crate::healing::HEALED),
-    ("published_again", "the journal had lost its newest records"),
+    ("published_again", PUBLISHED_AGAIN),
     ("contradictions", "two servers contradict each other"),
     ("stopped", "no further record is applied"),
     ("panics", "panicked at"),
@@ -25,6 +26,10 @@ impl Notices {
         for (name, part) in NOTICES {
             *self.counts.entry(name).or_default() += log.matches(part).count();
         }
+        // Records that JetStream had acknowledged and lost.
+        let lost = log.lines().filter(|line| line.contains(PUBLISHED_AGAIN));
+        *self.counts.entry("records_published_again").or_default() +=
+            lost.map(records).sum::<usize>();
         let lines = log.lines().filter(|line| is_of_interest(line));
         self.lines
             .extend(lines.map(|line| format!("server {server}: {line}")));
@@ -39,6 +44,13 @@ impl Notices {
     pub(super) fn counts(&self) -> &BTreeMap<&'static str, usize> {
         &self.counts
     }
+}
+
+/// The number in a line with `records=number`.
+fn records(line: &str) -> usize {
+    let number = line.split("records=").nth(1).unwrap_or_default();
+    let digits = number.split(|it: char| !it.is_ascii_digit()).next();
+    digits.and_then(|it| it.parse().ok()).unwrap_or_default()
 }
 
 fn is_of_interest(line: &str) -> bool {

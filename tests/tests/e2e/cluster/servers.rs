@@ -22,6 +22,8 @@ use super::{
 pub(super) const SERVERS: usize = 3;
 pub(super) const NATS_SERVERS: usize = 3;
 
+const ALWAYS: &str = "always";
+
 /// The servers, and the addresses that clients know.
 pub(super) struct Cluster {
     pub(super) nats: Nats,
@@ -54,8 +56,7 @@ impl Cluster {
         }
         let network = needs(Needs::Network).then(|| Network::new(SERVERS + NATS_SERVERS));
         let hosts = (0..NATS_SERVERS).map(|node| host(network.as_ref(), SERVERS + node));
-        let sync_interval = env::var("CLUSTER_NATS_SYNC").unwrap_or_else(|_| "always".into());
-        let nats = Nats::start_at(directory.path(), hosts.collect(), &sync_interval, "");
+        let nats = Nats::start_at(directory.path(), hosts.collect(), &sync_interval(), "");
         let mut cluster = Self {
             nats,
             servers: (0..SERVERS).map(|_| None).collect(),
@@ -102,12 +103,15 @@ impl Cluster {
             .env("WAYFOLD_CLUSTER__LISTEN", listen)
             .envs(self.clocks.environment(server))
             .env("WAYFOLD_INDEX__GROWING_ROWS", "32")
-            // Most servers that come back are behind what NATS keeps, and take a copy.
-            .env("WAYFOLD_INDEX__WINDOW_SECONDS", "1")
             // A server without a processor would shed calls.
             .env("WAYFOLD_ADMISSION__QUEUE_TARGET_MS", "60000");
         if self.network.is_some() {
             command.arg("--insecure");
+        }
+        // With it, most servers that come back are behind what NATS keeps, and take a copy. But records that NATS loses come
+        // back from the windows.
+        if sync_interval() == ALWAYS {
+            command.env("WAYFOLD_INDEX__WINDOW_SECONDS", "1");
         }
         Process::spawn(&mut command)
     }
@@ -148,6 +152,11 @@ impl Drop for Cluster {
         self.servers.clear();
         self.nats.kill_all();
     }
+}
+
+/// The interval at which NATS syncs its records.
+fn sync_interval() -> String {
+    env::var("CLUSTER_NATS_SYNC").unwrap_or_else(|_| ALWAYS.into())
 }
 
 /// The host at a place of the network, or this machine.
