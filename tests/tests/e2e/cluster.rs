@@ -1,7 +1,8 @@
 //! Servers that share a journal in NATS, while servers of both kinds fail under their writers: each acknowledged mutation
 //! takes effect once, all servers have the same points, and the history of the clients holds.
 //!
-//! A run is a sequence of rounds, each with servers, clients and a seed of its own. `tests/cluster/run` starts it.
+//! A run is a sequence of rounds, each with servers, clients and a seed of its own. In every second round the journal is not
+//! trimmed. `tests/cluster/run` starts it.
 
 mod client;
 mod clock;
@@ -73,7 +74,8 @@ impl Run {
     async fn round(&self, round: u64, faults: std::ops::Range<u64>) {
         let seed = self.seed.wrapping_mul(1_000_003).wrapping_add(round);
         let mut random = ChaCha8Rng::seed_from_u64(seed);
-        let mut cluster = Cluster::start(&self.kinds);
+        let trims = round.is_multiple_of(2);
+        let mut cluster = Cluster::start(&self.kinds, trims);
         let first = cluster.uris.lock().unwrap()[0].clone();
         let history = History::new();
         let mut stubs = Stubs::connect(&first).await;
@@ -127,7 +129,7 @@ impl Run {
             cluster.kill(server);
         }
         self.record.append(&json!({
-            "seed": self.seed, "kinds": self.list, "round": round, "faults": faults.end - faults.start,
+            "seed": self.seed, "kinds": self.list, "round": round, "faults": faults.end - faults.start, "trims": trims,
             "ok": verdict.is_good(), "acknowledged": verdict.acknowledged, "latest": verdict.latest,
             "plain": verdict.plain, "lost": verdict.lost, "twice": verdict.twice,
             "divergent": verdict.divergent, "data_losses": verdict.data_losses, "violations": verdict.violations,

@@ -24,7 +24,14 @@ pub(super) fn flip_bits(store: &Path, random: &mut impl Rng) -> String {
             .write(true)
             .open(path)
             .unwrap();
-        let at = random.random_range(0..file.metadata().unwrap().len());
+        let bytes = file.metadata().unwrap().len();
+        // Half of them in the newest part.
+        let first = if random.random_bool(0.5) {
+            0
+        } else {
+            bytes - bytes.div_ceil(4)
+        };
+        let at = random.random_range(first..bytes);
         let mut byte = [0];
         file.read_exact_at(&mut byte, at).unwrap();
         byte[0] ^= 1 << random.random_range(0..8);

@@ -22,8 +22,6 @@ use super::{
 pub(super) const SERVERS: usize = 3;
 pub(super) const NATS_SERVERS: usize = 3;
 
-const ALWAYS: &str = "always";
-
 /// The servers, and the addresses that clients know.
 pub(super) struct Cluster {
     pub(super) nats: Nats,
@@ -36,11 +34,14 @@ pub(super) struct Cluster {
     pub(super) network: Option<Network>,
     /// What killed servers had said.
     pub(super) notices: Notices,
+    trims: bool,
     directory: tempfile::TempDir,
 }
 
 impl Cluster {
-    pub(super) fn start(kinds: &[Fault]) -> Self {
+    /// Starts all servers. Those that trim keep no record of the journal for longer than a second: most servers that come
+    /// back are behind it then, and take a copy. With those that do not, damage to NATS hits records that servers need.
+    pub(super) fn start(kinds: &[Fault], trims: bool) -> Self {
         let directory = tempfile::tempdir().unwrap();
         let needs = |what| kinds.iter().any(|kind| kind.needs() == what);
         let mut disks = Vec::new();
@@ -56,7 +57,8 @@ impl Cluster {
         }
         let network = needs(Needs::Network).then(|| Network::new(SERVERS + NATS_SERVERS));
         let hosts = (0..NATS_SERVERS).map(|node| host(network.as_ref(), SERVERS + node));
-        let nats = Nats::start_at(directory.path(), hosts.collect(), &sync_interval(), "");
+        let sync_interval = env::var("CLUSTER_NATS_SYNC").unwrap_or_else(|_| "always".into());
+        let nats = Nats::start_at(directory.path(), hosts.collect(), &sync_interval, "");
         let mut cluster = Self {
             nats,
             servers: (0..SERVERS).map(|_| None).collect(),
@@ -65,6 +67,7 @@ impl Cluster {
             disks,
             network,
             notices: Notices::default(),
+            trims,
             directory,
         };
         cluster.start_servers(&[0, 1, 2]);
@@ -108,9 +111,7 @@ impl Cluster {
         if self.network.is_some() {
             command.arg("--insecure");
         }
-        // With it, most servers that come back are behind what NATS keeps, and take a copy. But records that NATS loses come
-        // back from the windows.
-        if sync_interval() == ALWAYS {
+        if self.trims {
             command.env("WAYFOLD_INDEX__WINDOW_SECONDS", "1");
         }
         Process::spawn(&mut command)
@@ -152,11 +153,6 @@ impl Drop for Cluster {
         self.servers.clear();
         self.nats.kill_all();
     }
-}
-
-/// The interval at which NATS syncs its records.
-fn sync_interval() -> String {
-    env::var("CLUSTER_NATS_SYNC").unwrap_or_else(|_| ALWAYS.into())
 }
 
 /// The host at a place of the network, or this machine.
