@@ -149,6 +149,11 @@ impl Cluster {
 
 impl Drop for Cluster {
     fn drop(&mut self) {
+        if std::thread::panicking() {
+            for line in &self.notices.lines {
+                println!("{line}");
+            }
+        }
         // The processes end before their disks and their network do.
         self.servers.clear();
         self.nats.kill_all();
