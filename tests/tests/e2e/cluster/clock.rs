@@ -3,9 +3,14 @@
 use std::{
     fs,
     path::{Path, PathBuf},
+    process::Command,
+    time::SystemTime,
 };
 
 use crate::preload::compiled;
+
+/// A day in nanoseconds.
+pub(super) const DAY: i64 = 24 * 3600 * 1_000_000_000;
 
 /// The time of day of each server.
 pub(super) struct Clocks {
@@ -21,9 +26,25 @@ impl Clocks {
             directory: directory.to_owned(),
         };
         for server in 0..servers {
+            clocks.jump(server, DAY);
+            clocks.check(server);
             clocks.jump(server, 0);
         }
         clocks
+    }
+
+    /// This is the control: a program sees that its clock is a day ahead.
+    fn check(&self, server: usize) {
+        let mut command = Command::new("date");
+        command.arg("+%s").envs(self.environment(server));
+        let printed = command.output().unwrap().stdout;
+        let seconds: u64 = std::str::from_utf8(&printed)
+            .unwrap()
+            .trim()
+            .parse()
+            .unwrap();
+        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+        assert!(seconds > now.unwrap().as_secs() + 23 * 3600, "{seconds}");
     }
 
     /// Sets the clock of a server this many nanoseconds ahead.

@@ -2,6 +2,8 @@
 
 use rand::{Rng, RngExt, seq::IndexedRandom};
 
+use super::clock::DAY;
+
 /// A fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fault {
@@ -130,6 +132,5 @@ impl Fault {
 
 /// A jump of up to a day in either direction, in nanoseconds.
 pub(super) fn jump(random: &mut impl Rng) -> i64 {
-    const DAY: i64 = 24 * 3600 * 1_000_000_000;
     random.random_range(-DAY..=DAY)
 }

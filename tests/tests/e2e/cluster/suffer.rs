@@ -97,7 +97,7 @@ impl Cluster {
                 go_on().await;
                 pass_lease().await;
                 disk.free();
-                // NATS stops JetStream on a server whose disk was full.
+                // If NATS has switched JetStream off there, a restart brings it back.
                 self.kill_nats(of);
                 self.nats.restart(of);
             }
