@@ -2,7 +2,8 @@
 //! takes effect once, all servers have the same points, and the history of the clients holds.
 //!
 //! A run is a sequence of rounds, each with servers, clients and a seed of its own. In every second round the journal is not
-//! trimmed. `tests/cluster/run` starts it.
+//! trimmed. A round ends if JetStream has stopped for good, by the logs of its own servers: then reads go on, and the copies
+//! have all that was acknowledged. `tests/cluster/run` starts it.
 
 mod client;
 mod clock;
@@ -18,6 +19,7 @@ mod servers;
 mod suffer;
 
 use std::{
+    cell::Cell,
     env,
     sync::Arc,
     time::{Duration, Instant},
@@ -102,12 +104,17 @@ impl Run {
             working.spawn(Client::new(writer).work(scene.clone()));
         }
         let mut at = acknowledged.subscribe();
+        let stalled = Cell::new(false);
         let mut reach_more = async |more: u64| {
             let wanted = *at.borrow() + more;
-            let reached = timeout(MAX_PAUSE, at.wait_for(|&now| now >= wanted)).await;
-            assert!(reached.is_ok(), "nothing is acknowledged any more");
+            if !stalled.get() {
+                let reached = timeout(MAX_PAUSE, at.wait_for(|&now| now >= wanted)).await;
+                stalled.set(reached.is_err());
+            }
         };
-        for number in faults.clone() {
+        let mut suffered = 0;
+        for number in faults.clone().take_while(|_| !stalled.get()) {
+            suffered += 1;
             let fault = Fault::of(number, &self.kinds, &mut random);
             reach_more(random.random_range(20..100)).await;
             let of = random.random_range(0..SERVERS);
@@ -122,15 +129,27 @@ impl Run {
             }));
         }
         over.send_replace(true);
-        cluster.kill_all();
-        let clients = working.join_all().await;
-        let uris = cluster.uris.lock().unwrap().clone();
-        let verdict = Judge::new(history, uid).judge(clients, &uris).await;
+        let judge = Judge::new(history, uid);
+        let verdict = if stalled.get() {
+            assert!(
+                cluster.has_jetstream_stopped(),
+                "nothing is acknowledged any more"
+            );
+            let clients = working.join_all().await;
+            let uris = cluster.uris.lock().unwrap().clone();
+            judge.judge_reads(clients, &uris).await
+        } else {
+            cluster.kill_all();
+            let clients = working.join_all().await;
+            let uris = cluster.uris.lock().unwrap().clone();
+            judge.judge(clients, &uris).await
+        };
         for server in 0..SERVERS {
             cluster.kill(server);
         }
         self.record.append(&json!({
-            "seed": self.seed, "kinds": self.list, "round": round, "faults": faults.end - faults.start, "trims": trims,
+            "seed": self.seed, "kinds": self.list, "round": round, "faults": suffered, "trims": trims,
+            "jetstream_stopped": stalled.get(),
             "ok": verdict.is_good(), "acknowledged": verdict.acknowledged, "latest": verdict.latest,
             "plain": verdict.plain, "lost": verdict.lost, "twice": verdict.twice,
             "divergent": verdict.divergent, "data_losses": verdict.data_losses, "violations": verdict.violations,

@@ -8,7 +8,8 @@ use rand_chacha::ChaCha8Rng;
 use tokio::sync::watch;
 use tonic::Status;
 use wayfold_proto::v1::{
-    IdBlock, InsertRequest, OpenSessionRequest, RemoveRequest, StepKind, WriteRequest,
+    IdBlock, InsertRequest, InsertResponse, OpenSessionRequest, RemoveRequest, RemoveResponse,
+    StepKind, WriteRequest, WriteResponse,
 };
 use wayfold_tests::{States, Stubs, k_nearest, ledger::Entry, row_states};
 
@@ -131,6 +132,17 @@ impl Writer {
             invoked,
             returned: Instant::now(),
         });
+    }
+
+    /// The mutation of unknown outcome, with an empty answer, and the time before its first attempt.
+    pub(crate) fn unknown(&self) -> Option<(Entry, Instant)> {
+        let (request, invoked) = self.unknown.clone()?;
+        let entry = match request {
+            Request::Insert(insert) => Entry::Insert(*insert, InsertResponse::default()),
+            Request::Remove(remove) => Entry::Remove(remove, RemoveResponse::default()),
+            Request::Write(write) => Entry::Write(*write, WriteResponse::default()),
+        };
+        Some((entry, invoked))
     }
 
     /// The ids of points that it has stored and not removed.

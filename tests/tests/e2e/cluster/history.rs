@@ -6,7 +6,7 @@ use prost::bytes::Bytes;
 use wayfold_proto::v1::{GetResponse, StepKind};
 use wayfold_tests::{
     Content, bits,
-    history::{Answer, Call, Operation, Point, Seen, Step, digest},
+    history::{Answer, Call, NEVER, Operation, Point, Seen, Step, digest},
     ledger::Entry,
     number,
 };
@@ -62,6 +62,19 @@ impl History {
         };
         self.operation(client, *invoked, *returned, call)
     }
+
+    /// A mutation of unknown outcome.
+    pub(super) fn unknown(&self, client: u64, entry: &Entry, invoked: Instant) -> Operation {
+        let call = Call::Mutation {
+            steps: steps(entry),
+            answer: None,
+        };
+        let operation = self.operation(client, invoked, invoked, call);
+        Operation {
+            returned: NEVER,
+            ..operation
+        }
+    }
 }
 
 /// A read of all points.
@@ -108,19 +121,18 @@ pub(super) fn points(latest: bool, answer: &GetResponse) -> Call {
 
 /// The steps of a mutation, with the ids of its answer.
 fn steps(entry: &Entry) -> Vec<Step> {
-    let put = |id: u64, tag: u64, payload: &Bytes| Step::Put {
-        id: Some(id),
+    let put = |id: Option<u64>, tag: u64, payload: &Bytes| Step::Put {
+        id,
         tag,
         payload: digest(&payload[..]),
     };
     match entry {
         Entry::Insert(request, response) => {
-            let rows = response
-                .ids
-                .iter()
-                .zip(&request.tags)
-                .zip(&request.payloads);
-            rows.map(|((&id, &tag), payload)| put(id, tag, payload))
+            // Without an answer there are no ids.
+            let ids = response.ids.iter().copied().map(Some);
+            let ids = ids.chain(std::iter::repeat(None));
+            let rows = request.tags.iter().zip(&request.payloads).zip(ids);
+            rows.map(|((&tag, payload), id)| put(id, tag, payload))
                 .collect()
         }
         Entry::Remove(request, _) => request.ids.iter().map(|&id| Step::Remove(id)).collect(),
@@ -128,7 +140,7 @@ fn steps(entry: &Entry) -> Vec<Step> {
             let mut payloads = request.payloads.iter();
             let steps = request.kinds().zip(&request.ids).zip(&request.tags);
             let step = |((kind, &id), &tag)| match kind {
-                StepKind::Put => put(id, tag, payloads.next().expect("a payload a put")),
+                StepKind::Put => put(Some(id), tag, payloads.next().expect("a payload a put")),
                 StepKind::Remove => Step::Remove(id),
                 StepKind::SetTag => Step::SetTag(id, tag),
                 StepKind::Replace | StepKind::SetPayload | StepKind::Unspecified => {

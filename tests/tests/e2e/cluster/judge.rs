@@ -45,6 +45,16 @@ impl Verdict {
     pub(super) fn is_good(&self) -> bool {
         self.lost + self.twice + self.divergent == 0 && self.violations.is_empty()
     }
+
+    fn check(&mut self, operations: &[Operation]) {
+        match check(operations) {
+            Ok(checked) => (self.latest, self.plain) = (checked.latest, checked.plain),
+            Err(violations) => {
+                let violations = violations.iter().take(10);
+                self.violations = violations.map(|it| format!("{it:?}")).collect();
+            }
+        }
+    }
 }
 
 impl Judge {
@@ -84,16 +94,45 @@ impl Judge {
             tally.count(content);
         }
         (verdict.lost, verdict.twice) = (tally.lost, tally.duplicated);
-        match check(&operations) {
-            Ok(checked) => (verdict.latest, verdict.plain) = (checked.latest, checked.plain),
-            Err(violations) => {
-                let violations = violations.iter().take(10);
-                verdict.violations = violations.map(|it| format!("{it:?}")).collect();
-            }
-        }
+        verdict.check(&operations);
         if verdict.is_good() {
             check_model(&entries, &contents);
         }
+        verdict
+    }
+
+    /// The same while JetStream has stopped for good: nothing is settled, and servers may be behind the newest of them.
+    pub(super) async fn judge_reads(&self, clients: Vec<Client>, uris: &[String]) -> Verdict {
+        let mut verdict = Verdict::default();
+        let mut operations = Vec::new();
+        for mut client in clients {
+            let writer = &mut client.writer;
+            verdict.data_losses += client.data_losses;
+            operations.append(&mut client.reads);
+            verdict.acknowledged += writer.ledger.len() as u64;
+            let ledger = writer.ledger.iter();
+            operations.extend(ledger.map(|it| self.history.mutation(writer.name, it)));
+            if let Some((entry, invoked)) = writer.unknown() {
+                operations.push(self.history.unknown(writer.name, &entry, invoked));
+            }
+        }
+        let mut contents = Vec::new();
+        let invoked = Instant::now();
+        for uri in uris {
+            let stubs = Stubs::connect(uri).await;
+            contents.push(Content::read(&stubs, "arm").await.expect("reads go on"));
+        }
+        let newest = contents.iter().map(|it| it.revision).max();
+        for (server, content) in contents.iter().enumerate() {
+            // All that was acknowledged is in the newest copy.
+            let is_newest = Some(content.revision) == newest;
+            let (read, reader) = (scan(is_newest, content), WRITERS + server as u64);
+            let read = self
+                .history
+                .operation(reader, invoked, Instant::now(), read);
+            operations.push(read);
+        }
+        verdict.check(&operations);
         verdict
     }
 

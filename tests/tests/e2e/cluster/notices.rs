@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 
 const PUBLISHED_AGAIN: &str = "the journal had lost its newest records";
+/// A server of NATS says this every five seconds.
+const NO_LEADER: &str = "catchup aborted, no leader for stream";
 /// The names of notices, and the parts of the log that say them.
 const NOTICES: [(&str, &str); 5] = [
     ("copies", crate::healing::HEALED),
@@ -35,10 +37,12 @@ impl Notices {
             .extend(lines.map(|line| format!("server {server}: {line}")));
     }
 
-    /// The same for a server of NATS.
-    pub(super) fn read_nats(&mut self, log: &str) {
+    /// The same for a server of NATS. Returns true if it says, again and again, that a stream has no leader from which to
+    /// take what its copy lacks.
+    pub(super) fn read_nats(&mut self, log: &str) -> bool {
         let damage = log.matches("[WRN]").count() + log.matches("[ERR]").count();
         *self.counts.entry("nats_warnings").or_default() += damage;
+        log.matches(NO_LEADER).count() >= 5
     }
 
     pub(super) fn counts(&self) -> &BTreeMap<&'static str, usize> {

@@ -128,6 +128,17 @@ impl Cluster {
         self.notices.read_nats(&log);
     }
 
+    /// Kills all servers of NATS, because nothing is written any more; false if their logs do not blame them.
+    pub(super) fn has_jetstream_stopped(&mut self) -> bool {
+        let logs: Vec<_> = (0..NATS_SERVERS).map(|node| self.nats.kill(node)).collect();
+        let blamed = logs.iter().filter(|log| self.notices.read_nats(log));
+        let has_stopped = 2 * blamed.count() > NATS_SERVERS;
+        if !has_stopped {
+            logs.iter().for_each(|log| println!("{log}"));
+        }
+        has_stopped
+    }
+
     pub(super) fn kill_all(&mut self) {
         for server in 0..SERVERS {
             self.kill(server);
