@@ -1,6 +1,7 @@
 //! The live members. Each announces its address over NATS every half second, and counts as gone after two seconds of
 //! silence. A member hears its own announcements too. Without them it is cut off: it says so, owns no index for the others, and evaluates
-//! itself what reaches it. Nothing of this is stored: no answer depends on which members are believed to be live.
+//! itself what reaches it. Nothing of this is stored. NATS decides between two owners; but a live member that is not known is
+//! not asked what it has applied, so a member that has just begun to hear waits before it trusts its list ([`Members::heard_all`]).
 
 use std::{
     cmp::Reverse,
@@ -29,6 +30,12 @@ use crate::log::Uid;
 /// The time between two announcements.
 const INTERVAL: Duration = Duration::from_millis(500);
 
+/// A member that has heard itself for this long has heard an announcement of every live member.
+const HEARING_TIME: Duration = Duration::from_millis(1000);
+
+/// A member that does not hear itself for this long goes on alone.
+const MAX_HEARING_TIME: Duration = Duration::from_secs(5);
+
 /// A member that has not announced itself for this long is gone.
 const LEASE: Duration = Duration::from_secs(2);
 
@@ -53,6 +60,8 @@ pub(super) struct Members {
     address: String,
     run: String,
     live: Arc<watch::Sender<Live>>,
+    /// True if all live members have been heard.
+    hears_all: Arc<watch::Sender<bool>>,
     /// The number of times that they changed, from 1 on.
     changes: Arc<AtomicU64>,
     /// False until the server serves.
@@ -69,12 +78,13 @@ impl Members {
             Arc::new(AtomicBool::new(false)),
         );
         let changes = Arc::new(AtomicU64::new(1));
+        let hears_all = Arc::new(watch::Sender::new(false));
         let following = follow(
             nats.clone(),
             subject.clone(),
             (address.clone(), run.clone()),
             (Arc::clone(&live), Arc::clone(&changes)),
-            Arc::clone(&is_serving),
+            (Arc::clone(&is_serving), Arc::clone(&hears_all)),
         );
         Self {
             nats,
@@ -82,6 +92,7 @@ impl Members {
             address,
             run,
             live,
+            hears_all,
             changes,
             is_serving,
             following: Mutex::new(Some(AbortOnDropHandle::new(tokio::spawn(following)))),
@@ -135,6 +146,13 @@ impl Members {
         if is_heard { live.len() } else { 0 }
     }
 
+    /// Waits until all live members have been heard, since the start or since this one was cut off.
+    pub(super) async fn heard_all(&self) {
+        let mut hears_all = self.hears_all.subscribe();
+        // NATS may forbid the subject of the announcements: the members are strangers to each other then.
+        let _ = timeout(MAX_HEARING_TIME, hears_all.wait_for(|it| *it)).await;
+    }
+
     /// Waits until a member is gone.
     pub(super) async fn departure(&self, member: &str) {
         let mut live = self.live.subscribe();
@@ -169,8 +187,9 @@ async fn follow(
     subject: String,
     (address, run): (String, String),
     (live, changes): (Arc<watch::Sender<Live>>, Arc<AtomicU64>),
-    is_serving: Arc<AtomicBool>,
+    (is_serving, hears_all): (Arc<AtomicBool>, Arc<watch::Sender<bool>>),
 ) {
+    let mut hears_itself_since = None;
     let mut heard = match nats.subscribe(subject.clone()).await {
         Ok(heard) => heard.boxed(),
         Err(error) => {
@@ -209,9 +228,18 @@ async fn follow(
                 }
             }
         }
-        if expire(&live, Instant::now()) {
+        let now = Instant::now();
+        if expire(&live, now) {
             changes.fetch_add(1, Relaxed);
         }
+        hears_itself_since = match live.borrow().contains_key(&own.address) {
+            true => hears_itself_since.or(Some(now)),
+            false => None,
+        };
+        hears_all.send_if_modified(|known| {
+            let is_so = hears_itself_since.is_some_and(|since| now - since >= HEARING_TIME);
+            std::mem::replace(known, is_so) != is_so
+        });
     }
 }
 

@@ -211,6 +211,10 @@ impl Peers for Cluster {
         self.members.others(Uid::unique())
     }
 
+    fn heard_all(&self) -> BoxFuture<'_, ()> {
+        Box::pin(self.members.heard_all())
+    }
+
     fn stored<'a>(
         &'a self,
         member: &'a str,

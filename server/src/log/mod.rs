@@ -347,9 +347,9 @@ pub trait Catalogue: Send + Sync {
     /// Adds a new index, at revision 0. [`LogError::NameTaken`] if another server has given its name to an index.
     fn create(&self, entry: Entry) -> Result<(), LogError>;
 
-    /// Gives a name to an index that the point store has already: a restored one. `replaced` takes the name from the index that
-    /// has it, whose uid and `replaced` count as deleted. [`LogError::NameTaken`] if another server was first, or if the name
-    /// is taken and nothing is to be replaced. With any other error it is unknown which index has the name.
+    /// Gives a name to an index that the point store has already: a restored one. `replaced` may have the
+    /// name, and counts as deleted. [`LogError::NameTaken`] if another index has it. With any other error it is unknown which index
+    /// has the name.
     fn claim(&self, _: &Entry, _replaced: Option<Uid>) -> Result<(), LogError> {
         Ok(())
     }

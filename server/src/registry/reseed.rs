@@ -46,6 +46,15 @@ pub(crate) enum ReseedError {
         /// The uid and the newest revision of each.
         uids: Vec<(Uid, u64)>,
     },
+    /// Another index has the name.
+    #[error(
+        "another index has this name now: the one in this directory, {old}, was deleted or reseeded elsewhere; \
+         `wayfold delete` that one first, if the points here are to take its place"
+    )]
+    Replaced {
+        /// The uid of the index in the directory.
+        old: Uid,
+    },
     /// The log failed.
     #[error(transparent)]
     Log(#[from] LogError),
@@ -95,7 +104,10 @@ pub(crate) fn reseed(
     }
     restoring.finish(view.sessions().clone(), Vec::new())?;
     let run = *Uid::unique().as_bytes();
-    publish(log, run, (&entry, Some(old.uid)), origin)?;
+    publish(log, run, (&entry, Some(old.uid)), origin).map_err(|error| match error {
+        LogError::NameTaken { .. } => ReseedError::Replaced { old: old.uid },
+        error => error.into(),
+    })?;
     Ok(Reseeded {
         old: old.uid,
         new: entry.uid,

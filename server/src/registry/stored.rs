@@ -21,7 +21,7 @@ const MAX_TRIM_INTERVAL: Duration = Duration::from_secs(60);
 /// The newest revision of an index that a server stores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stored {
-    /// The newest revision that it has as long as it runs or, if it survives a loss of power, that it has afterwards.
+    /// The newest stored revision; if `is_durable`, the newest that survives a loss of power.
     pub(crate) revision: u64,
     /// True if it survives a loss of power.
     pub(crate) is_durable: bool,

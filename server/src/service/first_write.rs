@@ -14,7 +14,7 @@ use tokio::time::{Instant, timeout};
 use tracing::debug;
 
 use super::{
-    Call, Error, Peers, Service,
+    Call, Error, Owners, Peers, Service,
     error_map::registry_error,
     member::{StoredIndex, StoredRequest},
 };
@@ -42,35 +42,51 @@ impl Service {
         if first_write.compared.load(Relaxed) == owners.changes() || !hosted.follows() {
             return Ok(());
         }
-        let comparing = async {
-            let asked = Instant::now();
-            let mut turn = first_write.turn.lock().await;
-            // Read before the members are: one that joins meanwhile is asked by the next mutation.
-            let changes = owners.changes();
-            if first_write.compared.load(Relaxed) == changes {
-                return Ok(());
-            }
-            // Calls that waited for their turn do not wait for the same again.
-            if let Some(failed) = turn.as_ref().filter(|failed| failed.at > asked) {
-                let what = failed.what.clone();
-                return Err(match failed.is_loss {
-                    true => Error::DataLoss { what },
-                    false => Error::StorageFailed { what },
-                });
-            }
-            if let Err(error) = compare(&**peers, hosted).await {
-                *turn = Some(Failed {
-                    at: Instant::now(),
-                    is_loss: matches!(error, Error::DataLoss { .. }),
-                    what: error.to_string(),
-                });
-                return Err(error);
-            }
-            first_write.compared.store(changes, Relaxed);
-            Ok(())
-        };
-        call.bound(DOING, comparing).await?
+        let (owners, peers) = (Arc::clone(owners), Arc::clone(peers));
+        // It goes on if the caller leaves: the next one finds the outcome.
+        let comparing = tokio::spawn(compare_in_turn(owners, peers, Arc::clone(hosted)));
+        let compared = call.bound(DOING, comparing).await?;
+        compared.unwrap_or_else(|_| {
+            Err(Error::Internal {
+                what: "the task that asks the other servers for their records panicked".into(),
+            })
+        })
     }
+}
+
+/// Compares the records of an index with those of the members, unless another call has meanwhile.
+async fn compare_in_turn(
+    owners: Arc<dyn Owners>,
+    peers: Arc<dyn Peers>,
+    hosted: Arc<Hosted>,
+) -> Result<(), Error> {
+    let asked = Instant::now();
+    let first_write = hosted.first_write();
+    let mut turn = first_write.turn.lock().await;
+    peers.heard_all().await;
+    // Read before the members are: one that joins meanwhile is asked by the next mutation.
+    let changes = owners.changes();
+    if first_write.compared.load(Relaxed) == changes {
+        return Ok(());
+    }
+    // Calls that waited for their turn do not wait for the same again.
+    if let Some(failed) = turn.as_ref().filter(|failed| failed.at > asked) {
+        let what = failed.what.clone();
+        return Err(match failed.is_loss {
+            true => Error::DataLoss { what },
+            false => Error::StorageFailed { what },
+        });
+    }
+    if let Err(error) = compare(&*peers, &hosted).await {
+        *turn = Some(Failed {
+            at: Instant::now(),
+            is_loss: matches!(error, Error::DataLoss { .. }),
+            what: error.to_string(),
+        });
+        return Err(error);
+    }
+    first_write.compared.store(changes, Relaxed);
+    Ok(())
 }
 
 /// Compares the records of an index with those of all members that answer.
@@ -148,8 +164,8 @@ fn agree(hosted: &Hosted, member: &str, applied: Tip, digest: Option<Digest>) ->
     Err(Error::DataLoss {
         what: format!(
             "index \"{index}\": {member} has applied another record of revision {revision} than this server: NATS has lost \
-             acknowledged records, and others took their place; nothing is written until one of the two servers is stopped \
-             or reseeded, and reads go on"
+             acknowledged records, and others took their place; nothing is written until the server whose records NATS has \
+             lost is stopped, or the index is reseeded; reads go on"
         ),
     })
 }

@@ -119,8 +119,7 @@ impl Service {
         ticks.tick().await;
         let mut attempts = HashMap::new();
         if self.has_stopped() {
-            // A server that starts has heard of all live members by then.
-            ticks.tick().await;
+            peers.heard_all().await;
             self.heal_stopped(&*peers, &mut attempts).await;
         }
         // The server may have given up waiting.

@@ -211,6 +211,9 @@ pub trait Peers: Send + Sync {
     /// All other live members.
     fn all(&self) -> Vec<String>;
 
+    /// Waits until the live members are known, a second or so after this server began to hear them.
+    fn heard_all(&self) -> BoxFuture<'_, ()>;
+
     /// Asks a member which revisions of some indices it stores.
     fn stored<'a>(
         &'a self,

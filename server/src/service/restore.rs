@@ -23,7 +23,7 @@ use super::{
 };
 use crate::{
     identity::{Caller, Role},
-    log::{Origin, Sessions, StoredPoint},
+    log::{Durability, Origin, Record, Sessions, StoredPoint},
     registry::{Hosted, RegistryError, Restore},
 };
 
@@ -73,7 +73,9 @@ impl Service {
             return Ok(());
         };
         let revision = hosted.published().revision;
+        let is_durable = self.inner.durability == Some(Durability::Fsync);
         let copied = async {
+            peers.heard_all().await;
             let mut looks = interval(COPY_INTERVAL);
             looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
             loop {
@@ -95,7 +97,10 @@ impl Service {
                     let answer = timeout(COPY_INTERVAL, peers.stored(member, request)).await;
                     let stored = answer.ok().and_then(Result::ok);
                     let stored = stored.and_then(|stored| stored.indexes.into_iter().next());
-                    if stored.is_some_and(|stored| stored.revision >= revision) {
+                    // A copy in memory alone does not outlive a loss of power.
+                    if stored.is_some_and(|stored| {
+                        stored.revision >= revision && (stored.is_durable || !is_durable)
+                    }) {
                         return;
                     }
                 }
@@ -199,7 +204,11 @@ impl Draft {
                 let origin = Origin {
                     revision: header.revision,
                     next_id: header.next_id,
-                    digest: *self.reader.digest(),
+                    digest: match header.revision {
+                        // Other servers know an index without records by this digest.
+                        0 => Record::NO_PREVIOUS,
+                        _ => *self.reader.digest(),
+                    },
                 };
                 let limits = service.limits();
                 limits.check_quotas(name, &header.space, header.point_count)?;

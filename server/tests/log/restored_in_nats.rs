@@ -80,9 +80,11 @@ fn one_of_two_servers_gets_a_name_in_nats() {
     other.catalogue.claim(&three, Some(one.uid)).unwrap();
     let later = connect(&runtime, &server, &[]);
     assert_eq!(named(&*later.catalogue), [three.uid]);
-    let again = log.catalogue.claim(&one, None);
-    assert!(
-        matches!(again, Err(LogError::NameTaken { .. })),
-        "{again:?}"
-    );
+    // Nobody takes it from the new one in the name of the old one, or of none.
+    for replaced in [None, Some(one.uid), Some(two.uid)] {
+        let again = log.catalogue.claim(&two, replaced);
+        let taken = LogError::NameTaken { name: "arm".into() };
+        assert_eq!(again, Err(taken), "{replaced:?}");
+    }
+    assert_eq!(named(&*later.catalogue), [three.uid]);
 }

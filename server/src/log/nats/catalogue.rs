@@ -202,10 +202,11 @@ impl Catalogue for NatsCatalogue {
     fn claim(&self, entry: &Entry, replaced: Option<Uid>) -> Result<(), LogError> {
         let before = self.known.borrow().get(&entry.name).cloned();
         let (mut deleted, revision) = match before {
-            Some((Named { index: Some(_), .. }, _)) if replaced.is_none() => {
-                return Err(LogError::NameTaken {
-                    name: entry.name.clone(),
-                });
+            // The index that has the name may be newer than the one that is to be replaced.
+            Some((named, _))
+                if named.index.is_some() && !replaced.is_some_and(|it| named.is(it)) =>
+            {
+                return Err(LogError::NameTaken { name: named.name });
             }
             Some((mut named, revision)) => {
                 let index = named.index.take();

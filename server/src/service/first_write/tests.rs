@@ -6,6 +6,7 @@ use std::{
 use bytes::Bytes;
 use futures_util::{FutureExt, future::BoxFuture};
 use parking_lot::Mutex;
+use tokio::sync::watch;
 use wayfold_proto::v1;
 
 use super::*;
@@ -26,6 +27,8 @@ struct Others {
     changes: AtomicU64,
     asked: AtomicUsize,
     members: Mutex<Vec<Option<Arc<MemoryLog>>>>,
+    /// False while the members are not known yet.
+    are_heard: watch::Sender<bool>,
 }
 
 impl Owners for Others {
@@ -60,6 +63,11 @@ impl Peers for Others {
     fn all(&self) -> Vec<String> {
         let members = 0..self.members.lock().len();
         members.map(|number| number.to_string()).collect()
+    }
+
+    fn heard_all(&self) -> BoxFuture<'_, ()> {
+        let mut are_heard = self.are_heard.subscribe();
+        async move { drop(are_heard.wait_for(|it| *it).await) }.boxed()
     }
 
     fn stored<'a>(
@@ -147,6 +155,7 @@ impl Server {
             changes: AtomicU64::new(1),
             asked: AtomicUsize::new(0),
             members: Mutex::default(),
+            are_heard: watch::Sender::new(true),
         });
         service.set_owners(Arc::clone(&others) as Arc<dyn Owners>);
         service.set_peers(Arc::clone(&others) as Arc<dyn Peers>);
@@ -224,6 +233,40 @@ async fn a_contradiction_stops_writing_until_the_member_is_gone() {
     }
     server.set(Vec::new());
     assert_eq!(server.insert().await.unwrap(), RECORDS + 1);
+}
+
+/// A server that has just begun to hear the others does not take them for nobody.
+#[tokio::test(start_paused = true)]
+async fn the_first_mutation_waits_until_the_members_are_known() {
+    let (entry, records) = (entry(), more(&[], 1, RECORDS));
+    let server = Server::new(&entry, &records);
+    server.others.are_heard.send_replace(false);
+    let waiting = timeout(Duration::from_secs(60), server.insert());
+    assert!(waiting.await.is_err());
+    server.set(vec![Some(engine(&entry, &more(&records[..2], 2, 1)))]);
+    server.others.are_heard.send_replace(true);
+    let refused = server.insert().await.unwrap_err();
+    assert_eq!(refused.code(), Code::DataLoss, "{refused}");
+}
+
+/// A comparison goes on without the call that began it, so that calls with short deadlines get their turn.
+#[tokio::test(start_paused = true)]
+async fn a_call_that_leaves_does_not_end_the_comparison() {
+    let (entry, records) = (entry(), more(&[], 1, RECORDS));
+    let server = Server::new(&entry, &records);
+    server.set(vec![Some(engine(&entry, &records))]);
+    server.others.are_heard.send_replace(false);
+    assert!(
+        timeout(Duration::from_millis(1), server.insert())
+            .await
+            .is_err()
+    );
+    server.others.are_heard.send_replace(true);
+    while server.others.asked.load(SeqCst) == 0 {
+        tokio::task::yield_now().await;
+    }
+    server.insert().await.unwrap();
+    assert_eq!(server.others.asked.load(SeqCst), 1);
 }
 
 #[tokio::test(start_paused = true)]
