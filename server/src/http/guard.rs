@@ -9,7 +9,7 @@ use axum::{
     response::{IntoResponse, Response},
 };
 
-const REFUSED: &str = "the host of the request may belong to another site: open the page by its address, as localhost, or over TLS\n";
+const REFUSED: &str = "the request may come from another site, or its host may be one: open the page by its address, as localhost, or over TLS\n";
 
 /// How the listener is reached.
 #[derive(Clone, Copy, Debug)]
@@ -47,11 +47,14 @@ impl Guard {
 
 /// True for an address or localhost, with a port or without.
 fn is_this_machine(host: &str) -> bool {
-    let name = match host.strip_prefix('[') {
-        Some(rest) => rest.split(']').next().unwrap_or_default(),
-        None => host.split(':').next().unwrap_or_default(),
+    let (name, port) = match host.strip_prefix('[') {
+        Some(rest) => rest.split_once(']').unwrap_or_default(),
+        None => host.split_at(host.find(':').unwrap_or(host.len())),
     };
-    name.eq_ignore_ascii_case("localhost") || name.parse::<IpAddr>().is_ok()
+    let digits = port.strip_prefix(':').unwrap_or(port);
+    let is_port = digits.bytes().all(|byte| byte.is_ascii_digit()) && port.len() != digits.len();
+    (port.is_empty() || is_port)
+        && (name.eq_ignore_ascii_case("localhost") || name.parse::<IpAddr>().is_ok())
 }
 
 #[cfg(test)]
@@ -85,6 +88,10 @@ mod tests {
             "evil.example:8080",
             "localhost.evil.example",
             "127.0.0.1.evil.example",
+            "127.0.0.1:1.evil.example",
+            "[::1].evil.example",
+            "[::1]evil.example:80",
+            "[::1",
             "",
         ] {
             assert!(!admits(false, host, None), "{host}");

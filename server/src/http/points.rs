@@ -250,7 +250,7 @@ impl PointStream {
         let service = call.api.shared.service.clone();
         let Admitted { call, turns, .. } = &mut call.admitted;
         let watch = streams::in_turn(turns, service.watch(call, request)).await?;
-        Ok(Source::Watch(Box::new(watch)))
+        Ok(Source::Watch(Box::new(watch.uncounted())))
     }
 
     /// The next part of a scan. `revision` is the one that it reads, once it is known.

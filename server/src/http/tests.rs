@@ -20,7 +20,7 @@ use crate::{
     identity::Identities,
     lifecycle::Lifecycle,
     log::MemoryLog,
-    registry::{Registry, RegistryOptions},
+    registry::{Listed, Registry, RegistryOptions},
     service::{Call, Limits, Service},
 };
 

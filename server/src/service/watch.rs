@@ -32,6 +32,8 @@ pub struct Watch {
     hosted: Arc<Hosted>,
     /// Set once the first revision is known.
     follower: Option<Follower>,
+    /// True if the reader counts among the subscribers of the index.
+    is_counted: bool,
     /// The newest revision that was sent whole; below the greatest number, so that its successor exists.
     after: u64,
     /// True if the watch begins at the newest revision, which the first message names.
@@ -80,6 +82,7 @@ impl Service {
             service: self.clone(),
             call: call.clone(),
             follower: None,
+            is_counted: true,
             from_newest: after.is_none(),
             after: after.map_or(0, |after| after.number),
             next: VecDeque::new(),
@@ -98,6 +101,14 @@ impl Service {
 }
 
 impl Watch {
+    /// The same for a reader that takes its time on purpose: it is no subscriber that lags.
+    pub(crate) fn uncounted(self) -> Self {
+        Self {
+            is_counted: false,
+            ..self
+        }
+    }
+
     /// The next message; None after the last or an error. A cancelled call loses no message: the next call begins where
     /// it began.
     pub async fn next(&mut self) -> Option<Result<v1::WatchResponse, Error>> {
@@ -111,7 +122,9 @@ impl Watch {
                     // The newest revision now, not at the call's start: the message names it.
                     self.after = newest;
                 }
-                self.follower = Some(self.hosted.join(self.after));
+                if self.is_counted {
+                    self.follower = Some(self.hosted.join(self.after));
+                }
                 Ok(self.message(newest))
             }
             State::Following => self.mutations().await,

@@ -150,6 +150,32 @@ async fn a_stream_goes_on_after_the_revision_of_its_caller() {
     assert_eq!(frames(&next)[0].0["kind"], "begin");
 }
 
+/// The page draws a picture now and then: it must not look like a subscriber that is behind.
+#[tokio::test]
+async fn the_page_is_no_subscriber() {
+    let service = service().await;
+    let mut router = router(&service, Identities::default());
+    let request = Request::post("/api/v1/arm/points?follow=true");
+    let mut body = ask(&mut router, request, "")
+        .await
+        .into_body()
+        .into_data_stream();
+    for revision in [POINTS, POINTS + 1] {
+        let mut reached = Value::Null;
+        while reached != revision {
+            let next = futures_util::StreamExt::next(&mut body).await;
+            let sent = next.unwrap().unwrap();
+            reached = heads(&sent).last().unwrap().0["revision"].clone();
+        }
+        insert(&service, revision).await;
+    }
+    let followers = service.listed().into_iter().map(|listed| match listed {
+        Listed::Hosted(hosted) => hosted.followers_and_lag(),
+        Listed::Damaged { .. } => panic!("a damaged index"),
+    });
+    assert_eq!(followers.collect::<Vec<_>>(), [(0, 0)]);
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_stream_without_mutations_says_that_it_lives() {
     let mut router = router(&service().await, Identities::default());
