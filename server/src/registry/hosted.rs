@@ -307,7 +307,7 @@ impl Hosted {
     }
 
     /// Resumes after the log was reopened, from its points `view`. Returns false if these are not the published points
-    /// with all later records applied. Blocks.
+    /// with all later records applied, or if another server contradicts the index. Blocks.
     pub(super) fn resume(self: &Arc<Self>, view: &Arc<dyn View>) -> bool {
         let mut writer = Arc::clone(&self.writer).blocking_lock_owned();
         let applied = Arc::clone(&self.applied).blocking_lock_owned();
@@ -339,6 +339,9 @@ impl Hosted {
             writer.catch_up(self.published(), self.last_change.load(Relaxed), refusals);
             let hosted = Arc::downgrade(self);
             let mut apply_loop = self.apply_loop.lock();
+            if self.is_contradicted() {
+                return false;
+            }
             let next = apply_loop.number + 1;
             *apply_loop = ApplyLoop::start(next, hosted, &self.host, (self.uid, stored));
             self.state.send_modify(|state| state.closed = None);
@@ -352,6 +355,17 @@ impl Hosted {
         if apply_loop.number == number {
             self.close(why);
         }
+    }
+
+    /// Replaces the error of a closed index; false if the index is open.
+    pub(super) fn close_again(&self, why: RegistryError) -> bool {
+        // The index cannot resume meanwhile.
+        let _apply_loop = self.apply_loop.lock();
+        let is_closed = self.is_closed();
+        if is_closed {
+            self.close(why);
+        }
+        is_closed
     }
 
     /// Closes the index: later writes, and calls that wait for it, get `why`.

@@ -273,10 +273,21 @@ impl Registry {
                     }
                 }
             }
-            registry.resumes(&hosted)
+            // Resumed, an index ahead of its journal would be open until its follower notices that again.
+            (!hosted.is_ahead() || registry.is_reached(&hosted)) && registry.resumes(&hosted)
         };
         // The join fails only if the task panicked; the panic hook has printed it.
         let _ = tokio::task::spawn_blocking(resume).await;
+    }
+
+    /// True if the journal ends at or after the newest record that an index has applied. Blocks.
+    fn is_reached(&self, hosted: &Hosted) -> bool {
+        let journal = &self.host.log.journal;
+        let applied = hosted.published().revision;
+        journal.is_reachable()
+            && journal
+                .newest(hosted.uid())
+                .is_ok_and(|newest| newest >= applied)
     }
 
     /// Trims old records, in idle indices too.
@@ -288,3 +299,6 @@ impl Registry {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

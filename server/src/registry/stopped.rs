@@ -59,8 +59,8 @@ impl Registry {
             let (uid, name) = (state.uid(), name.clone());
             Some(match state {
                 IndexState::Hosted(hosted) => {
-                    let why = hosted.damage()?;
-                    if matches!(why, RegistryError::Log(LogError::Contradicted { .. })) {
+                    hosted.damage()?;
+                    if hosted.is_contradicted() {
                         return None;
                     }
                     let tip = hosted.published().view.tip();
@@ -93,7 +93,7 @@ impl Registry {
 
     /// Closes an index for good, because `member` has applied another record of this revision.
     pub(crate) fn contradicted(&self, uid: Uid, revision: u64, member: &str) {
-        let Some(hosted) = self.by_uid(uid).filter(|hosted| hosted.is_closed()) else {
+        let Some(hosted) = self.by_uid(uid) else {
             return;
         };
         let why = RegistryError::Log(LogError::Contradicted {
@@ -101,8 +101,9 @@ impl Registry {
             revision,
             member: member.to_owned(),
         });
-        error!(index = hosted.name(), error = %why, "two servers contradict each other");
-        hosted.close(why);
+        if hosted.close_again(why.clone()) {
+            error!(index = hosted.name(), error = %why, "two servers contradict each other");
+        }
     }
 
     /// The newest revision of the journal. Blocks.
@@ -144,6 +145,14 @@ impl Hosted {
         matches!(
             self.closed(),
             Some(RegistryError::Log(LogError::JournalBehind { .. }))
+        )
+    }
+
+    /// True if another server has applied another record in the place of one of its own.
+    pub(super) fn is_contradicted(&self) -> bool {
+        matches!(
+            self.closed(),
+            Some(RegistryError::Log(LogError::Contradicted { .. }))
         )
     }
 

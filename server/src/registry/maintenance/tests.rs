@@ -1,0 +1,144 @@
+//! A journal that ends before the records that a server has applied.
+
+use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
+
+use futures_util::{StreamExt, stream};
+
+use super::*;
+use crate::{
+    log::{
+        Catalogue, Effects, Journal, Log, MemoryLog, PointStore, Receipt, Record, RecordStream,
+        Retention, Uid, Window,
+    },
+    registry::RegistryOptions,
+};
+
+const APPLIED: u64 = 3;
+
+/// A journal with another record in the place of a lost one, which no server can repair.
+struct SetBack {
+    local: Arc<MemoryLog>,
+    /// Its newest revision.
+    head: AtomicU64,
+    /// The number of times that it was followed.
+    follows: AtomicU64,
+}
+
+impl Journal for SetBack {
+    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+        self.local.submit(uid, record)
+    }
+
+    fn follow(&self, uid: Uid, after: u64) -> RecordStream {
+        self.follows.fetch_add(1, SeqCst);
+        let head = self.head.load(SeqCst);
+        if head >= after {
+            return self.local.follow(uid, after);
+        }
+        let behind = LogError::JournalBehind {
+            uid,
+            head,
+            applied: after,
+        };
+        stream::once(async { Err(behind) }).boxed()
+    }
+
+    fn read(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        max_bytes: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
+        self.local.read(uid, after, max_bytes)
+    }
+
+    fn newest(&self, _: Uid) -> Result<u64, LogError> {
+        Ok(self.head.load(SeqCst))
+    }
+
+    fn trim(&self, _: Uid, _: &Retention) -> Result<(), LogError> {
+        Ok(())
+    }
+
+    fn window(&self, _: Uid) -> Result<Window, LogError> {
+        Ok(Window::default())
+    }
+
+    fn repair(&self, uid: Uid) -> Result<u64, LogError> {
+        Err(LogError::replaced(uid, self.head.load(SeqCst)))
+    }
+}
+
+/// A server whose index has applied more than its journal has, once it has stopped.
+async fn stopped() -> (Arc<SetBack>, Arc<Registry>, Arc<Hosted>) {
+    let entry = Entry {
+        uid: Uid::unique(),
+        name: "arm".into(),
+        space: "R1".parse().unwrap(),
+        payload_encoding: Default::default(),
+    };
+    let local = Arc::new(MemoryLog::new());
+    local.create(entry.clone()).unwrap();
+    for _ in 0..APPLIED {
+        let tip = local.view(entry.uid).unwrap().tip();
+        let record = Arc::new(Record::after(tip, Effects::new(1)));
+        local.submit(entry.uid, Arc::clone(&record)).unwrap();
+        local.apply(entry.uid, &[record]).unwrap();
+    }
+    let journal = Arc::new(SetBack {
+        local: Arc::clone(&local),
+        head: AtomicU64::new(1),
+        follows: AtomicU64::new(0),
+    });
+    let log = Log {
+        journal: Arc::clone(&journal) as Arc<dyn Journal>,
+        points: Arc::clone(&local) as Arc<dyn PointStore>,
+        catalogue: local,
+    };
+    let registry = Arc::new(Registry::new(log, RegistryOptions::default()));
+    registry.replay().unwrap();
+    let hosted = registry.get("arm").unwrap();
+    assert!(hosted.reached(u64::MAX).await.is_err());
+    assert!(hosted.is_ahead());
+    (journal, registry, hosted)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_index_ahead_of_a_journal_that_cannot_be_repaired_stays_stopped() {
+    let (journal, registry, hosted) = stopped().await;
+    registry.resume_unsettled(&hosted).await;
+    assert_eq!(journal.follows.load(SeqCst), 1);
+    assert!(hosted.is_ahead());
+
+    // Another server repairs it.
+    journal.head.store(APPLIED, SeqCst);
+    registry.resume_unsettled(&hosted).await;
+    assert!(hosted.follows());
+    let tip = journal.local.view(hosted.uid()).unwrap().tip();
+    let next = Record::after(tip, Effects::new(1));
+    journal.submit(hosted.uid(), Arc::new(next)).unwrap();
+    hosted.reached(APPLIED + 1).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_contradicted_index_does_not_resume() {
+    let (journal, registry, hosted) = stopped().await;
+    registry.contradicted(hosted.uid(), APPLIED, "peer");
+    journal.head.store(APPLIED, SeqCst);
+    let resuming = (Arc::clone(&registry), Arc::clone(&hosted));
+    let resumed = tokio::task::spawn_blocking(move || resuming.0.resumes(&resuming.1));
+    assert!(!resumed.await.unwrap());
+    let why = hosted.damage().unwrap();
+    assert!(
+        matches!(why, RegistryError::Log(LogError::Contradicted { .. })),
+        "{why}"
+    );
+    assert!(registry.stopped().is_empty());
+
+    // A contradiction closes no index that follows its journal again.
+    let (journal, registry, hosted) = stopped().await;
+    journal.head.store(APPLIED, SeqCst);
+    registry.resume_unsettled(&hosted).await;
+    registry.contradicted(hosted.uid(), APPLIED, "peer");
+    assert!(hosted.follows());
+}
