@@ -1,10 +1,11 @@
 //! An index whose journal in NATS begins at an origin, and its name.
 
-use std::sync::Arc;
+use std::{sync::Arc, thread, time::UNIX_EPOCH};
 
 use tokio::runtime::{Builder, Runtime};
 use wayfold_server::log::{
-    Catalogue, Entry, Log, LogError, MemoryLog, Record, Tip, Uid, connect_nats,
+    Catalogue, Entry, Journal, Log, LogError, MemoryLog, Origin, PointStore, Record, Retention,
+    Sessions, Tip, Uid, connect_nats,
 };
 
 use crate::{effects, entry, nats::NatsServer};
@@ -87,4 +88,75 @@ fn one_of_two_servers_gets_a_name_in_nats() {
         assert_eq!(again, Err(taken), "{replaced:?}");
     }
     assert_eq!(named(&*later.catalogue), [three.uid]);
+}
+
+/// Each round another server has more of the records that NATS has lost.
+#[ignore = "needs nats-server"]
+#[test]
+fn a_journal_that_nats_has_lost_whole_begins_again_once_in_nats() {
+    const RECORDS: u64 = 3;
+    let (server, entry) = (NatsServer::start(), entry("arm"));
+    let uid = entry.uid;
+    let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
+    let mut records = vec![first(1)];
+    for id in 2..=RECORDS {
+        let tip = records[records.len() - 1].tip();
+        let effects = effects(tip.revision + 1, &[id], &[]);
+        records.push(Arc::new(Record::after(tip, effects)));
+    }
+    let newest = ORIGIN.revision + RECORDS;
+    let logs: Vec<Log> = [RECORDS, 1]
+        .map(|kept| {
+            let local = Arc::new(MemoryLog::new());
+            let origin = Origin {
+                revision: ORIGIN.revision,
+                next_id: 1,
+                digest: ORIGIN.digest,
+            };
+            let restoring = local.restore(entry.clone(), origin).unwrap();
+            restoring.finish(Sessions::default(), vec![]).unwrap();
+            for record in &records {
+                local.submit(uid, Arc::clone(record)).unwrap();
+            }
+            local.apply(uid, &records).unwrap();
+            if kept < RECORDS {
+                let retention = Retention {
+                    record_bytes: 0,
+                    since: UNIX_EPOCH,
+                    operations: usize::MAX,
+                    operation_bytes: usize::MAX,
+                };
+                local.trim_applied(uid, &retention).unwrap();
+            }
+            assert_eq!(local.oldest_kept(uid), Ok(Some(newest + 1 - kept)));
+            let _entered = runtime.enter();
+            connect_nats(&server.options(), local).unwrap().0
+        })
+        .into();
+    for _ in 0..10 {
+        // It forgets the messages, as the loss of a store does.
+        let lost = connect(&runtime, &server, &[&entry]);
+        lost.catalogue.delete(uid).unwrap();
+        assert_eq!(lost.journal.newest(uid), Ok(0));
+        let repaired: Vec<_> = thread::scope(|scope| {
+            let repairing: Vec<_> = logs
+                .iter()
+                .map(|log| scope.spawn(|| log.journal.repair(uid)))
+                .collect();
+            let repaired = repairing.into_iter().map(|it| it.join().unwrap());
+            repaired.collect()
+        });
+        assert!(repaired.iter().any(Result::is_ok), "{repaired:?}");
+        let other = &lost.journal;
+        let oldest = other.oldest(uid).unwrap().unwrap();
+        assert!([ORIGIN.revision + 1, newest].contains(&oldest), "{oldest}");
+        let found = other.read(uid, Some(oldest - 1), usize::MAX).unwrap();
+        assert_eq!(found, records[(oldest - ORIGIN.revision - 1) as usize..]);
+        // A server without the points does not take the index for an empty one.
+        let trimmed = other.read(uid, Some(0), 1).unwrap_err();
+        assert!(matches!(trimmed, LogError::Trimmed { .. }), "{trimmed}");
+        for log in &logs {
+            assert_eq!(log.journal.repair(uid), Ok(0));
+        }
+    }
 }

@@ -136,3 +136,34 @@ async fn an_index_whose_journal_is_gone_is_seeded_from_a_directory() {
         insert(&mut Stubs::connect(server.uri()).await, operation).await;
     }
 }
+
+/// The journal of an index that was just restored has one message.
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_restored_index_gets_its_only_message_back() {
+    let (parts, original) = original().await;
+    let cluster = Cluster::empty();
+    let [mut first, mut second] = [0, 1].map(|number| cluster.start(number));
+    first.log_until(JOINS);
+    second.log_until(JOINS);
+    let mut stubs = Stubs::connect(first.uri()).await;
+    let uid = restore(&mut stubs, &parts).await.unwrap();
+    second.stop(Signal::Kill);
+    let (_, messages) = cluster.nats.messages(&uid).await;
+    assert_eq!(messages.len(), 1);
+    assert!(
+        cluster
+            .nats
+            .remove_record(&uid, original.revision + 1)
+            .await
+    );
+
+    // The server notices the loss when it writes.
+    let id = insert(&mut stubs, 1).await;
+    first.log_until("the journal had lost its newest records");
+    let expected = latest_content(&mut stubs).await;
+    assert!(expected.uid == uid && expected.points.contains_key(&id));
+    let third = cluster.start(2);
+    let mut others = Stubs::connect(third.uri()).await;
+    assert!(latest_content(&mut others).await.points == expected.points);
+}

@@ -26,6 +26,7 @@ use tokio::{runtime::Handle, sync::oneshot};
 use self::{
     catalogue::NatsCatalogue,
     connection::Connection,
+    message::Position,
     publisher::{Answer, Publisher, Submission},
 };
 use super::{
@@ -223,29 +224,38 @@ impl Journal for NatsJournal {
     }
 
     /// Every record is fenced by the one before it: if NATS has answered from the past, or another server was first, nothing
-    /// is published.
+    /// is published. A subject that NATS has lost whole begins again at the oldest record that this server keeps, fenced by
+    /// its emptiness.
     fn repair(&self, uid: Uid) -> Result<u64, LogError> {
-        let mut tip = self.runtime.block_on(self.connection.last(uid))?.last;
-        let mut repaired = 0;
+        let newest = self.runtime.block_on(self.connection.last(uid))?;
+        let mut tip = newest.last;
+        let (mut after, mut begins, mut repaired) = (tip.revision, false, 0);
+        if newest == Position::START
+            && let Some(oldest) = self.local.oldest_kept(uid)?
+        {
+            (after, begins) = (oldest - 1, true);
+        }
         loop {
-            let records = self.local.read(uid, Some(tip.revision), REPAIR_BYTES)?;
+            let records = self.local.read(uid, Some(after), REPAIR_BYTES)?;
             let Some(last) = records.last().map(|last| last.tip()) else {
                 return Ok(repaired);
             };
-            if records.first().is_some_and(|first| !first.follows(tip)) {
+            if !begins && records.first().is_some_and(|first| !first.follows(tip)) {
                 return Err(LogError::replaced(uid, tip.revision));
             }
             let mut receipts = Vec::new();
             for record in records {
-                if let Receipt::Awaited(receipt) = self.submit(uid, record)? {
-                    receipts.push(receipt);
-                }
+                let submission = match std::mem::take(&mut begins) {
+                    true => Submission::beginning,
+                    false => Submission::new,
+                };
+                receipts.push(self.send(uid, record, submission));
             }
             for receipt in receipts {
                 self.runtime.block_on(receipt)?;
                 repaired += 1;
             }
-            tip = last;
+            (tip, after) = (last, last.revision);
         }
     }
 
