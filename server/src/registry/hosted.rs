@@ -9,7 +9,7 @@ use std::{
 };
 
 use tokio::{
-    sync::{Mutex, mpsc, watch},
+    sync::{Mutex, OnceCell, mpsc, watch},
     time::timeout,
 };
 use tokio_util::task::AbortOnDropHandle;
@@ -70,6 +70,8 @@ pub struct Hosted {
     /// The records of a journal elsewhere that are outside of all windows and not forgotten, if this server trims it.
     pub(super) held: AtomicU64,
     pub(super) first_write: FirstWrite,
+    /// The oldest revision of a journal elsewhere, 1 if it has none, once it was asked.
+    pub(super) oldest_at_start: OnceCell<u64>,
     /// Each batch of a writer session holds a reference while it is under way.
     pub(super) batches: Arc<()>,
     apply_loop: parking_lot::Mutex<ApplyLoop>,
@@ -137,6 +139,7 @@ impl Hosted {
             missed: AtomicU64::new(0),
             held: AtomicU64::new(0),
             first_write: FirstWrite::default(),
+            oldest_at_start: OnceCell::new(),
             fences: Fences::default(),
             is_reported: AtomicBool::new(false),
             is_retired: AtomicBool::new(false),

@@ -350,6 +350,8 @@ impl Registry {
         let view = self.host.log.points.view(entry.uid)?;
         let sizes = PayloadSizes::new(self.host.options.counts_payloads);
         let hosted = Hosted::new(&self.host, &entry, (forest, sizes), view, Operations::new());
+        // Its journal begins here.
+        let _ = hosted.oldest_at_start.set(1);
         let state = IndexState::Hosted(Arc::clone(&hosted));
         self.change(|indexes| indexes.insert(entry.name, state));
         info!(index = name, uid = %entry.uid, space = %entry.space, "created an index");

@@ -97,6 +97,29 @@ impl Hosted {
         Ok(newest.map_err(|_| RegistryError::Stopped)??)
     }
 
+    /// Fails if the journal begins after revision 0, as that of a restored index does: an index without a record is then not
+    /// empty. Asks a journal elsewhere once.
+    pub(crate) async fn begins_empty(self: &Arc<Self>) -> Result<(), RegistryError> {
+        if !self.is_shared() {
+            return Ok(());
+        }
+        let ask = || async {
+            let hosted = Arc::clone(self);
+            let oldest = move || hosted.host.log.journal.oldest(hosted.uid());
+            let oldest = tokio::task::spawn_blocking(oldest).await;
+            let oldest = oldest.map_err(|_| RegistryError::Stopped)??;
+            Ok::<_, RegistryError>(oldest.unwrap_or(1))
+        };
+        match *self.oldest_at_start.get_or_try_init(ask).await? {
+            0 | 1 => Ok(()),
+            oldest => Err(RegistryError::Log(LogError::Trimmed {
+                uid: self.uid(),
+                after: 0,
+                oldest: oldest - 1,
+            })),
+        }
+    }
+
     /// The records after `revision` up to the newest of `writer`, this index's writer; None if some are not cached.
     pub fn records_since(&self, revision: u64, writer: &Writer) -> Option<Vec<Arc<Record>>> {
         let base = writer.base().revision;

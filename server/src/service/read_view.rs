@@ -63,24 +63,38 @@ impl Service {
             }
         }
         let published = hosted.published();
-        if published.revision == 0
-            && let Some(damage) = hosted.damage()
-        {
+        if published.revision == 0 {
             // A server that has nothing of an index yet does not answer that there is nothing.
-            return Err(registry_error(hosted.name(), damage));
+            if let Some(damage) = hosted.damage() {
+                return Err(registry_error(hosted.name(), damage));
+            }
+            const ASKING: &str = "while waiting for the journal";
+            let empty = self.bounded(call, ASKING, hosted.begins_empty()).await?;
+            empty.map_err(|error| registry_error(hosted.name(), error))?;
         }
         if published.revision >= revision {
             return Ok(published);
         }
         const WAITING: &str = "while waiting for min_revision";
-        let reached = hosted.reached(revision);
-        let reached = match call.deadline {
-            Some(_) => call.bound(WAITING, reached).await?,
-            None => tokio::time::timeout(self.limits().min_revision_wait, reached)
-                .await
-                .map_err(|_| Error::DeadlineExceeded { doing: WAITING })?,
-        };
+        let reached = self
+            .bounded(call, WAITING, hosted.reached(revision))
+            .await?;
         reached.map_err(|error| registry_error(hosted.name(), error))
+    }
+
+    /// Waits for `future` until the deadline of the call, or for `min_revision_wait` if it has none.
+    async fn bounded<F: Future>(
+        &self,
+        call: &Call,
+        doing: &'static str,
+        future: F,
+    ) -> Result<F::Output, Error> {
+        match call.deadline {
+            Some(_) => call.bound(doing, future).await,
+            None => tokio::time::timeout(self.limits().min_revision_wait, future)
+                .await
+                .map_err(|_| Error::DeadlineExceeded { doing }),
+        }
     }
 }
 
@@ -162,3 +176,6 @@ fn check_uid(hosted: &Hosted, uid: &str) -> Result<(), Error> {
         found: hosted.uid_text().into(),
     })
 }
+
+#[cfg(test)]
+mod tests;

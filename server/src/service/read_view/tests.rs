@@ -1,0 +1,149 @@
+//! An index of which this server has no record, because it has not followed the journal yet.
+
+use std::{
+    sync::atomic::{AtomicUsize, Ordering::SeqCst},
+    time::{Duration, Instant},
+};
+
+use futures_util::{StreamExt, stream};
+use tokio::sync::Mutex;
+
+use super::*;
+use crate::{
+    log::{
+        Catalogue, Effects, Entry, Journal, Log, LogError, MemoryLog, PointStore, Receipt, Record,
+        RecordStream, Retention, Uid, Window,
+    },
+    registry::{Registry, RegistryOptions},
+    service::Limits,
+};
+
+/// A journal that other servers share, and that sends nothing yet.
+struct Silent {
+    local: Arc<MemoryLog>,
+    oldest: Option<u64>,
+    /// It does not answer while this is locked.
+    gate: Mutex<()>,
+    /// The number of times that it was asked for its oldest record.
+    asked: AtomicUsize,
+}
+
+impl Journal for Silent {
+    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+        self.local.submit(uid, record)
+    }
+
+    fn follow(&self, _: Uid, _: u64) -> RecordStream {
+        stream::pending().boxed()
+    }
+
+    fn read(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        max_bytes: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
+        self.local.read(uid, after, max_bytes)
+    }
+
+    fn oldest(&self, _: Uid) -> Result<Option<u64>, LogError> {
+        self.asked.fetch_add(1, SeqCst);
+        drop(self.gate.blocking_lock());
+        Ok(self.oldest)
+    }
+
+    fn newest(&self, uid: Uid) -> Result<u64, LogError> {
+        self.local.newest(uid)
+    }
+
+    fn trim(&self, _: Uid, _: &Retention) -> Result<(), LogError> {
+        Ok(())
+    }
+
+    fn window(&self, _: Uid) -> Result<Window, LogError> {
+        Ok(Window::default())
+    }
+
+    fn is_shared(&self) -> bool {
+        true
+    }
+}
+
+/// A server with this many records of its own.
+fn server(records: u64, oldest: Option<u64>) -> (Service, Arc<Silent>) {
+    let entry = Entry {
+        uid: Uid::unique(),
+        name: "arm".into(),
+        space: "R1".parse().unwrap(),
+        payload_encoding: Default::default(),
+    };
+    let local = Arc::new(MemoryLog::new());
+    local.create(entry.clone()).unwrap();
+    for _ in 0..records {
+        let tip = local.view(entry.uid).unwrap().tip();
+        let record = Arc::new(Record::after(tip, Effects::new(1)));
+        local.submit(entry.uid, Arc::clone(&record)).unwrap();
+        local.apply(entry.uid, &[record]).unwrap();
+    }
+    let journal = Arc::new(Silent {
+        local: Arc::clone(&local),
+        oldest,
+        gate: Mutex::default(),
+        asked: AtomicUsize::new(0),
+    });
+    let log = Log {
+        journal: Arc::clone(&journal) as Arc<dyn Journal>,
+        points: Arc::clone(&local) as Arc<dyn PointStore>,
+        catalogue: local,
+    };
+    let registry = Registry::new(log, RegistryOptions::default());
+    registry.replay().unwrap();
+    let service = Service::new(registry, Limits::default());
+    service.set_ready();
+    (service, journal)
+}
+
+/// A read that names no revision.
+async fn read(service: &Service, call: &Call) -> Result<u64, Error> {
+    let hosted = service.registry().unwrap().get("arm").unwrap();
+    let published = service.published(call, &hosted, 0, false).await?;
+    Ok(published.revision)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_index_whose_journal_begins_later_is_not_read_as_empty() {
+    let (service, _) = server(0, Some(8));
+    for _ in 0..2 {
+        let refused = read(&service, &Call::default()).await.unwrap_err();
+        let text = refused.to_string();
+        assert!(text.contains("are held only from 7 on"), "{text}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_journal_of_an_empty_index_is_asked_once() {
+    for oldest in [None, Some(1)] {
+        let (service, journal) = server(0, oldest);
+        for _ in 0..3 {
+            assert_eq!(read(&service, &Call::default()).await.unwrap(), 0);
+        }
+        assert_eq!(journal.asked.load(SeqCst), 1);
+    }
+    let (service, journal) = server(2, Some(8));
+    assert_eq!(read(&service, &Call::default()).await.unwrap(), 2);
+    assert_eq!(journal.asked.load(SeqCst), 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_read_waits_for_the_journal_until_its_deadline() {
+    let (service, journal) = server(0, None);
+    let locked = journal.gate.lock().await;
+    let call = Call {
+        deadline: Some(Instant::now() + Duration::from_millis(20)),
+        ..Call::default()
+    };
+    let late = read(&service, &call).await.unwrap_err();
+    assert!(matches!(late, Error::DeadlineExceeded { .. }), "{late}");
+    drop(locked);
+    assert_eq!(read(&service, &Call::default()).await.unwrap(), 0);
+}
