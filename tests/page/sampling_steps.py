@@ -10,10 +10,17 @@ from support import MAX_WAIT_S, SPACE, row, running, streams_of, wait_until_draw
 SHOWN = re.compile(r"shows ([\d,]+) of ([\d,]+) points")
 
 
-def shown_of(page, points):
-    """The number of points that the page shows once it knows that there are `points`."""
+def shown_of(page, index, points, server):
+    """The number of points that the page shows once it has all of them up to the newest revision, and knows that there are
+    `points`. The number of all comes by the overview, and may come before the points do."""
+    newest = int(server.json("info", index)["revision"]["number"])
+    expect(page.locator("#revision")).to_have_text(re.compile(f"^revision {newest:,}:"), timeout=MAX_WAIT_S * 1000)
     expect(page.locator("#sampled")).to_have_text(re.compile(f"of {points:,} points"), timeout=MAX_WAIT_S * 1000)
     return int(SHOWN.search(page.locator("#sampled").inner_text())[1].replace(",", ""))
+
+
+def wait_until_shown(page, shown, points):
+    expect(page.locator("#sampled")).to_have_text(re.compile(f"shows {shown:,} of {points:,} points"), timeout=MAX_WAIT_S * 1000)
 
 
 def open_sampled(page, server, index, most):
@@ -28,19 +35,18 @@ def a_sample_goes_on_after_a_cut(page, programs, pictures):
             server.command("create", "arm", "--space", SPACE)
             server.insert("arm", map(row, range(4000)))
             open_sampled(page, server, "arm", 1000)
-            before = shown_of(page, 4000)
+            before = shown_of(page, "arm", 4000, server)
             assert 850 < before < 1150, before
             ports = server.ports()
         asked = streams_of(page, "points")
         expect(page.locator("#status")).to_contain_text("trying again", timeout=MAX_WAIT_S * 1000)
         with running(programs, data=data, ports=ports) as server:
             server.insert("arm", map(row, range(4000, 4400)))
-            after = shown_of(page, 4400)
-            assert before < after < before + 180, (before, after)
-            assert asked and all("after=" in it and "share=0.25" in it for it in asked), asked
             # A page that begins now with the same share has the same number.
             whole = server.points("arm", "max=1100")
-            assert whole["share"] == 0.25 and whole["sent"] == after, (whole, after)
+            assert whole["share"] == 0.25 and before < whole["sent"] < before + 180, (whole, before)
+            wait_until_shown(page, whole["sent"], 4400)
+            assert asked and all("after=" in it and "share=0.25" in it for it in asked), asked
 
 
 def an_index_that_grows_is_sampled_again(page, programs, pictures):
@@ -53,7 +59,7 @@ def an_index_that_grows_is_sampled_again(page, programs, pictures):
         expect(page.locator("#sampled")).to_have_text("")
         for number in range(500, 5000, 500):
             server.insert("arm", map(row, range(number, number + 500)))
-        shown = shown_of(page, 5000)
+        shown = shown_of(page, "arm", 5000, server)
         assert 750 < shown <= 1250, shown
         # The last stream goes on where the one before ended. The server's sample of the same share has the same number.
         share = float(re.search(r"share=([\d.e-]+)", asked[-1])[1])
