@@ -1,7 +1,8 @@
 // A sample of the server: the list of its indices, and the metrics that operators scrape.
 
 const DAMAGE_ADVICE =
-  "The other indices go on. Delete this one and restore it from a snapshot: wayfold delete, then wayfold restore.";
+  "Copy the data directory before anything else. In a cluster the index may heal by itself. Otherwise follow the reason: run " +
+  "wayfold-server repair if it says so; if not, restore a snapshot under another name before you delete this index.";
 
 /**
  * What the overview shows of one moment. `server` is the answer of the verb of that name. `metrics` is null for an identity
