@@ -2,7 +2,7 @@
 
 from playwright.sync_api import expect
 
-from support import MAX_WAIT_S, PROBE, SPACE, probe, row, running, wait_for_count
+from support import (MAX_WAIT_S, PROBE, SPACE, probe, row, running, set_hidden, streams_of, wait_for_count)
 
 
 def many_indices_leave_room_for_calls(page, programs, pictures):
@@ -26,3 +26,39 @@ def many_indices_leave_room_for_calls(page, programs, pictures):
         expect(page.locator("#revision")).to_have_text("revision 1: 400 points")
         page.goto(f"{server.page}#/{','.join(names[:2])}")
         expect(page.locator("#notice")).to_be_hidden()
+
+
+def a_hidden_tab_leaves_its_connections(page, programs, pictures):
+    """The tabs of a browser share six connections: four indices and the overview leave one, which a second overview takes."""
+    names = [f"arm-{number}" for number in range(4)]
+    with running(programs) as server:
+        for name in names:
+            server.command("create", name, "--space", SPACE)
+            server.insert(name, map(row, range(100)))
+        context = page.context.browser.new_context()
+        first, second = context.new_page(), context.new_page()
+        first.goto(f"{server.page}#/{','.join(names)}")
+        wait_for_count(first, 400)
+        expect(first.locator("#status")).to_have_text("live")
+        # The tab with too few connections says that it waits, and its probe does too.
+        second.goto(f"{server.page}#/arm-0")
+        expect(second.locator("#status")).to_have_text("connecting")
+        second.fill("#probe-state", PROBE)
+        second.click("#probe-run")
+        expect(second.locator("#probe-error")).to_contain_text("waits for the server")
+        set_hidden(first, True)
+        expect(first.locator("#status")).to_contain_text("paused")
+        wait_for_count(second, 100)
+        expect(second.locator("#status")).to_have_text("live", timeout=MAX_WAIT_S * 1000)
+        answer = server.json("knn", "arm-0", "--state", PROBE, "-k", "5")
+        assert probe(second, PROBE, 5) == list(zip(map(str, answer["ids"]), answer["distances"]))
+        # Shown again, it asks for what came meanwhile.
+        server.insert("arm-0", map(row, range(100, 150)))
+        second.close()
+        expect(first.locator("#count")).to_have_text("400 points")
+        asked = streams_of(first, "points")
+        set_hidden(first, False)
+        wait_for_count(first, 450)
+        expect(first.locator("#status")).to_have_text("live", timeout=MAX_WAIT_S * 1000)
+        assert len(asked) == 4 and all("after=" in it and "share=1" in it for it in asked), asked
+        context.close()

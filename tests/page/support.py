@@ -146,6 +146,12 @@ def set_slider(page, revision):
                   "s.dispatchEvent(new Event('input', { bubbles: true })); }", str(revision))
 
 
+def set_hidden(page, is_hidden):
+    """Tells the page that its tab is hidden or shown again. Without a screen, the browser takes all tabs for shown."""
+    page.evaluate("hidden => { Object.defineProperty(document, 'hidden', { configurable: true, get: () => hidden }); "
+                  "document.dispatchEvent(new Event('visibilitychange')); }", is_hidden)
+
+
 def probe(page, state, k):
     """Asks for the neighbours of a state, and returns those that the page lists: ids and distances."""
     page.fill("#probe-state", state)

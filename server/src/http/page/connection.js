@@ -4,13 +4,14 @@ import { byId, setText } from "./dom.js";
 
 const WORDS = {
   live: "live",
+  paused: "paused while this tab is hidden",
   connecting: "connecting",
   retrying: "not connected, trying again",
   silent: "no word from the server, trying again",
   refused: "refused by the server",
 };
 // The worst state of any stream is shown.
-const ORDER = ["refused", "silent", "retrying", "connecting", "live"];
+const ORDER = ["refused", "silent", "retrying", "connecting", "paused", "live"];
 const states = new Map();
 
 /** Records the state of one stream; `problem` has the server's words if it refused the stream. */

@@ -7,7 +7,7 @@ import { Past } from "./past.js";
 import { Pauses } from "./pauses.js";
 import { Share } from "./share.js";
 import { parseSpace } from "./space.js";
-import { follow } from "./stream.js";
+import { followWhileVisible } from "./stream.js";
 import { Vertices } from "./vertices.js";
 
 // A telephone has less memory, and a smaller screen shows fewer points anyway. `?max=N` before the `#` of the address is another
@@ -42,7 +42,7 @@ export class Layer {
     this.changed = changed;
     this.spaceKnown = spaceKnown;
     this.past = new Past(name, this.cloud, changed);
-    this.stream = follow(() => this.#path(), {
+    this.stream = followWhileVisible(() => this.#path(), {
       take: (head, body) => this.#take(head, body),
       state: (state, problem, code) => this.#report(state, problem, code),
     });
@@ -56,8 +56,8 @@ export class Layer {
     forget(`points of ${this.name}`);
   }
 
-  // After a lost connection, only what came after the last whole revision is asked for: so the slider keeps what it knows
-  // of removed points, and a sample stays the same sample.
+  // After a lost connection or a pause, only what came after the last whole revision is asked for: so the slider keeps what
+  // it knows of removed points, and a sample stays the same sample.
   #path() {
     const path = `api/v1/${encodeURIComponent(this.name)}/points?max=${MAX_POINTS}&follow=true&edges=true`;
     if (this.reached === undefined) return path;
@@ -117,6 +117,7 @@ export class Layer {
   async #askForSpace({ uid, coordinates }) {
     if (this.uidOfSpace === uid) return;
     const about = `description of ${this.name}`;
+    report(about, "connecting");
     while (!this.isClosed && this.cloud.uid === uid) {
       try {
         const { index } = await call(this.name, "info", {});
@@ -129,7 +130,7 @@ export class Layer {
         this.spaceKnown(this);
         return;
       } catch (error) {
-        if (this.isClosed) return;
+        if (this.isClosed) break;
         if (error instanceof Refusal) report(about, "refused", error.message);
         else report(about, "retrying");
         await this.#pauses.next();

@@ -1,10 +1,10 @@
 // What the server tells of itself each second while the page is visible. All parts of the page listen to it.
 
 import { callServer } from "./api.js";
-import { forget, report } from "./connection.js";
+import { report } from "./connection.js";
 import { History } from "./history.js";
 import { sampleOf } from "./metrics.js";
-import { follow } from "./stream.js";
+import { followWhileVisible } from "./stream.js";
 
 const STREAM = "overview";
 
@@ -25,23 +25,11 @@ export function listen(listener) {
 
 /** Listens to the server for as long as the page lives. A page that nobody sees does not listen. */
 export function start() {
-  let stream = null;
-  const open = () => {
-    stream = follow(() => "api/v1/overview", {
-      begin: askForServer,
-      take: (head) => head.kind === "overview" && take(head),
-      state: (state, problem) => report(STREAM, state, problem),
-    });
-  };
-  const show = () => {
-    if (!document.hidden && !stream) open();
-    if (!document.hidden || !stream) return;
-    stream.stop();
-    stream = null;
-    forget(STREAM);
-  };
-  document.addEventListener("visibilitychange", show);
-  show();
+  followWhileVisible(() => "api/v1/overview", {
+    begin: askForServer,
+    take: (head) => head.kind === "overview" && take(head),
+    state: (state, problem) => report(STREAM, state, problem),
+  });
 }
 
 // The version and the durability, which change only with the process.

@@ -30,7 +30,7 @@ export class Past {
       // What a lost connection had begun is begun again.
       begin: () => (this.#replay = new Replay(cloud)),
       take: (head, body) => this.#take(head, body),
-      state: (state, problem) => this.#stream && report(`past of ${this.name}`, state, problem),
+      state: (state, problem) => this.#replay && report(`past of ${this.name}`, state, problem),
     });
   }
 

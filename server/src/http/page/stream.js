@@ -20,6 +20,32 @@ export function follow(path, listener) {
   return { stop: () => stream.stop(), restart: () => stream.restart() };
 }
 
+/**
+ * As `follow`, for as long as the tab is visible: the tabs of a browser share the few connections that it has for a server. A
+ * hidden tab has none, and `state` hears "paused". `path()` is asked for again once the tab is shown.
+ */
+export function followWhileVisible(path, listener) {
+  let stream = null;
+  const show = () => {
+    if (document.hidden === (stream === null)) return;
+    if (!document.hidden) {
+      stream = follow(path, listener);
+      return;
+    }
+    stream.stop();
+    stream = null;
+    listener.state("paused");
+  };
+  document.addEventListener("visibilitychange", show);
+  if (document.hidden) listener.state("paused");
+  show();
+  const stop = () => {
+    document.removeEventListener("visibilitychange", show);
+    stream?.stop();
+  };
+  return { stop, restart: () => stream?.restart() };
+}
+
 class Stream {
   #pauses = new Pauses();
   #attempt = null;
@@ -51,7 +77,10 @@ class Stream {
       this.#reason = "";
       const refusal = await this.#readOnce();
       if (this.#isStopped) return;
-      if (this.#reason === "restart") continue;
+      if (this.#reason === "restart") {
+        this.state("connecting");
+        continue;
+      }
       if (refusal) this.state("refused", refusal.message, refusal.code);
       else this.state(this.#reason === "silence" ? "silent" : "retrying");
       if (performance.now() - began > GOOD_MS) this.#pauses.reset();
