@@ -28,6 +28,12 @@ def the_probe_answers_as_the_command_line(page, programs, pictures):
             page.fill("#probe-state", state)
             page.click("#probe-run")
             expect(page.locator("#probe-error")).to_contain_text(words)
+        # What is wrong is marked, also where it is a limit of the server.
+        page.fill("#probe-state", PROBE)
+        page.fill("#probe-k", "10001")
+        page.click("#probe-run")
+        expect(page.locator("#probe-k")).to_have_attribute("aria-invalid", "true")
+        expect(page.locator("#probe-error")).to_contain_text("max_k")
 
 
 def text_of(page, language):

@@ -16,9 +16,12 @@ export class Refusal extends Error {
 
   /** The field of the request that is wrong, such as `states[0].coords[3]`; empty if the server names none. */
   get field() {
+    // A limit has the name of a setting: that of `k` is `max_k`.
     for (const detail of this.details) {
       const violation = (detail.field_violations ?? detail.fieldViolations ?? [])[0];
       if (violation) return violation.field ?? "";
+      const limit = (detail.violations ?? [])[0]?.subject;
+      if (limit) return limit.replace(/^max_/, "");
     }
     return "";
   }
