@@ -112,7 +112,7 @@ export class Timeline {
     const from = this.#isLive ? Number(this.slider.min) : Number(this.slider.value);
     const whole = Math.max(this.newest - Number(this.slider.min), 1);
     let began = performance.now();
-    this.#label("⏸", "Pause");
+    this.#label("pause", "Pause");
     const step = (now) => {
       // The replay begins with what was.
       if (this.#loaded < 1) began = now;
@@ -131,11 +131,11 @@ export class Timeline {
   #stop() {
     cancelAnimationFrame(this.#replay);
     this.#replay = 0;
-    this.#label("▶", "Replay how the points came");
+    this.#label("play", "Replay how the points came");
   }
 
   #label(sign, words) {
-    setText(byId("play"), sign);
+    byId("play").dataset.sign = sign;
     byId("play").setAttribute("aria-label", words);
   }
 }
