@@ -4,6 +4,8 @@ import { callServer } from "./api.js";
 
 const ANY_HOST = /^(0\.0\.0\.0|\[::\])$/;
 
+const USUAL_URI = "http://127.0.0.1:50051";
+
 let known = null;
 
 /** The address of gRPC for programs that run where the browser does, and whether they need a CA and a token. Asked once. */
@@ -16,6 +18,20 @@ export async function serverForPrograms() {
   const [, host, port] = /^(.*):(\d+)$/.exec(grpc.address);
   const scheme = grpc.tls ? "https" : "http";
   return { uri: `${scheme}://${ANY_HOST.test(host) ? browserHost() : host}:${port}`, hasTls: grpc.tls, hasIdentities: identities };
+}
+
+/** The options by which the command line reaches the server; none at the usual address. */
+export function optionsFor({ uri, hasTls }) {
+  return [...(uri === USUAL_URI ? [] : ["--server", uri]), ...(hasTls ? ["--ca", "ca.pem"] : [])];
+}
+
+/** Adds these options to a command, or none while the server does not tell its address. */
+export async function commandForServer(command) {
+  try {
+    return [command, ...optionsFor(await serverForPrograms())].join(" ");
+  } catch {
+    return command;
+  }
 }
 
 // A server that listens on every address is reached by the name that the browser uses for it. `localhost` may be ::1, where it

@@ -1,5 +1,6 @@
 // The page of one or several indices: it joins the picture, the settings, the probe and the slider.
 
+import { commandForServer } from "./addresses.js";
 import { forget, report } from "./connection.js";
 import { byId, setText } from "./dom.js";
 import { count, counted } from "./format.js";
@@ -131,12 +132,13 @@ export class IndexPage {
     parts.view.setLayers(this.#layers, this.drawn);
   }
 
-  #showEmpty() {
+  async #showEmpty() {
     const { name, space } = this.drawn[0];
     const empty = byId("empty");
     empty.hidden = false;
     const state = space.factors.map(({ kind, size }) => (kind === "SO3" ? "0,0,0,1" : Array(size).fill("0").join())).join();
-    setText(empty, `This index has no points yet. They appear here as they come, for example by: echo ${state} | wayfold insert ${name} -`);
+    const command = await commandForServer(`wayfold insert ${name} -`);
+    setText(empty, `This index has no points yet. They appear here as they come, for example by: echo ${state} | ${command}`);
   }
 }
 

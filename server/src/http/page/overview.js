@@ -1,5 +1,6 @@
 // The overview: the server in tiles, the indices and the calls in tables.
 
+import { commandForServer } from "./addresses.js";
 import { byId, element, keyed, setText } from "./dom.js";
 import { bytes, count, counted, duration, rate, short } from "./format.js";
 import { history, listen } from "./overview_feed.js";
@@ -96,6 +97,7 @@ function problemOf(index) {
 
 function updateIndices({ indices, hasFigures }) {
   byId("indices").hidden = indices.length === 0;
+  if (indices.length === 0 && byId("indices-empty").hidden) showCreateHint();
   byId("indices-empty").hidden = indices.length > 0;
   const rank = (row) => (row.problem ? (row.problem.grave ? 0 : 1) : 2);
   const rows = indices.map((index) => ({ index, problem: problemOf(index), hasFigures }));
@@ -104,6 +106,10 @@ function updateIndices({ indices, hasFigures }) {
   const all = rows.flatMap((row) => (row.problem ? [row, { ...row, isAdvice: true }] : [row]));
   const key = (row) => (row.isAdvice ? `${row.index.name} advice` : row.index.name);
   keyed(byId("indices").tBodies[0], all, key, makeRow, updateRow);
+}
+
+async function showCreateHint() {
+  setText(byId("create-hint"), await commandForServer("wayfold create arm --space 'R3*SO3:0.15'"));
 }
 
 function makeRow({ index, isAdvice }) {

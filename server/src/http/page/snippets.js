@@ -1,6 +1,6 @@
 // The same search as text: for the command line, Rust, Python and C++. The calls are those of the docs.
 
-const USUAL_URI = "http://127.0.0.1:50051";
+import { optionsFor } from "./addresses.js";
 
 /**
  * The texts of a search, with their names. `search` has `index`, `state`, and `k`, `radius`, `epsilon`, `tag` if given; `server`
@@ -15,16 +15,15 @@ export function snippets(search, server) {
   ];
 }
 
-function commandLine({ index, state, k, radius, epsilon, tag }, { uri, hasTls, hasIdentities }) {
+function commandLine({ index, state, k, radius, epsilon, tag }, server) {
   const words = ["wayfold", k === undefined ? "query" : "knn", index, `--state=${state.join()}`];
   if (k !== undefined) words.push("-k", k);
   if (radius !== undefined) words.push("--radius", radius);
   if (epsilon) words.push("--epsilon", epsilon);
   if (tag) words.push("--tag", `${hex(tag.value)}/${hex(tag.mask)}`);
-  if (uri !== USUAL_URI) words.push("--server", uri);
-  if (hasTls) words.push("--ca", "ca.pem");
+  words.push(...optionsFor(server));
   const line = words.join(" ");
-  return hasIdentities ? `# Your token is read from the environment: WAYFOLD_TOKEN.\n${line}` : line;
+  return server.hasIdentities ? `# Your token is read from the environment: WAYFOLD_TOKEN.\n${line}` : line;
 }
 
 // The methods of a search have the same names in Rust and in C++.
