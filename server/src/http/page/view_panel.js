@@ -54,6 +54,7 @@ export class ViewPanel {
       return { name, layer, about, isOther };
     });
     keyed(byId("layers"), rows, (row) => row.name, (row) => this.#makeRow(row.name), updateRow);
+    byId("revisions-about").hidden = drawn.length < 2;
     this.#updateEdges();
     if (!this.#isSizeChosen) this.#setSize(sizeFor(drawn));
     this.#showLegend();
