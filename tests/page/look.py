@@ -65,6 +65,7 @@ STEPS = [
     projection_steps.numbers_of_axes_tell_their_steps,
     overlay_steps.many_indices_leave_room_for_calls,
     overlay_steps.a_hidden_tab_leaves_its_connections,
+    overlay_steps.long_names_are_told_apart,
     parallel_steps.joints_are_lines,
     parallel_steps.lines_are_sampled_and_follow_the_slider,
     health_steps.a_server_that_comes_back_is_seen_again,

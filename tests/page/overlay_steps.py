@@ -1,8 +1,10 @@
 """Several indices in one picture."""
 
+import re
+
 from playwright.sync_api import expect
 
-from support import (MAX_WAIT_S, PROBE, SPACE, probe, row, running, set_hidden, streams_of, wait_for_count)
+from support import (MAX_WAIT_S, PROBE, SPACE, looks, probe, row, running, set_hidden, streams_of, wait_for_count)
 
 
 def many_indices_leave_room_for_calls(page, programs, pictures):
@@ -62,3 +64,38 @@ def a_hidden_tab_leaves_its_connections(page, programs, pictures):
         expect(first.locator("#status")).to_have_text("live", timeout=MAX_WAIT_S * 1000)
         assert len(asked) == 4 and all("after=" in it and "share=1" in it for it in asked), asked
         context.close()
+
+
+def long_names_are_told_apart(page, programs, pictures):
+    """The names are those of the trees of `maze`, whose ends differ."""
+    start, goal = (f"planning-1578819d-97ba-4a6e-a50c-b14820a990f6-{tree}" for tree in ("start", "goal"))
+    with running(programs) as server:
+        page.goto(server.page)
+        # The server is not at the usual address.
+        expect(page.locator("#create-hint")).to_have_text(f"wayfold create arm --space 'R3*SO3:0.15' --server {server.uri}")
+        for name, space in [("apart", "R3"), ("beside", SPACE), (goal, SPACE), (start, SPACE)]:
+            server.command("create", name, "--space", space)
+        expect(page.locator("#indices tbody tr")).to_have_count(4)
+        # Names wrap before the last columns are cut off.
+        page.set_viewport_size({"width": 900, "height": 800})
+        assert page.evaluate("() => { const it = document.querySelector('#indices').parentElement; "
+                             "return it.scrollWidth <= it.clientWidth; }")
+        page.set_viewport_size({"width": 1280, "height": 800})
+        looks(page, pictures, "long-names-overview")
+        page.goto(f"{server.page}#/{start}")
+        expect(page.locator("#empty")).to_contain_text(f"wayfold insert {start} - --server {server.uri}")
+        expect(page.locator("#revisions-about")).to_be_hidden()
+        for name in (start, goal):
+            server.insert(name, map(row, range(100)))
+        expect(page.locator("#layers li")).to_have_count(4)
+        assert page.locator("#layers .layer-name").all_text_contents() == [start, goal, "beside", "apart"]
+        page.goto(f"{server.page}#/{start},{goal}")
+        wait_for_count(page, 200)
+        expect(page.locator("#revisions-about")).to_be_visible()
+        options = page.locator("#probe-index option").all_text_contents()
+        assert options[0].endswith("-start") and options[1].endswith("-goal") and all(len(it) <= 22 for it in options), options
+        # Only the narrow legend has short names.
+        expect(page.locator("#legend li")).to_have_text([start, goal])
+        looks(page, pictures, "long-names")
+        page.set_viewport_size({"width": 390, "height": 844})
+        expect(page.locator("#legend li")).to_have_text([re.compile("….*-start$"), re.compile("….*-goal$")])

@@ -52,3 +52,10 @@ export function digits(number) {
   if (number === 0) return "0";
   return Math.abs(number) >= 1000 ? count(number) : String(Number(number.toPrecision(3)));
 }
+
+/** A name in at most `most` characters. Names of one planner begin alike, so it is the middle that is left out. */
+export function shortened(name, most) {
+  if (name.length <= most) return name;
+  const start = Math.floor((most - 1) / 3);
+  return `${name.slice(0, start)}…${name.slice(start + 1 - most)}`;
+}

@@ -4,7 +4,10 @@ import { serverForPrograms } from "./addresses.js";
 import { call } from "./api.js";
 import { showAnswer } from "./answer.js";
 import { byId, element, setText } from "./dom.js";
-import { digits } from "./format.js";
+import { digits, shortened } from "./format.js";
+
+// The list of indices has room for so many characters.
+const MAX_NAME = 22;
 
 // The fields of a request and those of the form. A name that begins with another one stands before it.
 const FIELDS = {
@@ -48,7 +51,7 @@ export class Probe {
     const select = byId("probe-index");
     const chosen = select.value;
     this.#layers = layers;
-    select.replaceChildren(...layers.map(({ name }) => element("option", { value: name, text: name })));
+    select.replaceChildren(...layers.map(({ name }) => element("option", { value: name, title: name, text: shortened(name, MAX_NAME) })));
     if (layers.some(({ name }) => name === chosen)) select.value = chosen;
     else this.clear();
     const isOne = layers.length < 2;
@@ -77,7 +80,7 @@ export class Probe {
     const search = ++this.#searches;
     this.#fail("");
     const layer = this.#layers.find(({ name }) => name === byId("probe-index").value);
-    if (!layer) return;
+    if (!layer) return this.#fail("The page still waits for the server to describe the index. Search again then.");
     const asked = readForm(layer.space, (field, problem) => this.#fail(problem, field));
     if (!asked) return;
     byId("probe-run").disabled = true;

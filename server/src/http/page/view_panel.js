@@ -1,7 +1,7 @@
 // The settings of the picture: which indices, which axes, which colours.
 
 import { byId, element, keyed, setText } from "./dom.js";
-import { counted, digits, short } from "./format.js";
+import { counted, digits, short, shortened } from "./format.js";
 import { distanceTo } from "./metric.js";
 import { newest } from "./overview_feed.js";
 import { categories, rampPicture } from "./palette.js";
@@ -11,6 +11,9 @@ import { COLOR_MODE } from "./shaders.js";
 const CUSTOM = "custom";
 // More edges hide the points behind them, so they are shown only when they are asked for.
 const MAX_CLEAR_EDGES = 100_000;
+// On a telephone, longer names would cover the picture.
+const isNarrow = matchMedia("(max-width: 860px)");
+const NARROW_NAME = 16;
 
 /** The settings. They act on the picture at once. */
 export class ViewPanel {
@@ -43,9 +46,8 @@ export class ViewPanel {
   /** Lists all indices with a check mark at those that are shown. */
   setLayers(layers, drawn) {
     this.#drawn = drawn;
-    const known = newest?.indices.map((index) => index.name) ?? [];
     const shown = layers.map((layer) => layer.name);
-    const rows = [...shown, ...known.filter((name) => !shown.includes(name)).sort()].map((name) => {
+    const rows = [...shown, ...namesBeside(shown)].map((name) => {
       const layer = layers.find((one) => one.name === name);
       const index = newest?.indices.find((one) => one.name === name);
       const isOther = layer?.space && !drawn.includes(layer);
@@ -181,7 +183,9 @@ export class ViewPanel {
     };
     const scale = (from, to) => element("li", {}, element("span", { text: from }), rampPicture(), element("span", { text: to }));
     let rows = [];
-    if (by === "index" && this.#drawn.length > 1) rows = this.#drawn.map(({ color, name }) => row(color, name));
+    if (by === "index" && this.#drawn.length > 1) {
+      rows = this.#drawn.map(({ color, name }) => row(color, isNarrow.matches ? shortened(name, NARROW_NAME) : name));
+    }
     if (by === "age") rows = [scale("old", "new")];
     if (by === "tag") {
       const bits = Number(byId("tag-bits").value);
@@ -191,6 +195,25 @@ export class ViewPanel {
     if (by === "distance" && !this.#probed) rows = [element("li", { text: "probe a point first" })];
     byId("legend").replaceChildren(...rows);
   }
+}
+
+/** The other indices: those that can join the picture first, and among them those that are named like one in it. */
+function namesBeside(shown) {
+  const all = newest?.indices ?? [];
+  const space = all.find(({ name }) => name === shown[0])?.space;
+  const others = all.filter(({ name }) => !shown.includes(name)).map((index) => ({
+    name: index.name,
+    isSame: index.space === space,
+    likeness: Math.max(0, ...shown.map((name) => commonStart(name, index.name))),
+  }));
+  others.sort((a, b) => b.isSame - a.isSame || b.likeness - a.likeness || (a.name < b.name ? -1 : 1));
+  return others.map(({ name }) => name);
+}
+
+function commonStart(a, b) {
+  let length = 0;
+  while (length < a.length && a[length] === b[length]) length += 1;
+  return length;
 }
 
 function updateRow(row, { layer, about, isOther }) {
