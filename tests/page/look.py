@@ -2,6 +2,7 @@
 
 import argparse
 import functools
+import json
 import os
 import pathlib
 import re
@@ -20,7 +21,11 @@ import probe_steps
 import projection_steps
 import sampling_steps
 import time_steps
-from support import MAX_WAIT_S, REFUSAL, launch, picture, running, wait_for_count, wait_until_drawn
+from support import MAX_WAIT_S, REFUSAL, launch, picture, probe, running, wait_for_count, wait_until_drawn
+
+SIZE = {"width": 1280, "height": 800}
+# A state among those of the roadmap of `rigid`.
+ROADMAP_PROBE = "5,3,1,0,0,0,1"
 
 
 def a_planner_is_seen_growing(page, programs, pictures, milestones):
@@ -44,10 +49,32 @@ def a_planner_is_seen_growing(page, programs, pictures, milestones):
         points = server.json("info", index)["point_count"]
         wait_for_count(page, int(points))
         assert begun < int(points), "the planner was done before the picture opened"
-        picture(page, pictures, "roadmap")
+        page.select_option("#color-by", "age")
+        page.set_viewport_size({"width": 1120, "height": 860})
+        probe(page, ROADMAP_PROBE, 8)
+        expect(page.locator("#marks .neighbor")).to_have_count(8)
+        picture(page, pictures, "page-probe")
+        page.set_viewport_size(SIZE)
         page.goto(f"{server.page}#/")
         expect(page.locator(f'[data-index="{index}"]')).to_contain_text(f"{int(points):,}")
         picture(page, pictures, "overview")
+
+
+def the_trees_of_a_planner_are_one_picture(page, programs, pictures):
+    """The two trees of `maze`, for the docs."""
+    with running(programs) as server, tempfile.TemporaryDirectory() as directory:
+        maze = [programs / "maze", "--server", server.uri, "--keep", "--workers", "2"]
+        subprocess.run(maze, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=directory, timeout=MAX_WAIT_S)
+        listed = map(json.loads, server.command("--output", "json", "list").splitlines())
+        indices = {index["name"]: int(index["point_count"]) for index in listed}
+        trees = [name for end in ("-start", "-goal") for name in indices if name.endswith(end)]
+        page.goto(f"{server.page}#/{','.join(trees)}")
+        wait_for_count(page, sum(indices[name] for name in trees))
+        expect(page.locator("#legend li")).to_have_text(trees)
+        # The third one that the planner leaves stands beside them, before any other.
+        expect(page.locator("#layers .layer-name").nth(2)).to_have_text(re.compile("-met$"))
+        page.set_viewport_size({"width": 1060, "height": 660})
+        picture(page, pictures, "page-trees")
 
 
 STEPS = [
@@ -80,7 +107,7 @@ STEPS = [
 
 def take(browser, step, programs, pictures):
     """One step, with a page of its own, which writes no line on the console of the browser but those of refusals."""
-    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    page = browser.new_page(viewport=SIZE)
     problems = []
     page.on("pageerror", lambda error: problems.append(str(error)))
     page.on("console", lambda line: None if line.text.startswith(REFUSAL) else problems.append(line.text))
@@ -105,7 +132,9 @@ def main():
     growing = functools.partial(a_planner_is_seen_growing, milestones=arguments.milestones)
     with sync_playwright() as driver:
         browser = launch(driver)
-        for step in [growing, *STEPS]:
+        # The planner of the trees takes ten seconds more, and other steps show the same.
+        steps = [growing, *STEPS, *([the_trees_of_a_planner_are_one_picture] if arguments.pictures else [])]
+        for step in steps:
             if arguments.only and arguments.only not in name_of(step):
                 continue
             take(browser, step, arguments.programs.resolve(), arguments.pictures)

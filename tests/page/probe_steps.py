@@ -23,7 +23,6 @@ def the_probe_answers_as_the_command_line(page, programs, pictures):
         shown = probe(page, PROBE, 7)
         answer = told(server.json("knn", "arm", "--state", PROBE, "-k", "7"))
         assert shown == answer, (shown, answer)
-        picture(page, pictures, "probe")
         for state, words in [("1,2", "2 numbers"), ("5,5,1,0,0,0,9", "norm")]:
             page.fill("#probe-state", state)
             page.click("#probe-run")
