@@ -149,5 +149,7 @@ def what_the_window_does_not_have_is_said(page, programs, pictures):
         set_slider(page, min(known))
         looks(page, pictures, "window")
         page.click("#play")
+        expect(page.locator("#play")).to_have_attribute("aria-label", "Pause")
+        picture(page, pictures, "replay")
         expect(page.locator("#live")).to_have_attribute("aria-pressed", "true", timeout=MAX_WAIT_S * 1000)
         expect(page.locator("#play")).to_have_attribute("aria-label", re.compile("^Replay"), timeout=MAX_WAIT_S * 1000)
