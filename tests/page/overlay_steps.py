@@ -93,7 +93,7 @@ def long_names_are_told_apart(page, programs, pictures):
         wait_for_count(page, 200)
         expect(page.locator("#revisions-about")).to_be_visible()
         options = page.locator("#probe-index option").all_text_contents()
-        assert options[0].endswith("-start") and options[1].endswith("-goal") and all(len(it) <= 22 for it in options), options
+        assert options[0].endswith("-start") and options[1].endswith("-goal") and all(len(it) <= 20 for it in options), options
         # Only the narrow legend has short names.
         expect(page.locator("#legend li")).to_have_text([start, goal])
         looks(page, pictures, "long-names")

@@ -7,7 +7,7 @@ import { byId, element, setText } from "./dom.js";
 import { digits, shortened } from "./format.js";
 
 // The list of indices has room for so many characters.
-const MAX_NAME = 22;
+const MAX_NAME = 20;
 
 // The fields of a request and those of the form. A name that begins with another one stands before it.
 const FIELDS = {

@@ -51,7 +51,7 @@ export class ViewPanel {
       const layer = layers.find((one) => one.name === name);
       const index = newest?.indices.find((one) => one.name === name);
       const isOther = layer?.space && !drawn.includes(layer);
-      const size = index && `${short(Number(index.points))} points`;
+      const size = index && `${short(Number(index.points))} point${Number(index.points) === 1 ? "" : "s"}`;
       const about = isOther ? `another space, ${layer.space.text}` : [index?.space, size].filter(Boolean).join(" · ");
       return { name, layer, about, isOther };
     });
