@@ -74,6 +74,7 @@ def the_trees_of_a_planner_are_one_picture(page, programs, pictures):
         # The third one that the planner leaves stands beside them, before any other.
         expect(page.locator("#layers .layer-name").nth(2)).to_have_text(re.compile("-met$"))
         page.set_viewport_size({"width": 1060, "height": 660})
+        wait_until_drawn(page)
         # After a change of its size, the picture has only a part of the points at first.
         page.wait_for_timeout(3000)
         picture(page, pictures, "page-trees")
