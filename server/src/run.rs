@@ -1,8 +1,9 @@
 //! A server from the bound listener to the last accepted call.
 
+mod error;
+
 use std::{
     convert::Infallible,
-    io,
     net::SocketAddr,
     pin::pin,
     sync::{Arc, OnceLock},
@@ -10,7 +11,6 @@ use std::{
 };
 
 use futures_util::{FutureExt, future::OptionFuture};
-use thiserror::Error;
 use tokio::{
     net::TcpListener,
     time::{Instant, interval, sleep_until, timeout},
@@ -24,22 +24,23 @@ use tracing::{error, info, warn};
 use crate::{
     cluster::{self, Cluster, ClusterError},
     config::{ClusterConfig, Config, DataConfig, HttpConfig, OFF, ON},
-    exposure::{self, Exposed, ExposedError},
+    exposure::{self, Exposed},
     faces::{Addresses, Shared},
-    grpc::{self, Callers, GrpcError, Tls, TlsError},
+    grpc::{self, Callers, GrpcError, Tls},
     http::{self, Pages, State},
-    identity::{Identities, TableError},
+    identity::Identities,
     lifecycle::{Lifecycle, Phase},
     log::{
-        Catalogue, FjallLog, Journal, Log, MemoryLog, NatsError, NatsOptions, OpenError,
-        PointStore, SYNCS, connect_nats,
+        Catalogue, FjallLog, Journal, Log, MemoryLog, NatsError, NatsOptions, PointStore, SYNCS,
+        connect_nats,
     },
-    registry::{Registry, RegistryError, RegistryOptions},
+    registry::{Registry, RegistryOptions},
     service::{Owners, Service},
-    snapshots::{Schedule, SnapshotsError},
+    snapshots::Schedule,
     watermark::Watermarks,
-    zenoh::{self, ZenohError, ZenohFace},
+    zenoh::{self, ZenohFace},
 };
+pub use error::ServerError;
 
 /// A stopping server waits this long for connections without calls to close. A live peer closes at once, after it has
 /// read the rest of its last answer. A frozen peer, or one that never spoke, does not close.
@@ -47,69 +48,6 @@ const IDLE_WAIT: Duration = Duration::from_secs(5);
 
 /// Aborted connections may take this long to close.
 const CUT_WAIT: Duration = Duration::from_secs(1);
-
-/// The error of a server.
-#[derive(Debug, Error)]
-pub enum ServerError {
-    /// The listener cannot be used.
-    #[error("cannot use the listener: {0}")]
-    Listener(#[from] io::Error),
-    /// gRPC failed.
-    #[error(transparent)]
-    Grpc(#[from] GrpcError),
-    /// Zenoh failed.
-    #[error(transparent)]
-    Zenoh(#[from] ZenohError),
-    /// The certificates cannot be used.
-    #[error(transparent)]
-    Tls(#[from] TlsError),
-    /// The identities cannot be used.
-    #[error(transparent)]
-    Identities(#[from] TableError),
-    /// The pages for operators have no address.
-    #[error(
-        "cannot listen on {listen} for /metrics: {source}\n  \
-         choose another address with http.listen (--http 127.0.0.1:0 takes any free port, --http off does without)"
-    )]
-    Pages {
-        /// The address.
-        listen: String,
-        /// The problem.
-        source: io::Error,
-    },
-    /// The server cannot be a member of its cluster.
-    #[error(transparent)]
-    Cluster(#[from] ClusterError),
-    /// The snapshots cannot be written.
-    #[error(transparent)]
-    Snapshots(#[from] SnapshotsError),
-    /// Callers beyond this machine could do everything.
-    #[error(transparent)]
-    Exposed(#[from] ExposedError),
-    /// The data directory could not be opened.
-    #[error(transparent)]
-    Data(#[from] OpenError),
-    /// The journal in NATS cannot be used.
-    #[error(transparent)]
-    Nats(#[from] NatsError),
-    /// The log cannot be replayed.
-    #[error("cannot replay the log: {0}")]
-    Replay(#[from] RegistryError),
-    /// The server ended without a shutdown signal: a bug.
-    #[error("the server ended without a shutdown signal; this is a bug")]
-    Ended,
-    /// The server stopped and cut the calls that were not done after `shutdown.grace_ms`. Connections without a call do
-    /// not count.
-    #[error(
-        "{calls} calls were cut: they were not done {grace_ms} ms after the server began to stop (shutdown.grace_ms)"
-    )]
-    Cut {
-        /// The number of calls that were cut.
-        calls: usize,
-        /// The time they had to finish, in milliseconds.
-        grace_ms: u64,
-    },
-}
 
 /// Serves gRPC on `listener`, and Zenoh as configured, until `shutdown` resolves. Then it finishes the accepted calls
 /// and returns.
