@@ -24,6 +24,7 @@ fuzz_target!(|bytes: &[u8]| {
             revision: 9,
             next_id: 100,
             point_count: u64::from(points) - 1,
+            payload_encoding: Default::default(),
         });
         parts.push(header.content);
     }
