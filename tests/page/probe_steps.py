@@ -27,7 +27,7 @@ def the_probe_answers_as_the_command_line(page, programs, pictures):
             page.fill("#probe-state", state)
             page.click("#probe-run")
             expect(page.locator("#probe-error")).to_contain_text(words)
-        # What is wrong is marked, also where it is a limit of the server.
+        # The page marks a wrong field, also if it exceeds a limit of the server.
         page.fill("#probe-state", PROBE)
         page.fill("#probe-k", "10001")
         page.click("#probe-run")

@@ -24,7 +24,7 @@ pub struct Operation {
     pub invoked: u64,
     /// The time after the answer; [`NEVER`] without one.
     pub returned: u64,
-    /// What was asked and answered.
+    /// The request and its answer.
     pub call: Call,
 }
 

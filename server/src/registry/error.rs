@@ -16,11 +16,11 @@ pub enum RegistryError {
     /// An index of this name exists and differs.
     #[error("an index of this name exists with the {what} {existing}")]
     Exists {
-        /// What differs.
+        /// The property that differs.
         what: &'static str,
-        /// What it has.
+        /// The value of the existing index.
         existing: String,
-        /// What was requested.
+        /// The requested value.
         requested: String,
     },
     /// An index of this name exists, so none can be restored under it.

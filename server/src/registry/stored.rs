@@ -40,8 +40,8 @@ impl Registry {
         window.clamp(MIN_TRIM_INTERVAL, MAX_TRIM_INTERVAL)
     }
 
-    /// What this server stores of those of its indices that have these uids, with the record of the revision that is named
-    /// for an index. Blocks.
+    /// The stored revisions of this server's indices with these uids. A revision beside a uid asks for the record of that
+    /// revision too. Blocks.
     pub(crate) fn stored(&self, asked: &BTreeMap<Uid, Option<u64>>) -> HashMap<Uid, Stored> {
         let hosted = self.hosted().into_iter();
         let stored = hosted.filter_map(|hosted| {

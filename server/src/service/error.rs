@@ -69,11 +69,11 @@ pub enum Error {
     IndexExists {
         /// The name.
         name: String,
-        /// What differs.
+        /// The property that differs.
         what: &'static str,
-        /// What it has, as text.
+        /// The value of the existing index, as text.
         existing: String,
-        /// What was requested, as text.
+        /// The requested value, as text.
         requested: String,
     },
     /// The name for a restored index is taken.

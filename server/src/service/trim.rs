@@ -54,7 +54,7 @@ struct Bounds {
     held_by: Option<String>,
 }
 
-/// What a member stores of an index, as far as it counts here.
+/// The stored revisions of a member that bound the trim.
 #[derive(Clone, Copy)]
 struct Store {
     revision: u64,
@@ -104,7 +104,7 @@ impl Service {
         }
     }
 
-    /// What this server stores of some indices.
+    /// The stored revisions of some indices of this server.
     pub(crate) async fn stored(&self, request: StoredRequest) -> Result<StoredResponse, Error> {
         let revisions = request.revisions.iter().copied().map(Some);
         let revisions = revisions.chain(repeat(None));
@@ -125,7 +125,7 @@ impl Service {
     }
 }
 
-/// What this server stores of some indices.
+/// The stored revisions of some indices of this server.
 async fn stored(
     registry: &Arc<Registry>,
     asked: BTreeMap<Uid, Option<u64>>,

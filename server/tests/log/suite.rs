@@ -388,7 +388,7 @@ proptest! {
 
 proptest! {
     #![proptest_config(cases(12))]
-    #[ignore = "needs NATS"]
+    #[ignore = "needs nats-server"]
     #[test]
     fn the_log_in_nats_is_the_sum_of_its_records(steps in prop::collection::vec(step(), 1..40)) {
         // Its journal keeps all records, and no copy of an index begins in it.

@@ -121,7 +121,7 @@ struct Replay<'a> {
     removed: HashMap<u64, u64>,
     /// The coordinates that were seen of a point, by its id and the revision that stored it.
     states: HashMap<(u64, u64), u64>,
-    /// The mutations without an answer of which no payload was seen, and the times of their invocations.
+    /// Unanswered mutations whose payloads were in no answer, each with the time of its invocation.
     unplaced: Vec<(u64, &'a Vec<Step>)>,
     found: u64,
     /// The revision of a mutation with a point that no read told.

@@ -108,9 +108,9 @@ async fn an_operator_chooses_the_records_that_nats_has_lost() {
     contradict(2 * LOST, true).await;
 }
 
-/// NATS loses records that one server has applied, and the other one writes others in their place, and this many more. Then
-/// the operator chooses the first server with `reseeds`, or the other one.
-async fn contradict(more: u64, reseeds: bool) {
+/// A cluster whose NATS has lost records that server 0 had applied before it was killed: its content then, and server 1, which
+/// has the older records alone.
+async fn set_back() -> (Cluster, Content, ServerProcess, Stubs) {
     let mut cluster = Cluster::empty();
     let server = cluster.start(0);
     let mut stubs = Stubs::connect(server.uri()).await;
@@ -126,6 +126,13 @@ async fn contradict(more: u64, reseeds: bool) {
     let other = cluster.start(1);
     let mut others = Stubs::connect(other.uri()).await;
     others.find("arm").await;
+    (cluster, expected, other, others)
+}
+
+/// NATS loses records that one server has applied, and the other one writes others in their place, and this many more. Then
+/// the operator chooses the first server with `reseeds`, or the other one.
+async fn contradict(more: u64, reseeds: bool) {
+    let (cluster, expected, other, mut others) = set_back().await;
     let mut written = 1000;
     let head = async |stubs: &mut Stubs| stubs.describe("arm").await.revision.unwrap().number;
     while head(&mut others).await < expected.revision + more {
@@ -194,21 +201,7 @@ async fn refuse(stubs: &mut Stubs, first: u64) {
 #[ignore = "needs nats-server"]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_server_ahead_of_another_history_stays_stopped() {
-    let mut cluster = Cluster::empty();
-    let server = cluster.start(0);
-    let mut stubs = Stubs::connect(server.uri()).await;
-    stubs.create("arm", "R1").await;
-    for id in 0..KEPT {
-        insert(&mut stubs, id).await.unwrap();
-    }
-    cluster.save_store();
-    insert_until_acknowledged(&mut stubs, KEPT..KEPT + LOST).await;
-    let expected = latest_content(&mut stubs).await;
-    server.stop(Signal::Kill);
-    cluster.set_store_back();
-    let other = cluster.start(1);
-    let mut others = Stubs::connect(other.uri()).await;
-    others.find("arm").await;
+    let (cluster, expected, _other, mut others) = set_back().await;
     insert(&mut others, 1000).await.unwrap();
 
     let mut server = cluster.start(0);

@@ -8,7 +8,7 @@ use wayfold_tests::history::{Answer, Call, NEVER, Operation, Point, Seen, Step};
 /// The nanoseconds between two moments at which operations take effect.
 const BEAT: u64 = 100;
 
-/// What a client asks of the store.
+/// A request of a client to the store.
 #[derive(Clone, Debug)]
 pub(crate) enum Kind {
     /// A point with an id of the store's.

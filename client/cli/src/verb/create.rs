@@ -37,7 +37,7 @@ pub(crate) struct CreateArgs {
     payloads: Payloads,
 }
 
-/// What an index declares of its payloads.
+/// The declared encoding of payloads.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum Payloads {
     None,

@@ -33,7 +33,7 @@ function update(sample) {
   updateCalls(sample.hasFigures);
 }
 
-// What an identity of some indices is told in the place of figures.
+// An identity of only some indices reads this text in place of figures.
 const NO_FIGURES = "figures need an identity of all indices";
 
 function tilesOf({ server, indices, hasFigures }) {

@@ -1,4 +1,4 @@
-// What the server tells of itself each second while the page is visible. All parts of the page listen to it.
+// The server's overview, which arrives each second while the page is visible. All parts of the page listen to it.
 
 import { callServer } from "./api.js";
 import { report } from "./connection.js";

@@ -1,4 +1,4 @@
-// What happened to an index in the log's window before the page was opened: the points that were removed or replaced then.
+// The log's window before the page was opened: the points that were removed or replaced then.
 //
 // The server tells all mutations after a revision. They are replayed into a cloud of their own, from the start of the window
 // to the revision at which the picture's cloud began; the points that died on the way are the past of that cloud.
@@ -27,7 +27,7 @@ export class Past {
     if (this.#stream || cloud.length === undefined || !(cloud.windowStart < cloud.knownFrom)) return;
     this.#replay = new Replay(cloud);
     this.#stream = follow(() => this.#path(), {
-      // What a lost connection had begun is begun again.
+      // After a lost connection the past is read again from its beginning.
       begin: () => (this.#replay = new Replay(cloud)),
       take: (head, body) => this.#take(head, body),
       state: (state, problem) => this.#replay && report(`past of ${this.name}`, state, problem),

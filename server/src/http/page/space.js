@@ -34,7 +34,7 @@ function axesOf(factors, names) {
       const name = names[at + i];
       if (kind === "SO2") return { name: period === 2 * Math.PI ? `${name} (rad)` : name, range: [-period / 2, period / 2] };
       if (kind === "R") return { name, range: null };
-      // Of a quaternion and its negative, which are one rotation, that with w ≥ 0 is stored.
+      // A quaternion and its negative are one rotation; the server stores the one with w ≥ 0.
       return { name, range: i === 3 ? [0, 1] : [-1, 1] };
     }),
   );

@@ -10,7 +10,7 @@ const REPLAY_MS = 10_000;
 export class Timeline {
   #isLive = true;
   #replay = 0;
-  // What is yet to be loaded of the past.
+  // The past that is still to be loaded.
   #queue = [];
 
   /** `layers()` are those of the picture. `shown` is called when another revision is shown. */

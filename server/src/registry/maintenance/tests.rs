@@ -7,10 +7,11 @@ use futures_util::{StreamExt, stream};
 use super::*;
 use crate::{
     log::{
-        Catalogue, Effects, Journal, Log, MemoryLog, PointStore, Receipt, Record, RecordStream,
-        Retention, Uid, Window,
+        Effects, Journal, Log, MemoryLog, PointStore, Receipt, Record, RecordStream, Retention,
+        Uid, Window,
     },
     registry::RegistryOptions,
+    testing::recorded,
 };
 
 const APPLIED: u64 = 3;
@@ -71,20 +72,7 @@ impl Journal for SetBack {
 
 /// A server whose index has applied more than its journal has, once it has stopped.
 async fn stopped() -> (Arc<SetBack>, Arc<Registry>, Arc<Hosted>) {
-    let entry = Entry {
-        uid: Uid::unique(),
-        name: "arm".into(),
-        space: "R1".parse().unwrap(),
-        payload_encoding: Default::default(),
-    };
-    let local = Arc::new(MemoryLog::new());
-    local.create(entry.clone()).unwrap();
-    for _ in 0..APPLIED {
-        let tip = local.view(entry.uid).unwrap().tip();
-        let record = Arc::new(Record::after(tip, Effects::new(1)));
-        local.submit(entry.uid, Arc::clone(&record)).unwrap();
-        local.apply(entry.uid, &[record]).unwrap();
-    }
+    let local = recorded(APPLIED);
     let journal = Arc::new(SetBack {
         local: Arc::clone(&local),
         head: AtomicU64::new(1),

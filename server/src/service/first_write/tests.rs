@@ -235,7 +235,7 @@ async fn a_contradiction_stops_writing_until_the_member_is_gone() {
     assert_eq!(server.insert().await.unwrap(), RECORDS + 1);
 }
 
-/// A server that has just begun to hear the others does not take them for nobody.
+/// A server that starts waits for the announcements of the others: an empty list does not mean that there are none.
 #[tokio::test(start_paused = true)]
 async fn the_first_mutation_waits_until_the_members_are_known() {
     let (entry, records) = (entry(), more(&[], 1, RECORDS));

@@ -11,11 +11,12 @@ use tokio::sync::Mutex;
 use super::*;
 use crate::{
     log::{
-        Catalogue, Effects, Entry, Journal, Log, LogError, MemoryLog, PointStore, Receipt, Record,
-        RecordStream, Retention, Uid, Window,
+        Journal, Log, LogError, MemoryLog, PointStore, Receipt, Record, RecordStream, Retention,
+        Uid, Window,
     },
     registry::{Registry, RegistryOptions},
     service::Limits,
+    testing::recorded,
 };
 
 /// A journal that other servers share, and that sends nothing yet.
@@ -71,20 +72,7 @@ impl Journal for Silent {
 
 /// A server with this many records of its own.
 fn server(records: u64, oldest: Option<u64>) -> (Service, Arc<Silent>) {
-    let entry = Entry {
-        uid: Uid::unique(),
-        name: "arm".into(),
-        space: "R1".parse().unwrap(),
-        payload_encoding: Default::default(),
-    };
-    let local = Arc::new(MemoryLog::new());
-    local.create(entry.clone()).unwrap();
-    for _ in 0..records {
-        let tip = local.view(entry.uid).unwrap().tip();
-        let record = Arc::new(Record::after(tip, Effects::new(1)));
-        local.submit(entry.uid, Arc::clone(&record)).unwrap();
-        local.apply(entry.uid, &[record]).unwrap();
-    }
+    let local = recorded(records);
     let journal = Arc::new(Silent {
         local: Arc::clone(&local),
         oldest,

@@ -26,7 +26,7 @@ const SCANS: u32 = 20;
 /// The silence of a server after which a client probes it, and after which it leaves.
 const MAX_SILENCE: Duration = Duration::from_secs(1);
 
-/// What all clients know.
+/// The state that all clients share.
 #[derive(Clone)]
 pub(super) struct Scene {
     pub(super) uid: String,

@@ -1,4 +1,4 @@
-//! The clocks of the servers of Wayfold, each of which jumps.
+//! The clock of each Wayfold server, which the test lets jump.
 
 use std::{
     fs,

@@ -32,7 +32,7 @@ pub(super) struct Cluster {
     pub(super) disks: Vec<Disk>,
     /// The same for the network, whose places have the same order.
     pub(super) network: Option<Network>,
-    /// What killed servers had said.
+    /// The notices in the logs of killed servers.
     pub(super) notices: Notices,
     trims: bool,
     directory: tempfile::TempDir,

@@ -55,7 +55,7 @@ async fn a_planner_that_slept_goes_on() {
             .unwrap();
     }
     while followers(&pages) != "0" {}
-    // What it writes first comes from the time before it knows.
+    // Its first writes are made before it knows that it was left.
     sleeper.say("7");
     sleeper.signal(Signal::Resume);
     let expected = OTHERS + 12;
