@@ -1,41 +1,134 @@
-//! A connection to the pages for operators. It ends after a time in which it took nothing, so that a silent one gives up its
-//! place.
+//! The connections to the pages for operators, which are few. One ends after a time in which it took nothing. Once all places
+//! are taken, the one that took nothing for the longest time makes room for the next: silent strangers keep no probe out.
 
 use std::{
+    collections::BTreeMap,
     io,
     pin::Pin,
+    sync::Arc,
     task::{Context, Poll},
     time::Duration,
 };
 
+use parking_lot::Mutex;
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
-    sync::OwnedSemaphorePermit,
-    time::{Instant, Sleep, sleep_until},
+    sync::{OwnedSemaphorePermit, Semaphore},
+    time::{Instant, Sleep, sleep_until, timeout},
 };
+use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 
 use crate::grpc::Socket;
 
 /// The time in which a connection takes some bytes of an answer. Clients of HTTP connect again by themselves.
 const MAX_STALL: Duration = Duration::from_secs(60);
 
-/// See the module.
+/// A connection keeps its place for this long after it was opened and after it took bytes: its request may be on its way.
+/// Probes wait a second for an answer.
+const MIN_SILENCE: Duration = Duration::from_millis(250);
+
+/// The places of a listener.
+pub(super) struct Places {
+    free: Arc<Semaphore>,
+    /// The connections by the order in which they were opened.
+    open: Mutex<BTreeMap<u64, Seat>>,
+}
+
+struct Seat {
+    active_at: Instant,
+    cut: CancellationToken,
+}
+
+/// A place, until it is dropped.
+pub(super) struct Place {
+    places: Arc<Places>,
+    number: u64,
+    cut: CancellationToken,
+    _permit: OwnedSemaphorePermit,
+}
+
+impl Places {
+    pub(super) fn new(limit: usize) -> Arc<Self> {
+        Arc::new(Self {
+            free: Arc::new(Semaphore::new(limit)),
+            open: Mutex::default(),
+        })
+    }
+
+    /// Waits for a place, which the connection that was silent for the longest time gives up if there is no other.
+    pub(super) async fn take(self: &Arc<Self>) -> Place {
+        let permit = loop {
+            if let Ok(permit) = Arc::clone(&self.free).try_acquire_owned() {
+                break permit;
+            }
+            self.give_one_up();
+            let free = Arc::clone(&self.free).acquire_owned();
+            if let Ok(Ok(permit)) = timeout(MIN_SILENCE, free).await {
+                break permit;
+            }
+        };
+        let cut = CancellationToken::new();
+        let mut open = self.open.lock();
+        let number = open.last_key_value().map_or(0, |(last, _)| last + 1);
+        let seat = Seat {
+            active_at: Instant::now(),
+            cut: cut.clone(),
+        };
+        open.insert(number, seat);
+        drop(open);
+        Place {
+            places: Arc::clone(self),
+            number,
+            cut,
+            _permit: permit,
+        }
+    }
+
+    fn give_one_up(&self) {
+        let open = self.open.lock();
+        let silent = open.values().min_by_key(|seat| seat.active_at);
+        if let Some(seat) = silent.filter(|seat| seat.active_at.elapsed() >= MIN_SILENCE) {
+            seat.cut.cancel();
+        }
+    }
+}
+
+impl Place {
+    fn note_activity(&self) {
+        if let Some(seat) = self.places.open.lock().get_mut(&self.number) {
+            seat.active_at = Instant::now();
+        }
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.places.open.lock().remove(&self.number);
+    }
+}
+
+/// A connection with its place.
 pub(super) struct Bounded {
     socket: Socket,
     end: Pin<Box<Sleep>>,
-    _place: OwnedSemaphorePermit,
+    cut: Pin<Box<WaitForCancellationFutureOwned>>,
+    place: Place,
 }
 
 impl Bounded {
-    pub(super) fn new(socket: Socket, place: OwnedSemaphorePermit) -> Self {
+    pub(super) fn new(socket: Socket, place: Place) -> Self {
         Self {
             socket,
             end: Box::pin(sleep_until(Instant::now() + MAX_STALL)),
-            _place: place,
+            cut: Box::pin(place.cut.clone().cancelled_owned()),
+            place,
         }
     }
 
     fn check(&mut self, context: &mut Context<'_>) -> io::Result<()> {
+        if self.cut.as_mut().poll(context).is_ready() {
+            return Err(io::ErrorKind::ConnectionAborted.into());
+        }
         match self.end.as_mut().poll(context) {
             Poll::Ready(()) => Err(io::ErrorKind::TimedOut.into()),
             Poll::Pending => Ok(()),
@@ -64,6 +157,7 @@ impl AsyncWrite for Bounded {
         let written = Pin::new(&mut self.socket).poll_write(context, bytes);
         if matches!(written, Poll::Ready(Ok(1..))) {
             self.end.as_mut().reset(Instant::now() + MAX_STALL);
+            self.place.note_activity();
         }
         written
     }
@@ -79,44 +173,45 @@ impl AsyncWrite for Bounded {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use tokio::{
         io::{AsyncReadExt, AsyncWriteExt},
         net::{TcpListener, TcpStream},
-        sync::Semaphore,
     };
 
     use super::*;
     use crate::grpc::Tls;
 
+    /// A connection that takes a place, and its client.
+    async fn connect(listener: &TcpListener, places: &Arc<Places>) -> (TcpStream, Bounded) {
+        let address = listener.local_addr().unwrap();
+        let client = TcpStream::connect(address).await.unwrap();
+        let place = places.take().await;
+        let (socket, _) = listener.accept().await.unwrap();
+        (client, Bounded::new(Tls::accept(None, socket, None), place))
+    }
+
+    async fn listen() -> TcpListener {
+        TcpListener::bind("127.0.0.1:0").await.unwrap()
+    }
+
     #[tokio::test(start_paused = true)]
     async fn a_silent_connection_gives_its_place_up_after_its_time() {
-        let places = Arc::new(Semaphore::new(1));
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let address = listener.local_addr().unwrap();
-        let mut client = TcpStream::connect(address).await.unwrap();
-        let (socket, _) = listener.accept().await.unwrap();
-        let place = Arc::clone(&places).acquire_owned().await.unwrap();
-        let mut bounded = Bounded::new(Tls::accept(None, socket, None), place);
+        let places = Places::new(1);
+        let (mut client, mut bounded) = connect(&listen().await, &places).await;
         client.write_all(b"G").await.unwrap();
         assert_eq!(bounded.read_u8().await.unwrap(), b'G');
         let began = Instant::now();
         let ended = bounded.read_u8().await.unwrap_err();
         assert_eq!(ended.kind(), io::ErrorKind::TimedOut);
         assert!(began.elapsed() >= MAX_STALL);
-        assert_eq!(places.available_permits(), 0);
+        assert_eq!(places.free.available_permits(), 0);
         drop(bounded);
-        assert_eq!(places.available_permits(), 1);
+        assert_eq!(places.free.available_permits(), 1);
     }
+
     #[tokio::test(start_paused = true)]
     async fn a_connection_that_takes_answers_goes_on() {
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let address = listener.local_addr().unwrap();
-        let _client = TcpStream::connect(address).await.unwrap();
-        let (socket, _) = listener.accept().await.unwrap();
-        let place = Arc::new(Semaphore::new(1)).acquire_owned().await.unwrap();
-        let mut bounded = Bounded::new(Tls::accept(None, socket, None), place);
+        let (_client, mut bounded) = connect(&listen().await, &Places::new(1)).await;
         for _ in 0..4 {
             tokio::time::advance(MAX_STALL / 2).await;
             bounded.write_all(b"more").await.unwrap();
@@ -124,5 +219,21 @@ mod tests {
         tokio::time::advance(MAX_STALL).await;
         let ended = bounded.write_all(b"more").await.unwrap_err();
         assert_eq!(ended.kind(), io::ErrorKind::TimedOut);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn the_longest_silence_makes_room() {
+        let (listener, places) = (listen().await, Places::new(2));
+        let (_live, mut live) = connect(&listener, &places).await;
+        let (_silent, mut silent) = connect(&listener, &places).await;
+        tokio::time::advance(MIN_SILENCE).await;
+        live.write_all(b"an answer").await.unwrap();
+        // A connection that is cut ends at its next poll, and frees its place.
+        let ended = tokio::spawn(async move { silent.read_u8().await.unwrap_err().kind() });
+        let began = Instant::now();
+        let _third = connect(&listener, &places).await;
+        assert!(began.elapsed() < MAX_STALL);
+        assert_eq!(ended.await.unwrap(), io::ErrorKind::ConnectionAborted);
+        live.write_all(b"another").await.unwrap();
     }
 }

@@ -24,7 +24,7 @@ use axum::{
     routing::{get, post},
     serve::Listener,
 };
-use tokio::{net::TcpListener, sync::Semaphore, task::spawn_blocking, time::timeout};
+use tokio::{net::TcpListener, task::spawn_blocking, time::timeout};
 
 use crate::{
     faces::{Addresses, Shared},
@@ -35,14 +35,14 @@ use crate::{
     status,
 };
 use api::{Api, refusal};
-use bounded::Bounded;
+use bounded::{Bounded, Places};
 use guard::Guard;
 pub(crate) use state::State;
 
 /// The media type of OpenMetrics.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// The most connections at a time. A further one waits.
+/// The most connections at a time.
 const MAX_CONNECTIONS: usize = 64;
 
 /// The pause after a failure of the listener.
@@ -62,7 +62,7 @@ pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages)
     let secured = Secured {
         listener,
         tls,
-        places: Arc::new(Semaphore::new(MAX_CONNECTIONS)),
+        places: Places::new(MAX_CONNECTIONS),
     };
     axum::serve(secured, routes).await
 }
@@ -129,7 +129,7 @@ async fn ready(Of(pages): Of<Arc<Pages>>) -> (StatusCode, &'static str) {
 struct Secured {
     listener: TcpListener,
     tls: Option<Tls>,
-    places: Arc<Semaphore>,
+    places: Arc<Places>,
 }
 
 impl Listener for Secured {
@@ -137,17 +137,13 @@ impl Listener for Secured {
     type Addr = std::net::SocketAddr;
 
     async fn accept(&mut self) -> (Self::Io, Self::Addr) {
-        let place = Arc::clone(&self.places).acquire_owned().await;
-        let Ok(place) = place else {
-            // Nothing closes the semaphore.
-            return pending().await;
-        };
         loop {
             let Ok((socket, peer)) = self.listener.accept().await else {
                 // The listener fails while the process has no file descriptors left.
                 let _ = timeout(ACCEPT_RETRY_PAUSE, pending::<()>()).await;
                 continue;
             };
+            let place = self.places.take().await;
             let socket = Tls::accept(self.tls.as_ref(), socket, None);
             return (Bounded::new(socket, place), peer);
         }
