@@ -77,8 +77,7 @@ ob::SpaceInformationPtr information() {
 void grow(const std::string &uri, const std::string &name, unsigned long seed, double seconds) {
     ompl::RNG::setSeed(seed);
     const auto si = information();
-    const std::string space = wayfold::OmplSpace(si->getStateSpace()).text();
-    wayfold::SharedPRM planner(si, wayfold::Index::shared(uri, name, space));
+    wayfold::SharedPRM planner(si, uri, name);
     const auto definition = std::make_shared<ob::ProblemDefinition>(si);
     planner.setProblemDefinition(definition);
     planner.setup();

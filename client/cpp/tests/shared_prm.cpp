@@ -405,6 +405,17 @@ void flush_in_time(const std::string &uri, pid_t server) {
     CHECK(wayfold::Index::remote(uri, "stopped").size() == 50);
 }
 
+// The planner makes the index, of the space that it flattens itself; client/cpp/check looks at what it declares.
+void by_name(const std::string &uri) {
+    const auto si = discs::information();
+    wayfold::SharedPRM planner(si, uri, "by-name");
+    planner.setProblemDefinition(discs::problem(si));
+    planner.growRoadmap(0.1);
+    planner.flush();
+    CHECK(planner.milestoneCount() > 0);
+    CHECK(wayfold::Index::remote(uri, "by-name", space).size() == planner.milestoneCount());
+}
+
 // In SimpleSetup, with functions that write and read the rows.
 void simple_setup(const std::string &uri) {
     og::SimpleSetup setup(discs::information());
@@ -457,6 +468,7 @@ int main(int count, char **arguments) {
         queries_and_strategies(words[0]);
         refusals(words[0]);
         flush_in_time(words[0], std::stoi(words[1]));
+        by_name(words[0]);
         simple_setup(words[0]);
         std::cout << "shared_prm: ok\n";
     }

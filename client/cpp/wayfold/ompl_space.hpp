@@ -59,10 +59,6 @@ public:
     }
 
     const std::string &text() const { return text_; }
-#ifndef WAYFOLD_NO_NET
-    // An index of this space for a SharedPRM: the server's page draws its edges.
-    NewIndex roadmap() const { return {text_, PayloadEncoding::edges}; }
-#endif
     std::size_t width() const { return width_; }
     void write(const ompl::base::State *state, double *row) const { write(root_, state, row); }
     void read(const double *row, ompl::base::State *state) const { read(root_, row, state); }

@@ -1,7 +1,6 @@
 // OMPL's PRM on one roadmap that many processes grow:
 //
-//     auto index = wayfold::Index::shared(url, "roadmap", wayfold::OmplSpace(space).roadmap());
-//     auto planner = std::make_shared<wayfold::SharedPRM>(si, index);
+//     auto planner = std::make_shared<wayfold::SharedPRM>(si, url, "roadmap");
 //     setup.setPlanner(planner);
 //
 // A vertex is a point of the index. Its payload has the ids at the ends of its edges, in eight bytes each,
@@ -19,6 +18,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <string>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -33,7 +33,15 @@ class SharedPRM : public detail::SharedRoadmap {
     using Condition = ompl::base::PlannerTerminationCondition;
 
 public:
-    // With `star`, connects like PRM*.
+    // On the server's index of this name, which is made if there is none: it declares that its payloads are edges, so that
+    // the server's page draws them. With `star`, connects like PRM*.
+    SharedPRM(const ompl::base::SpaceInformationPtr &si, const std::string &uri, const std::string &name, bool star = false,
+              const Credentials &credentials = {})
+        : SharedPRM(si,
+                    Index::shared(uri, name, {OmplSpace(si->getStateSpace()).text(), PayloadEncoding::edges}, credentials),
+                    star) {}
+
+    // On an index that this planner alone has opened.
     SharedPRM(const ompl::base::SpaceInformationPtr &si, const Index &index, bool star = false)
         : SharedPRM(si, index, detail::RowsOfStates(si->getStateSpace()), star) {}
 
