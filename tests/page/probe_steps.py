@@ -2,12 +2,13 @@
 
 import os
 import pathlib
-import subprocess
 import tempfile
 
 from playwright.sync_api import expect
 
-from support import MAX_WAIT_S, PROBE, SPACE, identities, open_index, picture, probe, row, running, sign_in, wait_for_count
+from support import (OUTSIDE, PROBE, SPACE, certify, identities, open_index, picture, probe, row, running, sign_in,
+                     wait_for_count)
+from text_programs import run
 
 
 def told(answer):
@@ -40,17 +41,12 @@ def text_of(page, language):
     return page.locator(f'#snippets [data-language="{language}"] code').inner_text()
 
 
-def output_of(command, environment):
-    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, timeout=MAX_WAIT_S, env=environment)
-    return done.stdout
-
-
-def run_as_shown(programs, text, **settings):
+def run_as_shown(programs, text, secret, **options):
     """Runs the text for the command line, letter by letter, where `wayfold` is the program of the suite."""
     with tempfile.TemporaryDirectory() as directory:
         (pathlib.Path(directory) / "wayfold").symlink_to(programs / "cli-process")
-        environment = {**os.environ, "PATH": f"{directory}:{os.environ['PATH']}", **settings}
-        return output_of(["bash", "-c", text], environment)
+        path = {"PATH": f"{directory}:{os.environ['PATH']}"}
+        return run(["bash", "-c", text], {**secret, **path}, **options).stdout
 
 
 def rows_of(table):
@@ -61,53 +57,41 @@ def rows_of(table):
     return [(line[at[0]], float(line[at[1]])) for line in lines[header + 1:] if len(line) > max(at)]
 
 
-def the_texts_run(page, programs, pictures):
-    """The command finds what the page shows, with a token where the server asks for one; and Python's too, if WAYFOLD_PYTHON
-    is an interpreter that has the package."""
-    python = os.environ.get("WAYFOLD_PYTHON")
-    for has_identities in (False, True):
-        with identities(("admin", "admin", "*")) as (settings, token):
-            with running(programs, settings=settings if has_identities else None) as server:
-                own = ["--token-file", token("admin")] if has_identities else []
-                server.command(*own, "create", "arm", "--space", SPACE)
-                lines = "".join(",".join(map(str, row(number))) + "\n" for number in range(500))
-                server.command(*own, "insert", "arm", "-", input=lines)
-                page.goto("about:blank")
-                page.goto(f"{server.page}#/arm")
-                if has_identities:
-                    sign_in(page, "admin")
-                wait_for_count(page, 500)
-                page.fill("#probe-radius", "1.75")
-                shown = probe(page, PROBE, 6)
-                command = text_of(page, "Command line")
-                assert ("WAYFOLD_TOKEN" in command) == has_identities and server.uri in command, command
-                secret = {"WAYFOLD_TOKEN": "admin"} if has_identities else {}
-                found = rows_of(run_as_shown(programs, command, **secret))
-                assert [id for id, _ in found] == [id for id, _ in shown], (found, shown)
-                assert all(abs(a - b) < 1e-4 for (_, a), (_, b) in zip(found, shown)), (found, shown)
-                for language in ("Rust", "Python", "C++"):
-                    text = text_of(page, language)
-                    assert ("WAYFOLD_TOKEN" in text) == has_identities and server.uri in text, text
-                if has_identities:
-                    picture(page, pictures, "token")
-                if python:
-                    text = text_of(page, "Python")
-                    printed = output_of([python, "-c", text], {**os.environ, **secret})
-                    found = [(id, float(distance)) for id, distance in map(str.split, printed.splitlines())]
-                    assert found == shown, (found, shown)
-
-
-TEXTS = """async server => {
-  const { snippets } = await import('./snippets.js');
-  return snippets({ index: 'arm', state: [1, 2.5], k: 3 }, server).map(({ text }) => text);
-}"""
-
-
-def texts_of_servers_with_tls_have_the_authority(page, programs, pictures):
+def the_texts_run(page, programs, pictures, builds):
+    """Each finds what the page shows: the command, and with `builds` the others."""
     with running(programs) as server:
-        page.goto(server.page)
-        told = {"uri": "https://10.0.0.7:50051", "hasTls": True, "hasIdentities": False}
-        for text in page.evaluate(TEXTS, told):
-            assert "ca.pem" in text and told["uri"] in text and "TOKEN" not in text, text
-        command = page.evaluate(TEXTS, told)[0]
-        assert command == "wayfold knn arm --state=1,2.5 -k 3 --server https://10.0.0.7:50051 --ca ca.pem", command
+        texts_find_what_is_shown(page, server, builds, {})
+
+
+def the_texts_run_with_a_token_over_tls(page, programs, pictures, builds):
+    """The same where a server beyond loopback asks for a token, and has a certificate of an authority of its own."""
+    with identities(("admin", "admin", "*")) as (settings, token):
+        folder = token("admin").parent
+        options = {"settings": {**settings, **certify(folder)}, "host": OUTSIDE}
+        with running(programs, **options, options=["--ca", folder / "ca.pem", "--token-file", token("admin")]) as server:
+            assert server.page.startswith(f"https://{OUTSIDE}:"), server.page
+            texts_find_what_is_shown(page, server, builds, {"WAYFOLD_TOKEN": "admin"}, folder)
+            picture(page, pictures, "token")
+
+
+def texts_find_what_is_shown(page, server, builds, secret, folder=None):
+    """The texts run in `folder`, and find `secret` in their environment."""
+    server.command("create", "arm", "--space", SPACE)
+    server.insert("arm", map(row, range(500)))
+    page.goto(f"{server.page}#/arm")
+    if secret:
+        sign_in(page, *secret.values())
+    wait_for_count(page, 500)
+    page.fill("#probe-radius", "1.75")
+    shown = probe(page, PROBE, 6)
+    texts = {language: text_of(page, language) for language in ("Command line", "Rust", "Python", "C++")}
+    for text in texts.values():
+        assert ("WAYFOLD_TOKEN" in text) == bool(secret) and server.uri in text, text
+    found = rows_of(run_as_shown(server.programs, texts.pop("Command line"), secret, cwd=folder))
+    assert [id for id, _ in found] == [id for id, _ in shown], (found, shown)
+    assert all(abs(a - b) < 1e-4 for (_, a), (_, b) in zip(found, shown)), (found, shown)
+    for language, text in texts.items() if builds else ():
+        with builds.command(language, text) as command:
+            printed = run(command, secret, cwd=folder).stdout
+        found = [(id, float(distance)) for id, distance in map(str.split, printed.splitlines())]
+        assert found == shown, (language, found, shown)

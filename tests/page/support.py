@@ -20,6 +20,8 @@ SPACE = "R3*SO3:0.15"
 # Software rendering, and no sandbox: the suite may run as root in a container.
 BROWSER = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 PROBE = "5,5,1,0,0,0,1"
+# An address beyond loopback, of the network namespace in which `run` runs the suite.
+OUTSIDE = "198.51.100.1"
 # Chromium writes this line for each refusal and for each lost connection.
 REFUSAL = "Failed to load resource"
 
@@ -27,10 +29,11 @@ REFUSAL = "Failed to load resource"
 class Server:
     """A server and the command line for it."""
 
-    def __init__(self, programs, data="memory", ports=("0", "0"), settings=None):
-        self.programs = programs
+    def __init__(self, programs, data="memory", ports=("0", "0"), settings=None, host="127.0.0.1", options=()):
+        """`options` are those of each command, such as a token."""
+        self.programs, self.options = programs, options
         arguments = ["--zenoh", "off", "--log", "warn", "--data", data]
-        arguments += ["--grpc", f"127.0.0.1:{ports[0]}", "--http", f"127.0.0.1:{ports[1]}"]
+        arguments += ["--grpc", f"{host}:{ports[0]}", "--http", f"{host}:{ports[1]}"]
         command = [programs / "server-process", *arguments]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=settings)
         self.uri = self.line("listening on ")
@@ -45,7 +48,7 @@ class Server:
         return [re.search(r":(\d+)/?$", address).group(1) for address in (self.uri, self.page)]
 
     def command(self, *arguments, **options):
-        command = [self.programs / "cli-process", "--server", self.uri, *arguments]
+        command = [self.programs / "cli-process", "--server", self.uri, *self.options, *arguments]
         done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, timeout=MAX_WAIT_S, **options)
         return done.stdout
 
@@ -100,6 +103,17 @@ def identities(*known):
             return folder / name
 
         yield {**os.environ, "WAYFOLD_ACCESS__IDENTITIES": str(folder / "identities.toml")}, token
+
+
+def certify(folder):
+    """Makes an authority in `folder`, and a server's certificate for an address beyond loopback. Returns its settings."""
+    key = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"]
+    issued = ["-CA", "ca.pem", "-CAkey", "ca.key", "-addext", f"subjectAltName = IP:{OUTSIDE}", "-addext",
+              "basicConstraints = critical, CA:FALSE"]
+    for name, options in {"ca": [], "server": issued}.items():
+        command = ["openssl", "req", "-x509", *key, "-subj", f"/CN={name}", "-keyout", f"{name}.key", "-out", f"{name}.pem"]
+        subprocess.run([*command, *options], check=True, cwd=folder, stderr=subprocess.DEVNULL)
+    return {"WAYFOLD_TLS__CERTIFICATE": f"{folder}/server.pem", "WAYFOLD_TLS__KEY": f"{folder}/server.key"}
 
 
 def sign_in(page, token):
