@@ -12,8 +12,8 @@ use crate::{
     registry::{Hosted, Published, Writer},
 };
 
-/// The number of times that a mutation reads without the writer. Busy writers could otherwise starve it, so the
-/// last time it reads with the writer held.
+/// The number of times that a mutation reads without the writer. The next read holds it, because other writers could
+/// invalidate every read without end, and keeping their records until the read ends would take memory without bound.
 pub(super) const MAX_READS_AHEAD: usize = 3;
 
 /// Points read at once. A call can be cancelled between two batches.

@@ -9,17 +9,24 @@ use tokio::sync::watch;
 pub(crate) struct Gate {
     /// The thread on which no read may run, if any.
     answering: Mutex<Option<ThreadId>>,
-    closed: Mutex<bool>,
+    door: Mutex<Door>,
     opened: Condvar,
     /// The number of waiting reads.
     held: watch::Sender<usize>,
+}
+
+#[derive(Default)]
+struct Door {
+    is_closed: bool,
+    /// The number of times that the waiting reads were released.
+    releases: u64,
 }
 
 impl Default for Gate {
     fn default() -> Self {
         Self {
             answering: Mutex::new(None),
-            closed: Mutex::new(false),
+            door: Mutex::default(),
             opened: Condvar::new(),
             held: watch::Sender::new(0),
         }
@@ -30,12 +37,20 @@ impl Gate {
     /// Delays all reads until [`Gate::open`]. From now on this thread answers calls, and a read on it panics.
     pub(crate) fn close(&self) {
         *self.answering.lock() = Some(thread::current().id());
-        *self.closed.lock() = true;
+        self.door.lock().is_closed = true;
     }
 
     /// Releases the waiting reads and delays no other.
     pub(crate) fn open(&self) {
-        *self.closed.lock() = false;
+        self.door.lock().is_closed = false;
+        self.release();
+    }
+
+    /// Releases the waiting reads; a closed gate delays the next ones.
+    pub(crate) fn release(&self) {
+        let mut door = self.door.lock();
+        door.releases += 1;
+        self.held.send_replace(0);
         self.opened.notify_all();
     }
 
@@ -53,11 +68,12 @@ impl Gate {
             Some(thread::current().id()),
             "a read on a thread that answers calls"
         );
-        let mut closed = self.closed.lock();
-        if *closed {
+        let mut door = self.door.lock();
+        if door.is_closed {
             self.held.send_modify(|held| *held += 1);
-            self.opened.wait_while(&mut closed, |closed| *closed);
-            self.held.send_modify(|held| *held -= 1);
+            let releases = door.releases;
+            self.opened
+                .wait_while(&mut door, |door| door.releases == releases);
         }
     }
 }
