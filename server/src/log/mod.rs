@@ -22,6 +22,7 @@
 
 mod cursor;
 mod effects;
+mod entry;
 mod error;
 mod fjall;
 mod memory;
@@ -36,14 +37,13 @@ use std::sync::Arc;
 
 use futures_util::{future::BoxFuture, stream::BoxStream};
 use tokio::sync::watch;
-use wayfold_index::Space;
-use wayfold_proto::v1::PayloadEncoding;
 
 pub(crate) use self::fjall::SYNCS;
 #[cfg(fuzzing)]
 pub use self::fjall::fuzzing;
 pub use self::fjall::{Durability, FjallLog, OpenError, RepairError, RepairReport, repair};
 pub use effects::{Effects, Operation, Outcome};
+pub use entry::{Entry, Lost, Origin};
 pub use error::LogError;
 pub use memory::MemoryLog;
 pub use nats::{NatsError, NatsOptions, connect as connect_nats};
@@ -53,86 +53,6 @@ pub use retention::{Retention, Window};
 pub use session::{Batch, Block, Session, Sessions};
 pub use uid::Uid;
 pub use view::{StoredPoint, View};
-
-/// An index of the catalogue. The registry keeps names unique.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Entry {
-    /// Its uid, which stands for its history.
-    pub uid: Uid,
-    /// Its name.
-    pub name: String,
-    /// Its space.
-    pub space: Space,
-    /// How its payloads hold edges.
-    pub payload_encoding: PayloadEncoding,
-}
-
-impl Entry {
-    /// The text that catalogues keep: the space, and the payload encoding on a second line if one is declared.
-    fn content(&self) -> String {
-        match self.payload_encoding {
-            PayloadEncoding::Unspecified => self.space.to_string(),
-            declared => format!("{}\n{}", self.space, declared.as_str_name()),
-        }
-    }
-
-    /// The entry with this [`Entry::content`]; None if this version cannot read it.
-    fn of(uid: Uid, name: String, content: &str) -> Option<Self> {
-        let (space, declared) = match content.split_once('\n') {
-            Some((space, declared)) => (space, PayloadEncoding::from_str_name(declared)?),
-            None => (content, PayloadEncoding::Unspecified),
-        };
-        Some(Self {
-            uid,
-            name,
-            space: space.parse().ok()?,
-            payload_encoding: declared,
-        })
-    }
-}
-
-/// An index whose data is lost. Only its name and uid are left.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Lost {
-    /// Its name.
-    pub name: String,
-    /// Its uid.
-    pub uid: Uid,
-    /// The cause.
-    pub why: LogError,
-}
-
-/// The beginning of an index's log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Origin {
-    /// Its first revision: that of its first points.
-    pub revision: u64,
-    /// The least id above every id that was ever stored or reserved.
-    pub next_id: u64,
-    /// The previous digest that its first record carries.
-    pub digest: Digest,
-}
-
-impl Origin {
-    /// The origin of an empty index.
-    pub const START: Self = Self {
-        revision: 0,
-        next_id: 0,
-        digest: Record::NO_PREVIOUS,
-    };
-
-    /// Fails if there are more operations than revisions that may have made them.
-    fn has_room_for(&self, uid: Uid, operations: usize) -> Result<(), LogError> {
-        match operations as u64 > self.revision {
-            true => Err(LogError::Damaged {
-                uid,
-                revision: self.revision,
-                what: "its copy has more operations than revisions",
-            }),
-            false => Ok(()),
-        }
-    }
-}
 
 /// A record's place in the log of its index. Two servers may give their records the same revision, but never the same
 /// digest: a record names the run of its server.

@@ -1,5 +1,7 @@
 //! One index: the state that its readers see, and access to its writer.
 
+mod closing;
+
 use std::{
     sync::{
         Arc, Weak,
@@ -21,7 +23,7 @@ use super::{
     apply::{self, Applied, Awaited, SETTLE_TIME},
     commit::Fences,
     followers::{Follower, Followers},
-    in_flight::{InFlight, notify},
+    in_flight::InFlight,
     merging::FinishedMerge,
     operations::Operations,
     payload_sizes::PayloadSizes,
@@ -307,85 +309,6 @@ impl Hosted {
             operation_bytes: window.bytes,
         };
         self.host.log.trim(self.uid, &retention)
-    }
-
-    /// Resumes after the log was reopened, from its points `view`. Returns false if these are not the published points
-    /// with all later records applied, or if another server contradicts the index. Blocks.
-    pub(super) fn resume(self: &Arc<Self>, view: &Arc<dyn View>) -> bool {
-        let mut writer = Arc::clone(&self.writer).blocking_lock_owned();
-        let applied = Arc::clone(&self.applied).blocking_lock_owned();
-        if self.is_retired.load(Relaxed) {
-            return false;
-        }
-        let published = self.published();
-        let tip = published.view.tip();
-        let stored = view.tip();
-        let is_resumed = if stored.revision == tip.revision {
-            self.publish(&Arc::new(Published {
-                snapshot: published.snapshot.clone(),
-                revision: tip.revision,
-                view: Arc::clone(view),
-            }));
-            stored == tip
-        } else if stored.revision > tip.revision {
-            let journal = &self.host.log.journal;
-            let records = journal.read(self.uid, Some(tip.revision), usize::MAX);
-            records.is_ok_and(|records| {
-                let applied = self.apply_now(applied, &records, |_| Ok(Arc::clone(view)));
-                applied.is_ok() && self.published().view.tip() == stored
-            })
-        } else {
-            false
-        };
-        if is_resumed {
-            let refusals = self.in_flight.lock().refusals();
-            writer.catch_up(self.published(), self.last_change.load(Relaxed), refusals);
-            let hosted = Arc::downgrade(self);
-            let mut apply_loop = self.apply_loop.lock();
-            if self.is_contradicted() {
-                return false;
-            }
-            let next = apply_loop.number + 1;
-            *apply_loop = ApplyLoop::start(next, hosted, &self.host, (self.uid, stored));
-            self.state.send_modify(|state| state.closed = None);
-        }
-        is_resumed
-    }
-
-    /// Closes the index, because its apply loop of this number has ended.
-    pub(super) fn end_loop(&self, number: u64, why: RegistryError) {
-        let apply_loop = self.apply_loop.lock();
-        if apply_loop.number == number {
-            self.close(why);
-        }
-    }
-
-    /// Replaces the error of a closed index; false if the index is open.
-    pub(super) fn close_again(&self, why: RegistryError) -> bool {
-        // The index cannot resume meanwhile.
-        let _apply_loop = self.apply_loop.lock();
-        let is_closed = self.is_closed();
-        if is_closed {
-            self.close(why);
-        }
-        is_closed
-    }
-
-    /// Closes the index: later writes, and calls that wait for it, get `why`.
-    pub(super) fn close(&self, why: RegistryError) {
-        let decided = self.in_flight.lock().fail(&why);
-        self.state.send_modify(|state| state.closed = Some(why));
-        notify(decided);
-    }
-
-    /// The error that closed it; None if it takes records.
-    pub(super) fn closed(&self) -> Option<RegistryError> {
-        self.state.borrow().closed.clone()
-    }
-
-    /// True if it takes no record now.
-    pub(super) fn is_closed(&self) -> bool {
-        self.state.borrow().closed.is_some()
     }
 
     /// Waits for the writer, also if the index is closed.

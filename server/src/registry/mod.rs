@@ -22,6 +22,7 @@ mod loading;
 mod maintenance;
 mod merging;
 mod operations;
+mod options;
 mod payload_sizes;
 mod recent;
 mod records;
@@ -38,13 +39,12 @@ use std::{
     collections::{BTreeMap, BTreeSet},
     ops::Bound,
     sync::Arc,
-    time::Duration,
 };
 
 use parking_lot::{Mutex, RwLock};
 use tokio::sync::{Semaphore, watch};
 use tracing::info;
-use wayfold_index::{Forest, ForestOptions, Space};
+use wayfold_index::Space;
 use wayfold_proto::v1::PayloadEncoding;
 
 use crate::{
@@ -58,6 +58,7 @@ pub use hosted::{Hosted, Published};
 pub use index_limit::IndexLimit;
 pub use operations::OperationWindow;
 use operations::Operations;
+pub use options::RegistryOptions;
 use payload_sizes::PayloadSizes;
 pub(crate) use reseed::{Seed, reseed};
 pub use restore::Restore;
@@ -66,48 +67,6 @@ pub(crate) use stored::{Failed, Stored};
 pub use usage::BatchUnderWay;
 pub(crate) use usage::Part;
 pub use writer::{WriteGuard, Writer};
-
-/// Options of the registry, for all its indices.
-#[derive(Clone, Copy, Debug)]
-pub struct RegistryOptions {
-    /// The greatest number of points in the tree of an index that grows; None to choose it by the space.
-    pub growing_rows: Option<usize>,
-    /// The number of points in a leaf; None to choose it by the space.
-    pub leaf_rows: Option<usize>,
-    /// The greatest number of merges at once, over all indices.
-    pub merge_threads: usize,
-    /// The approximate bytes of newest records that each index keeps in addition to its points.
-    pub window_bytes: usize,
-    /// The age above which each index forgets records.
-    pub window: Duration,
-    /// True if the sizes of payloads are kept for their quota.
-    pub counts_payloads: bool,
-}
-
-impl Default for RegistryOptions {
-    fn default() -> Self {
-        Self {
-            growing_rows: None,
-            leaf_rows: None,
-            merge_threads: 2,
-            window_bytes: 64 * 1024 * 1024,
-            window: Duration::from_secs(3600),
-            counts_payloads: false,
-        }
-    }
-}
-
-impl RegistryOptions {
-    /// An empty forest of states of `space`.
-    fn forest(&self, space: &Space) -> Forest {
-        let by_space = ForestOptions::for_space(space);
-        let options = ForestOptions {
-            growing_rows: self.growing_rows.unwrap_or(by_space.growing_rows),
-            leaf_rows: self.leaf_rows.unwrap_or(by_space.leaf_rows),
-        };
-        Forest::new(space.clone(), options)
-    }
-}
 
 /// The indices of the server.
 pub struct Registry {
@@ -171,7 +130,7 @@ struct Host {
     labels: Mutex<BTreeSet<Arc<str>>>,
 }
 
-/// The most names of indices in metrics: each is a series of its own for ever.
+/// The most names of indices in metrics: each stays a series of its own until the server ends.
 const MAX_LABELS: usize = 100;
 
 /// The label of all others. No index has this name.

@@ -1,27 +1,24 @@
-//! One index of the store: the state of its log, and the writes to it.
+//! One index of the store: the state of its log.
 
 mod reading;
+mod writing;
 
 use std::{
     collections::VecDeque,
     sync::{Arc, OnceLock, Weak},
 };
 
-use fjall::OwnedWriteBatch;
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::watch;
 
 use super::{
-    layout::{Head, Number, Sum, head_key, operation_key, point_key, record_key, seal},
-    point::PointForm,
-    session,
-    store::{Handles, Store, storage, unreadable},
+    layout::{Head, Number, Sum},
+    store::Store,
     sync_marks::Mark,
     view::PointsView,
 };
 use crate::log::{
-    Entry, LogError, Operation, Origin, Outcome, Record, Retention, Sessions, View, Window,
-    retention::Bounded,
+    Entry, LogError, Operation, Origin, Record, Retention, Sessions, Window, retention::Bounded,
 };
 
 /// One index of the store.
@@ -218,175 +215,12 @@ impl Index {
         }
     }
 
-    /// Writes a record if it follows the head. Calls `written` with the new mark before another record can be written.
-    pub(super) fn submit(
-        &self,
-        store: &Arc<Store>,
-        record: Arc<Record>,
-        written: impl FnOnce(Mark),
-    ) -> Result<(), LogError> {
-        let mut state = self.open()?;
-        if !record.follows(state.head.tip()) {
-            return Err(self.fenced(record.revision() - 1, &state.head));
-        }
-        let handles = store.handles()?;
-        self.write(&handles, &mut state, &record)?;
-        let view = self.view_of_head(store, &mut state);
-        let unapplied = Unapplied { record, view };
-        self.unapplied.lock().push_back(unapplied);
-        written(self.mark_of(&state.head));
-        Ok(())
-    }
-
-    /// Applies consecutive records. The store may already have the first ones. Returns the points as of the last
-    /// record. Calls `written` with the new mark if anything was written.
-    pub(super) fn apply(
-        &self,
-        store: &Arc<Store>,
-        records: &[Arc<Record>],
-        written: impl FnOnce(Mark),
-    ) -> Result<Arc<dyn View>, LogError> {
-        if let Some(view) = self.applied(records) {
-            return Ok(view);
-        }
-        let mut state = self.open()?;
-        let handles = store.handles()?;
-        let before = state.head.revision;
-        for record in records {
-            if record.revision() <= state.head.revision {
-                continue;
-            }
-            if !record.follows(state.head.tip()) {
-                return Err(LogError::Damaged {
-                    uid: self.entry.uid,
-                    revision: record.revision(),
-                    what: "it does not follow the record before it",
-                });
-            }
-            self.write(&handles, &mut state, record)?;
-        }
-        if state.head.revision > before {
-            written(self.mark_of(&state.head));
-        }
-        match records.last().map(|record| record.revision()) {
-            Some(last) if last != state.head.revision => Err(self.fenced(last, &state.head)),
-            _ => Ok(self.view_of_head(store, &mut state)),
-        }
-    }
-
-    /// The points as of the last of `records` if that record was submitted here; all of `records` then count as
-    /// applied.
-    fn applied(&self, records: &[Arc<Record>]) -> Option<Arc<dyn View>> {
-        let last = records.last()?.revision();
-        let mut unapplied = self.unapplied.lock();
-        while let Some(oldest) = unapplied.front()
-            && oldest.record.revision() <= last
-        {
-            let oldest = unapplied.pop_front()?;
-            if oldest.record.revision() == last {
-                return Some(oldest.view);
-            }
-        }
-        None
-    }
-
     fn fenced(&self, expected: u64, head: &Head) -> LogError {
         LogError::Fenced {
             uid: self.entry.uid,
             expected,
             head: head.revision,
         }
-    }
-
-    /// Writes the record after the head, and its points, in one batch.
-    fn write(&self, handles: &Handles, state: &mut State, record: &Record) -> Result<(), LogError> {
-        handles.wait_for_room()?;
-        let Handles {
-            database, keyspace, ..
-        } = handles;
-        let mut batch = database.batch();
-        let mut sum = self.put(handles, &mut batch, record, state.head.sum)?;
-        let changes = state.sessions.changes(record);
-        for change in &changes {
-            session::put(change, self.number, (&mut batch, keyspace), &mut sum);
-        }
-        let head = Head {
-            revision: record.revision(),
-            next_id: state.head.next_id.max(record.effects().next_id()),
-            trimmed: state.head.trimmed,
-            digest: *record.digest(),
-            sum,
-        };
-        for trimmed in state.removed + 1..=head.trimmed {
-            batch.remove(keyspace, record_key(self.number, trimmed));
-        }
-        for &forgotten in &state.forgotten {
-            batch.remove(keyspace, operation_key(self.number, forgotten));
-        }
-        batch.insert(keyspace, head_key(self.number), head.encode(self.number));
-        if let Some(view) = std::mem::take(&mut state.view).upgrade() {
-            view.freeze(handles);
-        }
-        batch.commit().map_err(storage)?;
-        state.removed = head.trimmed;
-        state.forgotten.clear();
-        state.sessions.apply_changes(changes);
-        state.remember(record);
-        if let Some(operation) = record.effects().operation() {
-            state.remember_operation(record.revision(), operation);
-        }
-        state.head = head;
-        Ok(())
-    }
-
-    /// Adds a record and its effects to a batch; returns the new sum of the points.
-    fn put(
-        &self,
-        handles: &Handles,
-        batch: &mut OwnedWriteBatch,
-        record: &Record,
-        mut sum: Sum,
-    ) -> Result<Sum, LogError> {
-        let effects = record.effects();
-        let keyspace = &handles.keyspace;
-        let mut forget = |id| {
-            let old = keyspace.get(point_key(self.number, id));
-            let old = old.map_err(|error| unreadable(self.entry.uid, error))?;
-            old.iter().for_each(|old| sum.subtract(old));
-            Ok::<_, LogError>(())
-        };
-        for &id in effects.removed() {
-            forget(id)?;
-            batch.remove(keyspace, point_key(self.number, id));
-        }
-        for (point, outcome) in effects.stored().iter().zip(effects.outcomes()) {
-            // Most points are new, and under a new id there is no stored point to look up.
-            if *outcome != Outcome::Inserted {
-                forget(point.id)?;
-            }
-        }
-        for (slot, point) in effects.stored().iter().enumerate() {
-            let form = PointForm {
-                revision: point.revision,
-                modified: record.revision(),
-                tag: point.tag,
-                state: point.row,
-                payload: &effects.payload(slot),
-            };
-            let value = form.encode(self.number, point.id);
-            sum.add(&value);
-            batch.insert(keyspace, point_key(self.number, point.id), value);
-        }
-        if let Some(operation) = effects.operation() {
-            let key = operation_key(self.number, record.revision());
-            batch.insert(keyspace, key, seal(&key, operation.encode()));
-        }
-        batch.insert(
-            keyspace,
-            record_key(self.number, record.revision()),
-            record.encode(),
-        );
-        Ok(sum)
     }
 
     /// The view of the head. It reads the current store until the next write freezes it.

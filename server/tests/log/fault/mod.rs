@@ -6,6 +6,7 @@
 
 mod gate;
 mod journal;
+mod view;
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -20,6 +21,7 @@ use wayfold_server::log::{
 
 use gate::Gate;
 use journal::{Item, Journal, Sum};
+use view::PinnedView;
 
 /// A log that fails on demand; see the module.
 #[derive(Clone)]
@@ -57,17 +59,6 @@ impl FaultLog {
         let written = journal.items.len();
         journal.open(written);
         self.2.send_replace(());
-    }
-}
-
-impl FaultLog {
-    fn view_of(&self, journal: &Journal, record: &Record, sum: Arc<Sum>) -> PinnedView {
-        PinnedView {
-            log: self.clone(),
-            opened: journal.opened,
-            tip: record.tip(),
-            sum,
-        }
     }
 }
 
@@ -379,50 +370,5 @@ impl Restoring for StagedIndex {
         drop(journal);
         self.log.2.send_replace(());
         Ok(())
-    }
-}
-
-/// A view. It ends when the log is reopened.
-struct PinnedView {
-    log: FaultLog,
-    opened: u64,
-    tip: Tip,
-    sum: Arc<Sum>,
-}
-
-impl PinnedView {
-    fn points(&self) -> Result<&BTreeMap<u64, Arc<StoredPoint>>, LogError> {
-        self.log.1.pass();
-        match self.log.0.lock().opened == self.opened {
-            true => Ok(&self.sum.points),
-            false => Err(LogError::Closed),
-        }
-    }
-}
-
-impl View for PinnedView {
-    fn tip(&self) -> Tip {
-        self.tip
-    }
-
-    fn next_id(&self) -> u64 {
-        self.sum.next_id
-    }
-
-    fn sessions(&self) -> &Sessions {
-        &self.sum.sessions
-    }
-
-    fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError> {
-        Ok(self.points()?.get(&id).cloned())
-    }
-
-    fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<Arc<StoredPoint>>, LogError> {
-        let points = self.points()?.iter();
-        let later = points.filter(|(id, _)| after.is_none_or(|after| **id > after));
-        Ok(later
-            .take(limit)
-            .map(|(_, point)| Arc::clone(point))
-            .collect())
     }
 }

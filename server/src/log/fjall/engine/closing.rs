@@ -1,0 +1,58 @@
+//! The end of an open store: its last sync, its marks and its threads.
+
+use std::sync::Arc;
+
+use tracing::{debug, warn};
+
+use super::{Engine, save_manifest, write_marks};
+use crate::log::{
+    LogError,
+    fjall::{
+        MARKS, STORE,
+        journal::{self, Journal},
+        store::shut,
+        sync_marks::Marks,
+        unclean_marker,
+    },
+};
+
+impl Engine {
+    /// Syncs all appended records, ends the threads, and closes the store even while views of it are held.
+    pub(in crate::log::fjall) fn shut(&self) {
+        let settled = match &self.syncer {
+            Some(syncer) => {
+                syncer.stop();
+                Ok(())
+            }
+            None => self.settle(),
+        };
+        if let Err(error) = &settled {
+            warn!(
+                %error,
+                "could not sync the log; the next start takes mutations for lost"
+            );
+        }
+        self.sweeper.stop();
+        self.store.close();
+        for index in self.indexes.read().values() {
+            index.end_followers(LogError::Closed);
+        }
+        save_manifest(&self.directory);
+        if settled.is_ok() && self.failure().is_none() {
+            // Without the marker the next start rewrites the journal.
+            if let Err(error) = journal::mark_synced(&self.directory) {
+                debug!(%error, "cannot mark the journal as synced");
+            }
+        }
+    }
+
+    /// Syncs everything and writes the sync marks.
+    fn settle(&self) -> Result<(), LogError> {
+        Journal::new(Arc::clone(&self.store), self.directory.join(STORE)).sync()?;
+        let indexes: Vec<_> = self.indexes.read().values().cloned().collect();
+        let settled = Marks::open(&self.directory.join(MARKS))
+            .and_then(|(mut marks, _)| write_marks(&mut marks, &indexes))
+            .and_then(|()| unclean_marker::end(self.directory.path()));
+        settled.map_err(shut)
+    }
+}

@@ -1,0 +1,90 @@
+//! An index that closes, and resumes once its log was reopened.
+
+use std::sync::{Arc, atomic::Ordering::Relaxed};
+
+use super::{ApplyLoop, Hosted, Published};
+use crate::{
+    log::View,
+    registry::{RegistryError, in_flight::notify},
+};
+
+impl Hosted {
+    /// Resumes after the log was reopened, from its points `view`. Returns false if these are not the published points
+    /// with all later records applied, or if another server contradicts the index. Blocks.
+    pub(in crate::registry) fn resume(self: &Arc<Self>, view: &Arc<dyn View>) -> bool {
+        let mut writer = Arc::clone(&self.writer).blocking_lock_owned();
+        let applied = Arc::clone(&self.applied).blocking_lock_owned();
+        if self.is_retired.load(Relaxed) {
+            return false;
+        }
+        let published = self.published();
+        let tip = published.view.tip();
+        let stored = view.tip();
+        let is_resumed = if stored.revision == tip.revision {
+            self.publish(&Arc::new(Published {
+                snapshot: published.snapshot.clone(),
+                revision: tip.revision,
+                view: Arc::clone(view),
+            }));
+            stored == tip
+        } else if stored.revision > tip.revision {
+            let journal = &self.host.log.journal;
+            let records = journal.read(self.uid, Some(tip.revision), usize::MAX);
+            records.is_ok_and(|records| {
+                let applied = self.apply_now(applied, &records, |_| Ok(Arc::clone(view)));
+                applied.is_ok() && self.published().view.tip() == stored
+            })
+        } else {
+            false
+        };
+        if is_resumed {
+            let refusals = self.in_flight.lock().refusals();
+            writer.catch_up(self.published(), self.last_change.load(Relaxed), refusals);
+            let hosted = Arc::downgrade(self);
+            let mut apply_loop = self.apply_loop.lock();
+            if self.is_contradicted() {
+                return false;
+            }
+            let next = apply_loop.number + 1;
+            *apply_loop = ApplyLoop::start(next, hosted, &self.host, (self.uid, stored));
+            self.state.send_modify(|state| state.closed = None);
+        }
+        is_resumed
+    }
+
+    /// Closes the index, because its apply loop of this number has ended.
+    pub(in crate::registry) fn end_loop(&self, number: u64, why: RegistryError) {
+        let apply_loop = self.apply_loop.lock();
+        if apply_loop.number == number {
+            self.close(why);
+        }
+    }
+
+    /// Replaces the error of a closed index; false if the index is open.
+    pub(in crate::registry) fn close_again(&self, why: RegistryError) -> bool {
+        // The index cannot resume meanwhile.
+        let _apply_loop = self.apply_loop.lock();
+        let is_closed = self.is_closed();
+        if is_closed {
+            self.close(why);
+        }
+        is_closed
+    }
+
+    /// Closes the index: later writes, and calls that wait for it, get `why`.
+    pub(in crate::registry) fn close(&self, why: RegistryError) {
+        let decided = self.in_flight.lock().fail(&why);
+        self.state.send_modify(|state| state.closed = Some(why));
+        notify(decided);
+    }
+
+    /// The error that closed it; None if it takes records.
+    pub(in crate::registry) fn closed(&self) -> Option<RegistryError> {
+        self.state.borrow().closed.clone()
+    }
+
+    /// True if it takes no record now.
+    pub(in crate::registry) fn is_closed(&self) -> bool {
+        self.state.borrow().closed.is_some()
+    }
+}
