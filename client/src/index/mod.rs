@@ -11,6 +11,7 @@ mod origin;
 mod point;
 #[cfg(feature = "net")]
 mod remote;
+mod rows;
 #[cfg(feature = "net")]
 mod runtime;
 mod scan;
@@ -27,14 +28,13 @@ pub use search::Search;
 #[cfg(feature = "net")]
 pub use shared::{Meanwhile, MeanwhileAnswers, OpenShared, Status, UnsentWrite};
 
-use std::{cell::Cell, sync::Arc};
+use std::sync::Arc;
 
 use wayfold_index::{NearestNeighbors, Neighbor, Question, Seen, Space};
 
 use crate::{
     Error, Radius, State,
     layout::{self, Coordinate},
-    state,
 };
 use memory::{Memory, Merges};
 #[cfg(feature = "net")]
@@ -67,12 +67,6 @@ pub struct Index {
     shared: Option<Arc<SharedIndex>>,
     /// The kinds of the numbers of a state.
     coordinates: Arc<[Coordinate]>,
-}
-
-thread_local! {
-    /// The row of the state that this thread asks about. A state's `write` may use an index too: it gets a row of its
-    /// own then.
-    static ROW: Cell<Vec<f64>> = const { Cell::new(Vec::new()) };
 }
 
 impl Index {
@@ -374,50 +368,5 @@ impl Index {
         found: &mut Vec<Neighbor>,
     ) -> Result<Seen, Error> {
         self.with_row(state, |row| self.form.search(row, question, found))
-    }
-
-    /// Runs `action` with the canonical row of a state.
-    fn with_row<S: State, T>(
-        &self,
-        state: S,
-        action: impl FnOnce(&[f64]) -> Result<T, Error>,
-    ) -> Result<T, Error> {
-        state::check_layout::<S>(self.space(), &self.coordinates)?;
-        // At the end of a thread its buffer is gone: destructors still search.
-        let mut row = ROW.try_with(Cell::take).unwrap_or_default();
-        row.clear();
-        state.write(&mut row);
-        let done = self.canonicalize(0, &mut row).and_then(|()| action(&row));
-        let _ = ROW.try_with(|buffer| buffer.set(row));
-        done
-    }
-
-    /// Runs `action` with the canonical rows of states, one after the other.
-    fn with_rows<S: State, T>(
-        &self,
-        states: impl IntoIterator<Item = S>,
-        action: impl FnOnce(&[f64]) -> Result<T, Error>,
-    ) -> Result<T, Error> {
-        state::check_layout::<S>(self.space(), &self.coordinates)?;
-        let mut rows = Vec::new();
-        for (row, state) in states.into_iter().enumerate() {
-            let start = rows.len();
-            state.write(&mut rows);
-            self.canonicalize(row, &mut rows[start..])?;
-        }
-        action(&rows)
-    }
-
-    fn canonicalize(&self, row: usize, numbers: &mut [f64]) -> Result<(), Error> {
-        let (expected, found) = (self.coordinates.len(), numbers.len());
-        if found != expected {
-            return Err(Error::Width {
-                row,
-                expected,
-                found,
-            });
-        }
-        let canonical = self.space().canonicalize(numbers);
-        canonical.map_err(|error| Error::State { row, error })
     }
 }
