@@ -1,9 +1,8 @@
 //! The class `Index`.
 
-use std::{
-    fmt,
-    sync::atomic::{AtomicU64, Ordering},
-};
+mod calls;
+
+use std::{fmt, sync::atomic::AtomicU64};
 
 use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
 use pyo3::{
@@ -11,19 +10,18 @@ use pyo3::{
     sync::PyOnceLock,
     types::{PyBytes, PyTuple, PyType},
 };
-use wayfold::{Error, InsertOptions};
+use wayfold::InsertOptions;
 
 use crate::{
     content::Content,
-    error::OrRaise,
     points::{
         Changes, Found, InsertedPoint, MeanwhileAnswers, Neighbor, Status, StoredPoint,
         StoredPoints, UnsentWrite, columns,
     },
     query,
-    rows::{Rows, one_state, rows},
+    rows::Rows,
     search::{Radius, Search, k_of, seconds},
-    space::{Space, names, of_argument},
+    space::{Space, of_argument},
 };
 
 /// The place of the points.
@@ -46,66 +44,6 @@ pub(crate) struct Index {
     names: Py<PyTuple>,
     /// Above every id that the index in memory has given: `save` keeps it, so that no id is given twice.
     pub(crate) next_id: AtomicU64,
-}
-
-impl Index {
-    pub(crate) fn of(py: Python<'_>, index: wayfold::Index, form: Form) -> PyResult<Index> {
-        Ok(Index {
-            names: names(py, index.space())?,
-            index,
-            form,
-            next_id: AtomicU64::new(0),
-        })
-    }
-
-    pub(crate) fn in_memory(
-        py: Python<'_>,
-        space: &wayfold::Space,
-        is_inline: bool,
-    ) -> PyResult<Index> {
-        let index = match is_inline {
-            true => wayfold::Index::in_memory_inline(space),
-            false => wayfold::Index::in_memory(space),
-        };
-        Index::of(py, index.or_raise(py)?, Form::Memory { is_inline })
-    }
-
-    fn one(&self, state: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
-        one_state(state, self.index.space(), self.names.bind(state.py()))
-    }
-
-    pub(crate) fn rows(&self, states: &Bound<'_, PyAny>) -> PyResult<Rows> {
-        rows(states, self.index.space(), self.names.bind(states.py()))
-    }
-
-    fn gave(&self, id: u64) {
-        self.next_id.fetch_max(id + 1, Ordering::Relaxed);
-    }
-
-    /// Runs a call without the interpreter's lock.
-    pub(crate) fn call<T: Send>(
-        &self,
-        py: Python<'_>,
-        call: impl FnOnce(&wayfold::Index) -> Result<T, Error> + Send,
-    ) -> PyResult<T> {
-        py.detach(|| call(&self.index)).or_raise(py)
-    }
-
-    /// Raises in a process that was forked from the one that opened a shared index.
-    fn check_process(&self, py: Python<'_>) -> PyResult<()> {
-        self.call(py, |index| match index.status() {
-            Some(wayfold::Status::Ended { why }) if matches!(*why, Error::Forked) => {
-                Err(Error::Forked)
-            }
-            _ => Ok(()),
-        })
-    }
-
-    fn found(&self, state: &Bound<'_, PyAny>, search: &wayfold::Search) -> PyResult<Found> {
-        let (py, row) = (state.py(), self.one(state)?);
-        let found = self.call(py, |index| index.search(&row[..], search))?;
-        Ok(Found::of(py, &found.neighbors, found.seen.0))
-    }
 }
 
 impl fmt::Debug for Index {

@@ -1,0 +1,78 @@
+//! The calls behind the methods of `Index`: states as rows, and calls without the interpreter's lock.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use pyo3::prelude::*;
+use wayfold::Error;
+
+use super::{Form, Index};
+use crate::{
+    error::OrRaise,
+    points::Found,
+    rows::{Rows, one_state, rows},
+    space::names,
+};
+
+impl Index {
+    pub(crate) fn of(py: Python<'_>, index: wayfold::Index, form: Form) -> PyResult<Index> {
+        Ok(Index {
+            names: names(py, index.space())?,
+            index,
+            form,
+            next_id: AtomicU64::new(0),
+        })
+    }
+
+    pub(crate) fn in_memory(
+        py: Python<'_>,
+        space: &wayfold::Space,
+        is_inline: bool,
+    ) -> PyResult<Index> {
+        let index = match is_inline {
+            true => wayfold::Index::in_memory_inline(space),
+            false => wayfold::Index::in_memory(space),
+        };
+        Index::of(py, index.or_raise(py)?, Form::Memory { is_inline })
+    }
+
+    pub(super) fn one(&self, state: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
+        one_state(state, self.index.space(), self.names.bind(state.py()))
+    }
+
+    pub(crate) fn rows(&self, states: &Bound<'_, PyAny>) -> PyResult<Rows> {
+        rows(states, self.index.space(), self.names.bind(states.py()))
+    }
+
+    pub(super) fn gave(&self, id: u64) {
+        self.next_id.fetch_max(id + 1, Ordering::Relaxed);
+    }
+
+    /// Runs a call without the interpreter's lock.
+    pub(crate) fn call<T: Send>(
+        &self,
+        py: Python<'_>,
+        call: impl FnOnce(&wayfold::Index) -> Result<T, Error> + Send,
+    ) -> PyResult<T> {
+        py.detach(|| call(&self.index)).or_raise(py)
+    }
+
+    /// Raises in a process that was forked from the one that opened a shared index.
+    pub(super) fn check_process(&self, py: Python<'_>) -> PyResult<()> {
+        self.call(py, |index| match index.status() {
+            Some(wayfold::Status::Ended { why }) if matches!(*why, Error::Forked) => {
+                Err(Error::Forked)
+            }
+            _ => Ok(()),
+        })
+    }
+
+    pub(super) fn found(
+        &self,
+        state: &Bound<'_, PyAny>,
+        search: &wayfold::Search,
+    ) -> PyResult<Found> {
+        let (py, row) = (state.py(), self.one(state)?);
+        let found = self.call(py, |index| index.search(&row[..], search))?;
+        Ok(Found::of(py, &found.neighbors, found.seen.0))
+    }
+}
