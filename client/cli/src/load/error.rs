@@ -9,7 +9,7 @@ use crate::status::Status;
 #[derive(Debug, Error)]
 pub(crate) enum LoadError {
     #[error(
-        "--face zenoh needs --locator, the address at which the server listens for Zenoh, as tcp/127.0.0.1:7447"
+        "--face zenoh needs --locator, the address at which the server listens for Zenoh, as tcp/127.0.0.1:7448"
     )]
     NoLocator,
     #[error("--{option} is for --face zenoh; the faces grpc and shared take --server")]

@@ -63,7 +63,7 @@ Examples:
   wayfold load arm --duration 30s                          as fast as 8 workers go
   wayfold load arm --rate 500 --duration 30s --report arm.html
   wayfold load arm --mix insert=1,knn=20 --batch 100 -k 5 --workers 32
-  wayfold load arm --face zenoh --locator tcp/127.0.0.1:7447
+  wayfold load arm --face zenoh --locator tcp/127.0.0.1:7448
   wayfold load arm --scenario ramp.toml --json             phases, one after the other";
 
 /// Calls an index as many workers would, and measures the answers

@@ -46,7 +46,7 @@ pub(super) struct RunSettings {
     /// The way to the server [default: grpc]
     #[arg(long, value_enum, value_name = "FACE")]
     face: Option<Face>,
-    /// The server's address for Zenoh, as tcp/127.0.0.1:7447
+    /// The server's address for Zenoh, as tcp/127.0.0.1:7448
     #[arg(long, value_name = "LOCATOR")]
     locator: Option<String>,
     /// The prefix of the server's keys in Zenoh [default: wayfold/v1]
