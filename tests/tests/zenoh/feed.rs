@@ -1,9 +1,7 @@
 //! The publications: the mutations of an index, whole and in order, and the list of indices.
 
-use std::{
-    fs,
-    sync::{Mutex, mpsc},
-};
+#[cfg(target_os = "linux")]
+mod slow;
 
 use prost::Message;
 use serde_json::{Value, json};
@@ -17,7 +15,7 @@ use zenoh::{
 
 use crate::{
     follower::Follower,
-    robot::{Robot, server, server_with},
+    robot::{Robot, server},
 };
 
 pub(crate) type Events = Subscriber<FifoChannelHandler<Sample>>;
@@ -339,80 +337,4 @@ async fn tokens_tell_which_indices_are_served_and_uids_that_one_is_another() {
         follower.content,
         Content::read(&stubs, "arm").await.unwrap()
     );
-}
-
-/// A publication is dropped if its link has no room; the subscriber learns from the log that it is too late.
-#[cfg(target_os = "linux")]
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_subscriber_that_does_not_read_costs_no_memory_and_receives_a_reset() {
-    const PAYLOAD: usize = 60_000;
-    let settings = [("WAYFOLD_INDEX__WINDOW_BYTES", "1000000")];
-    let (server, locator) = server_with(&[], &settings);
-    let mut stubs = Stubs::connect(server.uri()).await;
-    let uid = uid(stubs.create("arm", "R2").await);
-    let slow = Robot::connect(&locator).await;
-    // The link is shut until `open` is dropped.
-    let (open, gate) = mpsc::channel::<()>();
-    let gate = Mutex::new(gate);
-    let (tell, mut received) = tokio::sync::mpsc::unbounded_channel();
-    // Zenoh calls it on the thread that reads the link, and so reads no more.
-    let events = slow
-        .session
-        .declare_subscriber("wayfold/v1/arm/events")
-        .callback(move |sample| {
-            let message = v1::WatchResponse::decode(&*sample.payload().to_bytes()).unwrap();
-            let _ = tell.send(
-                message
-                    .mutations
-                    .first()
-                    .map(|first| number(&first.revision)),
-            );
-            let _ = gate.lock().unwrap().recv();
-        });
-    let events = events.await.unwrap();
-    assert_eq!(received.recv().await, Some(None));
-
-    let resident = || -> u64 {
-        let status = fs::read_to_string(format!("/proc/{}/status", server.process().id())).unwrap();
-        let line = status
-            .lines()
-            .find(|line| line.starts_with("VmRSS:"))
-            .unwrap();
-        line.split_whitespace().nth(1).unwrap().parse().unwrap()
-    };
-    stubs.insert(insertion(&[1], PAYLOAD)).await;
-    let before = resident();
-    const WRITES: u64 = 2_000;
-    for write in 0..WRITES {
-        let tags = vec![write + 10];
-        let moved = v1::InsertRequest {
-            tags,
-            ..insertion(&[1], PAYLOAD)
-        };
-        stubs.insert(moved).await;
-    }
-    let grown = resident().saturating_sub(before);
-    let published = WRITES * PAYLOAD as u64 / 1024;
-    assert!(grown < published / 2, "{grown} KiB of {published}");
-
-    // Other peers are answered meanwhile.
-    let robot = Robot::connect(&locator).await;
-    let info = robot.json("arm/info", Value::Null).await.unwrap();
-    assert_eq!(info["index"]["revision"]["number"], WRITES + 1);
-    let follower = Follower::new(&robot, &uid);
-    assert_eq!(follower.log().await.reset(), ResetReason::WindowPassed);
-
-    drop(open);
-    // Once it reads again, new publications come through, and show that some were dropped.
-    let mut last = 0;
-    for more in 2.. {
-        if last > WRITES + 1 {
-            break;
-        }
-        stubs.insert(insertion(&[more], 1)).await;
-        while let Ok(revision) = received.try_recv() {
-            last = last.max(revision.unwrap_or_default());
-        }
-    }
-    events.undeclare().await.unwrap();
 }
