@@ -25,7 +25,7 @@ pub enum ExposedError {
     Callers {
         /// The address, with its setting.
         at: String,
-        /// What it lacks.
+        /// The missing protection.
         missing: &'static str,
         /// The settings that give it.
         settings: &'static str,

@@ -23,9 +23,9 @@ class Roadmap:
     row: Callable[[Any], list[float]]
     """A state as a row of coordinates."""
     collapsed: Callable[[Any, Any], bool]
-    """Whether OMPL took the two states' rotations for equal."""
+    """True if OMPL took the two states' rotations for equal."""
     keep: tuple
-    """What must outlive the vertices."""
+    """The objects that must outlive the vertices."""
 
     def rows(self, states) -> np.ndarray:
         return np.array([self.row(state) for state in states])

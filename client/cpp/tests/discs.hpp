@@ -38,7 +38,7 @@ inline double clearance(const Pose &from, const Pose &to) {
     return least;
 }
 
-// What the planners of this process have checked.
+// The counts of the states and motions that the planners of this process have checked.
 inline std::atomic<unsigned int> checked_states{0}, checked_motions{0}, valid_motions{0};
 
 class Motions : public ob::MotionValidator {

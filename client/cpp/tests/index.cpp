@@ -58,7 +58,7 @@ int main() {
     CHECK(index.remove(id) && !index.remove(id) && index.changes(changes->seen)->removed.size() == 1);
     CHECK(index.scan().size() == 2000);
 
-    // What a search or an insert has not seen, a later search finds alone.
+    // A later search finds only the points that an earlier search or insert has not seen.
     std::uint64_t seen = 0, later = 0;
     CHECK(index.search(pose(), wayfold::Search::k(1), &seen).size() == 1);
     std::vector<std::uint64_t> near;

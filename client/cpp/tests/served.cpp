@@ -88,7 +88,7 @@ int main(int count, char **arguments) {
     CHECK(id > 499);
     CHECK(remote.payload(id) == "by another" && remote.get(id)->tag == 9);
     CHECK(remote.payloads({id, 1, 900000})[0] == "by another" && !remote.payloads({900000})[0]);
-    // What another stores before an own point is told later, if the point's insert could not see it.
+    // The index tells later of a point that another process stored before an own one, if the insert could not see it.
     std::vector<std::uint64_t> near;
     const std::vector<double> here{1, 2, 3};
     const auto own = shared.insert(here.data(), 0, "own", wayfold::Search::k(600), 600, near);

@@ -1,4 +1,4 @@
-// What several threads may do at once, for the thread sanitizer, which sees the C++ code and not the libraries:
+// Calls that several threads may make at once, for the thread sanitizer, which sees the C++ code and not the libraries:
 //
 //     threads URI     an index, and SharedPRM
 //     threads prrt    pRRT; the sanitizer must see the lock that OMPL's library takes for it (client/cpp/check)

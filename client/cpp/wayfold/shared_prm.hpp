@@ -5,7 +5,7 @@
 //
 // A vertex is a point of the index. Its payload has the ids at the ends of its edges, in eight bytes each,
 // little-endian. The process that stores a vertex has checked the state and these edges; all others take them over
-// unchecked. Of two vertices, the later one in the index's order tries the motion to the earlier.
+// unchecked. The later of two vertices in the index's order tries the motion to the earlier.
 #pragma once
 
 #include <wayfold/shared_roadmap.hpp>

@@ -81,7 +81,7 @@ inline std::vector<std::uint64_t> edges_of(std::uint64_t id, const std::string &
     return ids;
 }
 
-// What has changed since a mark; everything without one, or if the index has forgotten some of it. `known` are the ids
+// The changes since a mark; all points without one, or if the index has forgotten some of the changes. `known` are the ids
 // that the caller has, as the keys of a map.
 template <class Known>
 Changes changes_after(const Index &index, const std::optional<std::uint64_t> &seen, const Known &known) {

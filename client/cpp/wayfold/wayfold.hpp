@@ -132,8 +132,8 @@ public:
         return id;
     }
     // Writes the neighbours that the state had at its insertion, nearest first, at most `capacity`, and the mark of the
-    // insertion for `Search::since`, unless `seen` is null; returns the id. What others stored before the state, and the
-    // copy of a shared index did not have yet, `meanwhile` tells later.
+    // insertion for `Search::since`, unless `seen` is null; returns the id. `meanwhile` tells later of the points
+    // that others stored before the state and that the copy of a shared index did not have yet.
     std::uint64_t insert(const double *state, std::uint64_t tag, const std::string &payload, const Search &search,
                          std::size_t capacity, std::vector<std::uint64_t> &neighbors,
                          std::uint64_t *seen = nullptr) const {

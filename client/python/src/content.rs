@@ -34,7 +34,7 @@ impl Index {
                 self.form()
             )));
         };
-        // Read before the points: of what is stored meanwhile, the ids count below.
+        // Read before the points: the lines below count the ids of points that are stored meanwhile.
         let next_id = self.next_id.load(Ordering::Relaxed);
         let (ids, tags, states) = self.scan(py)?.columns(py)?;
         let stored = ids.to_vec()?;

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 
 
 def in_fork(action: Callable[[], Any]) -> str:
-    """What an action raises in a forked process."""
+    """The error that an action raises in a forked process."""
     read, write = os.pipe()
     child = os.fork()
     if child == 0:

@@ -1,4 +1,4 @@
-"""What is taken for a state."""
+"""The types that an index takes as a state."""
 
 from __future__ import annotations
 

@@ -177,7 +177,7 @@ impl LocalPoints {
         self.forest.get(id)
     }
 
-    /// What changed after `seen`, as it is now.
+    /// The points that changed after `seen`, as they are now.
     pub(super) fn changes(&self, seen: Seen) -> Option<Changes> {
         let mut changes = Changes {
             stored: Points::new(self.forest.space().coordinates()),

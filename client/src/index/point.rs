@@ -38,11 +38,11 @@ impl From<wayfold_index::Point> for StoredPoint {
 pub struct Found {
     /// The neighbours.
     pub neighbors: Vec<Neighbor>,
-    /// What the answer has seen: a later search or insert may ask for the rest ([`Search::since`]).
+    /// The points that the answer has seen: a later search or insert may ask for the rest ([`Search::since`]).
     pub seen: Seen,
 }
 
-/// What to store with a state.
+/// The tag, the payload and the id that an insert stores with a state, and its question.
 ///
 /// ```
 /// use wayfold::{InsertOptions, Search};

@@ -81,7 +81,7 @@ impl Credentials {
         })
     }
 
-    /// What adds the token to each call.
+    /// Adds the token to each call.
     pub(crate) fn bearer(&self) -> Result<Bearer, Error> {
         let Some(token) = &self.token else {
             return Ok(Bearer(None));

@@ -12,7 +12,7 @@ FREE, NOT_FREE = 1, 0
 
 
 class Scene:
-    """What the library says of the scene; counts the states that it checks."""
+    """The library's answers about the scene. It counts the states that it checks."""
 
     def __init__(self, programs: Path):
         """`programs` is the directory into which cargo puts programs, and in it `examples`."""
@@ -52,12 +52,12 @@ class Scene:
         return list(numbers)
 
     def is_free(self, row) -> bool:
-        """Whether a state is free."""
+        """True if a state is free."""
         self._checks.value += 1
         return self._free(self._library.rigid_is_free(self.row(row), self.coordinates))
 
     def is_free_way(self, a, b) -> bool:
-        """Whether the motion between two free states is free: a function of the two, in this order."""
+        """True if the motion between two free states is free: a function of the two, in this order."""
         a, b = self.row(a), self.row(b)
         return self._free(self._library.rigid_is_free_way(a, b, self.coordinates, self._checks_at))
 
@@ -66,7 +66,7 @@ class Scene:
         return self._library.rigid_distance(self.row(a), self.row(b), self.coordinates)
 
     def is_free_path(self, path) -> bool:
-        """Whether a path is free by a finer check and other code, which is not counted."""
+        """True if a path is free by a finer check and other code, which is not counted."""
         numbers = [number for row in path for number in row]
         rows = (ctypes.c_double * len(numbers))(*numbers)
         return self._free(self._library.rigid_is_free_path(rows, len(path), self.coordinates))

@@ -172,7 +172,7 @@ fn is_negative(q: &[f64]) -> bool {
 /// positive.
 ///
 /// Doing it twice changes no bit. With u = ε/2, the computed squared norm n of any quaternion is off by at most 4u
-/// relatively (one rounding for a square, three for the sums), hence √n by 2u, and by 3u with its own rounding.
+/// relatively (one rounding for a square, three for the sums), so √n by 2u, and by 3u with its own rounding.
 /// Dividing by it adds at most u to each coordinate, so the norm of the quotients is off from 1 by at most 4u, its
 /// square by 8u, and the square as computed by 12u = 6ε, plus terms in u² and what underflows, both far below the 2ε
 /// that are left to `UNIT_TOLERANCE`. So the second time the norm counts as 1 and nothing is divided. A sign changes no

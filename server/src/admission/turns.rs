@@ -1,7 +1,7 @@
 //! Turns: few calls compute at a time, and the others wait in an order of our own.
 //!
 //! Without it, all admitted calls would share the threads alike: under overload each of them is late, and the queue
-//! stands where nobody measures it. A call takes a turn for each slice of its work and gives it up whenever it waits.
+//! stands where no code measures it. A call takes a turn for each slice of its work and gives it up whenever it waits.
 //!
 //! - *Fair:* the flow that has computed least goes first (start-time fair queueing). A flow that was idle gets no credit
 //!   for that. P. Goyal, H. M. Vin, H. Cheng, *Start-time Fair Queuing*, SIGCOMM 1996.
@@ -9,7 +9,7 @@
 //!   work, and these and the others of the flow take turns: a short call does not wait for all long ones.
 //! - *Measured:* a call that has not begun is refused once it has waited for too long: for the time of a burst, or for
 //!   the target while the queue stands. It stands once all calls are late and it gets no [shorter](trend), or once it was
-//!   not empty for the time of a burst; until no call was late for that time. What a connection has not read yet waits
+//!   not empty for the time of a burst; until no call was late for that time. Bytes that a connection has not read yet wait
 //!   too. B. Maurer, *Fail at Scale*, ACM Queue 13(8), 2015, after CoDel.
 //!
 //! The target is for long calls only: to refuse a short one costs as much as to answer it.
@@ -206,7 +206,7 @@ impl Turns {
         }
     }
 
-    /// Charges `flow` for a turn, and hands it on, or keeps it for later if nobody waits.
+    /// Charges `flow` for a turn, and hands it on, or keeps it for later if no call waits.
     fn hand_on(self: &Arc<Self>, flow: FlowNumber, size: usize, took: Duration, now: Instant) {
         let mut state = self.state.lock();
         state.charge(flow, took);

@@ -34,7 +34,7 @@ pub struct Config {
     pub zenoh: ZenohConfig,
     /// The pages for operators.
     pub http: HttpConfig,
-    /// What calls may take of the server's time and memory.
+    /// The bounds on the time and the memory of the server that calls may take.
     pub admission: AdmissionConfig,
     /// Limits on calls.
     pub limits: Limits,
@@ -116,7 +116,7 @@ impl TlsConfig {
 pub struct AccessConfig {
     /// The file of the identities, or [`OFF`].
     pub identities: String,
-    /// [`ON`] if the mutations of indices are published over Zenoh to every subscriber, whoever it is.
+    /// [`ON`] if the mutations of indices are published over Zenoh to every subscriber, without a check of its identity.
     pub publish_events: String,
     /// [`ON`] if the server may listen beyond this machine without TLS or identities.
     pub insecure: String,

@@ -43,7 +43,7 @@ pub(crate) struct CallBody {
     place: Option<Place>,
 }
 
-/// What a call holds: a place on its connection and among the calls under way, and bytes.
+/// The resources of a call: a place on its connection and among the calls under way, and bytes.
 pub(super) struct Place {
     pub(super) activity: Option<Activity>,
     pub(super) _active: Option<ActiveCall>,

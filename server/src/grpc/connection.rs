@@ -192,7 +192,7 @@ impl AsyncRead for Connection {
         let before = buffer.filled().len();
         let read = Pin::new(&mut self.socket).poll_read(context, buffer);
         let came = buffer.filled().len() - before;
-        // What comes after silence has just come.
+        // Bytes after a silence have just arrived.
         if read.is_pending() || self.was_silent {
             self.open.activity().flow().catch_up();
         }

@@ -42,7 +42,7 @@ const MAX_REQUEST_BYTES: usize = 1024 * 1024;
 /// The time of a call.
 const MAX_TIME: Duration = Duration::from_secs(10);
 
-/// What the calls of this listener share.
+/// The state that the calls of this listener share.
 pub(super) struct Api {
     pub(super) shared: Shared,
     /// All of them take the turns and the memory of one connection, so that the page cannot slow planners.

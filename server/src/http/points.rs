@@ -42,7 +42,7 @@ const MAX_SILENCE: Duration = Duration::from_secs(10);
 #[derive(Clone, Debug, PartialEq)]
 struct PointsRequest {
     index: String,
-    /// The most points to send first. Of more, an even sample is sent.
+    /// The most points to send first. An index with more sends an even sample.
     max: u64,
     /// True to send the mutations too.
     follow: bool,

@@ -109,7 +109,7 @@ pub(super) async fn in_turn<T>(
     done.map_err(|error| status::from_error(&error))
 }
 
-/// Answers with the frames of `source`. What it refuses at once is an answer of its own, not a stream.
+/// Answers with the frames of `source`. A refusal before the first frame is a plain answer, not a stream.
 pub(super) async fn answer(mut call: StreamCall, mut source: impl FrameSource) -> Response {
     let span = call.admitted.record.span().clone();
     let first = match source.next(&mut call).instrument(span.clone()).await {

@@ -171,7 +171,7 @@ pub enum LogError {
         /// The error of the disk.
         what: String,
     },
-    /// Synced, hence acknowledged, revisions are missing.
+    /// Synced revisions are missing, which may have been acknowledged.
     #[error(
         "{} stored and gone: the files of the log were cut short, damaged or replaced; put back their newest state, \
          restore the index from a snapshot, or delete it and create it again ({uid})",

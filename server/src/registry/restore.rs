@@ -106,7 +106,7 @@ impl Registry {
 }
 
 /// Publishes an index that the point store has from a restore: its journal begins behind the origin, and the index gets its
-/// name last. So a server that ends before leaves an index without a name, which nobody can see. `replaced` takes the name from
+/// name last. So a server that ends before leaves an index without a name, which no call can reach. `replaced` takes the name from
 /// the index that has it. Does nothing where the point store is the whole log.
 pub(crate) fn publish(
     log: &Log,

@@ -197,7 +197,7 @@ pub enum Error {
         limit: &'static str,
         /// Its value.
         value: u64,
-        /// What the index would hold after the call.
+        /// The points or bytes that the index would hold after the call.
         requested: u64,
     },
     /// The index is not in memory.

@@ -95,7 +95,7 @@ impl Limits {
         quotas.into_iter().try_for_each(|quota| check(index, quota))
     }
 
-    /// Refuses payloads of so many bytes in one index.
+    /// Refuses payloads of `bytes` in total in one index if that exceeds the limit.
     pub(super) fn check_payloads(&self, index: &str, bytes: u64) -> Result<(), Error> {
         let value = self.max_payload_bytes_per_index;
         check(index, ("max_payload_bytes_per_index", value, bytes))

@@ -169,7 +169,7 @@ pub struct StoredResponse {
     pub indexes: Vec<StoredIndex>,
 }
 
-/// What a member stores of an index.
+/// The revisions that a member stores of an index.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct StoredIndex {
     /// Its uid.

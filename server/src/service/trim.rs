@@ -218,7 +218,7 @@ fn note_holder(hosted: &Hosted, bounds: Bounds, held: u64, holders: &mut HashMap
     }
 }
 
-/// What a member stores. An index whose uid does not parse counts as missing.
+/// The revisions that a member stores. An index whose uid does not parse counts as missing.
 fn read(answer: StoredResponse) -> HashMap<Uid, Store> {
     let read = answer.indexes.into_iter().filter_map(|index| {
         let stored = Store {

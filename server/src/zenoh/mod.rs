@@ -168,7 +168,7 @@ impl ZenohFace {
     }
 }
 
-/// Takes every query under the prefix. Of several servers that declare it, Zenoh asks one.
+/// Takes every query under the prefix. Zenoh asks one of several servers that declare it.
 async fn take_queries(
     session: &Session,
     queries: &Arc<Queries>,

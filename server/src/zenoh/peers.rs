@@ -11,8 +11,8 @@ use super::ZenohError;
 /// Interval of the checks for a first link.
 const CHECK_INTERVAL: Duration = Duration::from_secs(2);
 
-/// Announces this server to others under the same prefix, and watches for them. Of two servers that share routers and a
-/// prefix, but no indices, either takes a query. Both warn in their logs. Servers of a cluster do not need it.
+/// Announces this server to others under the same prefix, and watches for them. If two servers share routers and a
+/// prefix, but no indices, either one takes a query. Both warn in their logs. Servers of a cluster do not need it.
 pub(super) struct ServerWatch {
     _token: LivelinessToken,
     _others: Subscriber<()>,

@@ -309,7 +309,7 @@ fn source(query: &Query) -> Option<Peer> {
     )))
 }
 
-/// The attachment of a query, `token=TOKEN;traceparent=…`. What is no such text is empty.
+/// The attachment of a query, `token=TOKEN;traceparent=…`. Any other text counts as empty.
 fn attached(query: &Query) -> Parameters<'static> {
     let bytes = query.attachment().map(ZBytes::to_bytes);
     let text = bytes.and_then(|bytes| String::from_utf8(bytes.into_owned()).ok());

@@ -1,4 +1,4 @@
-//! A server that is asked to stop finishes accepted calls, refuses new ones, and does not wait for ever.
+//! A server that is asked to stop finishes accepted calls, refuses new ones, and does not wait without end.
 
 use crate::harness::{TestServer, connect, knn, reason};
 use futures_util::{StreamExt, stream};

@@ -1,6 +1,6 @@
 //! A planner with a shared index: `copy-process URI INDEX`.
 //!
-//! For each line of standard input, a number, it inserts so many points, waits until the server has them and the copy follows,
+//! For each line of standard input, a number, it inserts that many points, waits until the server has them and the copy follows,
 //! and prints the number of points in the copy.
 
 use std::{

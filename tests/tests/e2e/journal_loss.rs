@@ -48,7 +48,7 @@ impl Cluster {
         Process::spawn(&mut command)
     }
 
-    /// Restarts NATS so that nobody can follow the indices of a stream.
+    /// Restarts NATS so that no server can follow the indices of a stream.
     fn hide(&mut self, stream: u8) {
         let file = self.directory.path().join("nats-0.conf");
         let consumers = format!("$JS.API.CONSUMER.CREATE.wayfold-log-{stream}");

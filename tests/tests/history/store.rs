@@ -171,7 +171,7 @@ impl Store {
         })
     }
 
-    /// Makes a revision of what is stored.
+    /// Makes a revision of the stored points.
     fn change(&mut self) {
         self.revision += 1;
         self.past.insert(self.revision, self.points.clone());

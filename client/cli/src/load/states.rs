@@ -35,7 +35,7 @@ impl Range {
     }
 }
 
-/// Draws states. What is drawn depends on the seed and on a number alone, not on the worker that draws.
+/// Draws states. A state depends only on the seed and on a number, not on the worker that draws it.
 #[derive(Clone, Debug)]
 pub(super) struct Sampler {
     factors: Vec<Factor>,

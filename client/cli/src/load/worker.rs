@@ -22,7 +22,7 @@ use super::{
     target::{Request, Target},
 };
 
-/// What the workers of a run share.
+/// The state that the workers of a run share.
 #[derive(Debug)]
 pub(super) struct Workload {
     pub(super) sampler: Sampler,

@@ -117,7 +117,7 @@ impl Core {
     }
 
     /// True in a process that was forked from the one that opened the index: its threads are not here, and a lock may
-    /// be held for ever.
+    /// be held without end.
     pub(super) fn is_forked(&self) -> bool {
         !self.origin.is_here()
     }

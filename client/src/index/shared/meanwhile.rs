@@ -175,8 +175,8 @@ impl Arrivals {
         self.departure = at;
     }
 
-    /// True if the points that others stored take too much memory: the open questions are to be answered from all
-    /// points.
+    /// True if the points that others stored take too much memory: answer the open questions from all points
+    /// then.
     pub(super) fn is_full(&self) -> bool {
         self.stored.len() > MAX_ARRIVALS
     }
@@ -186,8 +186,8 @@ impl Arrivals {
         self.stored.clear();
     }
 
-    /// The server has stored the points of these questions: `points` are those up to them, and own points. Of the
-    /// questions that stay open the oldest is `oldest`.
+    /// The server has stored the points of these questions: `points` are those up to them, and own points. `oldest` is
+    /// the oldest of the questions that stay open.
     pub(super) fn answerable(
         &mut self,
         questions: Vec<Question>,

@@ -1,8 +1,8 @@
 //! Pending writes on a point that others may change too.
 //!
 //! The copy shows the published points with the pending writes after them. An insert under a new id changes a point
-//! that nobody else can change, so the copy holds it like any other. For other writes the copy also keeps what is
-//! published under the id, and applies the pending writes again when that changes.
+//! that no other writer can change, so the copy holds it like any other. For other writes the copy also keeps the
+//! published point under the id, and applies the pending writes again when that changes.
 
 use std::collections::VecDeque;
 
@@ -72,7 +72,7 @@ impl Rebased {
         self.pending.is_empty()
     }
 
-    /// The newest pending write is given up. True if no write is pending any more.
+    /// Gives up the newest pending write. True if no write is pending any more.
     pub(super) fn give_up(&mut self) -> bool {
         self.pending.pop_back();
         self.pending.is_empty()

@@ -113,8 +113,8 @@ async fn stalled(movement: &mut watch::Receiver<Movement>, patience: Duration) -
 /// The messages to send.
 struct Source {
     parts: Parts,
-    /// The part that is sent once it is known that another follows, or none: the last one makes the snapshot whole, and
-    /// is not sent if what follows it is wrong.
+    /// The part to send once another follows or the file ends: the last one makes the snapshot whole, so it is not
+    /// sent if a damaged part follows.
     held: Option<SnapshotPart>,
     /// Empty once it was sent.
     name: String,

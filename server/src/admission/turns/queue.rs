@@ -20,7 +20,7 @@ const MEAN_TURNS: u64 = 8;
 
 #[derive(Debug)]
 pub(super) struct State {
-    /// The short turns that nobody has. A long one takes [`SHORT_TURNS`] of them.
+    /// The free short turns. A long one takes [`SHORT_TURNS`] of them.
     pub(super) free: usize,
     pub(super) flows: HashMap<FlowNumber, Flow>,
     /// The flows with waiting calls, in the order of their turns: by `used_ns`, then by number.

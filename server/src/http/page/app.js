@@ -6,7 +6,7 @@ import { IndexPage } from "./index_page.js";
 import { show as showOverview } from "./overview.js";
 import { start } from "./overview_feed.js";
 
-// Ends what is shown.
+// Ends the shown view.
 let leave = () => {};
 // The page of indices while it is shown: another index joins it without a new picture.
 let indexPage = null;

@@ -19,7 +19,7 @@ export class Edges {
   length = 0;
   /** Counts how often pairs changed: what was built from them has to be built again. */
   generation = 0;
-  // Which ends list an edge: 1 for the first, 2 for the second, 3 for both.
+  // The ends that list an edge: 1 for the first, 2 for the second, 3 for both.
   #listed = new Uint8Array(0);
   // The edges at a slot are a list of ends; end 2e is the first one of edge e, and 2e + 1 the second.
   #first = new Int32Array(0);
@@ -127,7 +127,7 @@ export class Edges {
     if (this.share.has(low, high)) this.#waiting.add(slot, low, high);
   }
 
-  // A point that was replaced, or removed and stored again, lists nothing any more. What others list reaches the new one.
+  // A point that was replaced, or removed and stored again, lists nothing any more. The edges that other points list reach the new one.
   #move(before, slot) {
     this.#untold.delete(before);
     this.#waiting.forget(before);

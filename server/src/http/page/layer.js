@@ -67,7 +67,7 @@ export class Layer {
 
   #report(state, problem, code) {
     if (this.isClosed) return;
-    // What the server refused may be the revision: the next request asks for everything.
+    // The server may have refused the revision: the next request asks for everything.
     if (code === INVALID_ARGUMENT) this.reached = undefined;
     report(`points of ${this.name}`, state, problem);
   }

@@ -1,5 +1,5 @@
-// Points of the past whose places nobody tells: their states were stored before the log's window, and they were removed or
-// replaced within it. What is known of them is until when they were there.
+// Points of the past without a known place: their states were stored before the log's window, and they were removed or
+// replaced within it. Only the revision of that removal is known.
 
 /** The lost points of an index, in the order of their deaths. */
 export class Lost {

@@ -5,7 +5,7 @@ const DAMAGE_ADVICE =
   "wayfold-server repair if it says so; if not, restore a snapshot under another name before you delete this index.";
 
 /**
- * What the overview shows of one moment. `server` is the answer of the verb of that name. `metrics` is null for an identity
+ * The content of the overview at one moment. `server` is the answer of the verb of that name. `metrics` is null for an identity
  * that may not see all indices; `hasFigures` is false then.
  */
 export function sampleOf(server, { list, metrics: text }) {

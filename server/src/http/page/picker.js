@@ -3,7 +3,7 @@
 import { ALIVE } from "./cloud.js";
 
 const REACH_PIXELS = 10;
-// Of two points at about the same place, the nearer to the eye is meant: the whole depth counts as this many pixels.
+// The pointer means the nearer to the eye of two points at about the same place: the whole depth counts as this many pixels.
 const DEPTH_PIXELS = 8;
 
 /** The layer and slot of the vertex nearest to (x, y) within reach, among those that are there at `revision`. */

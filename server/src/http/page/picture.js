@@ -1,4 +1,4 @@
-// The picture of the points: what is drawn, in which view, in which colours and at which revision.
+// The picture of the points: its layers, its view, its colours and its revision.
 
 import { ALIVE } from "./cloud.js";
 import { byId, setText } from "./dom.js";

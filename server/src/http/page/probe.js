@@ -6,7 +6,7 @@ import { showAnswer } from "./answer.js";
 import { byId, element, setText } from "./dom.js";
 import { digits, shortened } from "./format.js";
 
-// The list of indices has room for so many characters.
+// The number of characters for which the list of indices has room.
 const MAX_NAME = 20;
 
 // The fields of a request and those of the form. A name that begins with another one stands before it.

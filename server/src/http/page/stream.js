@@ -21,7 +21,7 @@ export function follow(path, listener) {
 }
 
 /**
- * As `follow`, for as long as the tab is visible: the tabs of a browser share the few connections that it has for a server. A
+ * Acts like `follow` as long as the tab is visible: the tabs of a browser share the few connections that it has for a server. A
  * hidden tab has none, and `state` hears "paused". `path()` is asked for again once the tab is shown.
  */
 export function followWhileVisible(path, listener) {

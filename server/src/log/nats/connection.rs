@@ -46,7 +46,7 @@ pub(super) struct Connection {
 }
 
 impl Connection {
-    /// Connects, and creates what is missing.
+    /// Connects, and creates the missing streams and buckets.
     pub(super) async fn open(options: &NatsOptions) -> Result<Self, NatsError> {
         let mut connecting = ConnectOptions::new()
             .name("wayfold")

@@ -198,7 +198,7 @@ async fn a_copy_that_is_cut_short_changes_nothing() {
             whole = Some(parts);
             break;
         };
-        // The start is no part of what is sent again.
+        // A copy that is cut before its first part is not late.
         assert_eq!(cut.is_late, parts > 0, "{cut:?}");
         assert_eq!(points.view(entry.uid).unwrap().revision(), 0);
         assert!(hosted(&service).damage().is_some());

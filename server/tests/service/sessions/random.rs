@@ -34,7 +34,7 @@ impl Writer {
     }
 }
 
-/// What the model knows of each revision.
+/// The content of the model at each revision.
 type History = Vec<Entry>;
 
 /// A revision: the points after it, and the session and the number of the batch that made it.

@@ -82,7 +82,7 @@ fn identities() -> String {
 #[derive(Default)]
 struct Added {
     differences_us: Vec<f64>,
-    /// What a call takes without anything.
+    /// The time of a call without identities and metrics.
     bare_us: Vec<f64>,
 }
 

@@ -37,7 +37,7 @@ const CHUNK: usize = 64 * 1024;
 const SILENCE: Duration = Duration::from_secs(2);
 const LONGEST: Duration = Duration::from_secs(30);
 
-/// What became of the inserts.
+/// The bytes that the inserts sent, and the inserts that ended.
 #[derive(Default)]
 struct Inserts {
     sent_bytes: u64,

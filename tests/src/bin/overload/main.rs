@@ -4,7 +4,7 @@
 //!         [--server-core 0] [--client-core 1] [--points 50000] [--set grpc.max_calls=64] [--json FILE]
 //!
 //! It starts the server program, of this version or another, in memory, and fills an index of SE(3) (`R3*SO3:0.15`).
-//! The server has one core, all callers share another. What a server answers is counted, whatever it is.
+//! The server has one core, all callers share another. Every answer of the server is counted, errors too.
 //!
 //! Calls on a schedule count from the time at which they were due, and so do those of the callers beside a load. A call
 //! without an answer counts there with the time that it waited.
@@ -89,7 +89,7 @@ enum Scenario {
     Burst,
     /// Inserts that never end.
     HalfSent,
-    /// Large answers that nobody reads.
+    /// Large answers that no caller reads.
     Unread,
     /// One connection with 250 large searches.
     Heavy,

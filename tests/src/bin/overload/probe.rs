@@ -123,7 +123,7 @@ impl Caller {
     }
 }
 
-/// The times of the calls due in a part of the measurement. What has no answer counts with the time it waited so far.
+/// The times of the calls due in a part of the measurement. A call without an answer counts with the time that it has waited.
 fn figures(name: &str, samples: &[Sample], from: Instant, to: Instant) -> Figures {
     let part = samples.iter();
     let part = part.filter(|sample| from <= sample.due && sample.due < to);

@@ -198,7 +198,7 @@ pub(crate) fn space() -> Space {
     SPACE.parse().expect("a space")
 }
 
-/// Different requests for the k nearest of so many rows each.
+/// `count` different requests for the k nearest of `rows` states each.
 pub(crate) fn knn(count: usize, rows: usize, k: u32) -> Vec<KnnRequest> {
     let drawn = States::new(space(), 2).rows(count * rows);
     let requests = drawn.chunks(rows * WIDTH).map(|rows| KnnRequest {
@@ -215,7 +215,7 @@ pub(crate) fn knn_frames(count: usize, rows: usize, k: u32) -> Arc<Vec<Bytes>> {
     Arc::new(knn(count, rows, k).iter().map(wire::frame).collect())
 }
 
-/// An insert of so many rows as it is sent.
+/// An insert of this number of rows as it is sent.
 pub(crate) fn insert_frame(rows: usize) -> Bytes {
     let drawn = States::new(space(), 3).rows(rows);
     wire::frame(&InsertRequest {

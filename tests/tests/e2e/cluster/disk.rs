@@ -10,7 +10,7 @@ use std::{
     process::Command,
 };
 
-/// The size of a disk. The file takes only the room of what is written.
+/// The size of a disk. The file takes only the room of the written blocks.
 const BYTES: u64 = 512 << 20;
 /// `EXT4_IOC_SHUTDOWN` with `EXT4_GOING_FLAGS_NOLOGFLUSH`. Rust has no safe ioctl.
 const SHUT_DOWN: &str = "import fcntl, os, struct, sys\n\

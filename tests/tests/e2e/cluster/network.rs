@@ -1,6 +1,6 @@
 //! A network namespace for each server, and two networks: the *back*, by which the servers reach each other and NATS, and
 //! the *front*, by which clients reach servers. Each has two switches. A port that is moved to the other switch does not
-//! reach those that stay, and nobody tells either side: packets are lost.
+//! reach those that stay, and neither side learns of it: packets are lost.
 //!
 //! The namespaces are in a network namespace of the test's own and in a private mount of `/run/netns`, which
 //! `tests/cluster/run` makes. They end with the test.

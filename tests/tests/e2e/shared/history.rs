@@ -24,7 +24,7 @@ type Point = (u64, Vec<u64>);
 /// Points by id.
 pub(super) type Content = BTreeMap<u64, Point>;
 
-/// What a call made of the point with an id.
+/// The point under an id after a call.
 type Change = (u64, Option<Point>);
 
 /// The first of the ids that the writers choose themselves.

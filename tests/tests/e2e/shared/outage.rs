@@ -128,7 +128,7 @@ async fn pending_writes_survive_a_reload() {
             at(102.0, 100.0).to_vec(),
         );
         assert_eq!((point.tag, point.state), (7, state));
-        // What another writer does later counts for points that were pending when the copy was read again.
+        // Later writes of others count for points that were pending when the copy was read again.
         assert!(there.remove(mine).unwrap());
         assert!(there.set_tag(common, 8).unwrap());
         outage.compare();

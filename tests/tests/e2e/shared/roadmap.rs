@@ -21,7 +21,7 @@ const INSERTS: usize = 300;
 const RADIUS: f64 = 3.0;
 const K: usize = 8;
 
-/// What each point was told, by its insert and meanwhile.
+/// The neighbours that each point was told of, by its insert and meanwhile.
 type Edges = BTreeMap<u64, Vec<Neighbor>>;
 
 /// Inserts points from four threads; two of the threads share an index. Returns the neighbours of each point.

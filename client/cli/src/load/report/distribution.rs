@@ -105,7 +105,7 @@ fn share_at(nines: f64) -> f64 {
     1.0 - 10_f64.powf(-nines)
 }
 
-/// The nines that so many calls can show: among 1,000 calls the slowest is above 99.9 %.
+/// The nines that this number of calls can show: among 1,000 calls the slowest is above 99.9 %.
 fn nines_of(calls: u64) -> f64 {
     (calls as f64).log10().clamp(1.0, MAX_NINES)
 }
