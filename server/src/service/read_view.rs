@@ -62,16 +62,7 @@ impl Service {
                 }
             }
         }
-        let published = hosted.published();
-        if published.revision == 0 {
-            // A server that has nothing of an index yet does not answer that there is nothing.
-            if let Some(damage) = hosted.damage() {
-                return Err(registry_error(hosted.name(), damage));
-            }
-            const ASKING: &str = "while waiting for the journal";
-            let empty = self.bounded(call, ASKING, hosted.begins_empty()).await?;
-            empty.map_err(|error| registry_error(hosted.name(), error))?;
-        }
+        let published = self.newest(call, hosted).await?;
         if published.revision >= revision {
             return Ok(published);
         }
@@ -80,6 +71,24 @@ impl Service {
             .bounded(call, WAITING, hosted.reached(revision))
             .await?;
         reached.map_err(|error| registry_error(hosted.name(), error))
+    }
+
+    /// The newest revision of this server. A server that has nothing of an index yet does not answer that there is nothing.
+    pub(super) async fn newest(
+        &self,
+        call: &Call,
+        hosted: &Arc<Hosted>,
+    ) -> Result<Arc<Published>, Error> {
+        let published = hosted.published();
+        if published.revision == 0 {
+            if let Some(damage) = hosted.damage() {
+                return Err(registry_error(hosted.name(), damage));
+            }
+            const ASKING: &str = "while waiting for the journal";
+            let empty = self.bounded(call, ASKING, hosted.begins_empty()).await?;
+            empty.map_err(|error| registry_error(hosted.name(), error))?;
+        }
+        Ok(published)
     }
 
     /// Waits for `future` until the deadline of the call, or for `min_revision_wait` if it has none.

@@ -76,6 +76,9 @@ impl Service {
             violations.add("after_revision.number", "OUT_OF_RANGE", text);
         }
         violations.finish()?;
+        if after.is_none() {
+            self.newest(call, &hosted).await?;
+        }
         let is_other_uid = |after: &v1::Revision| after.uid != hosted.uid_text();
         let is_other_uid = after.as_ref().is_some_and(is_other_uid);
         Ok(Watch {

@@ -106,6 +106,21 @@ async fn an_index_whose_journal_begins_later_is_not_read_as_empty() {
         let text = refused.to_string();
         assert!(text.contains("are held only from 7 on"), "{text}");
     }
+    let index_name = || "arm".to_owned();
+    let scan = v1::ScanRequest {
+        index_name: index_name(),
+        ..Default::default()
+    };
+    let watch = v1::WatchRequest {
+        index_name: index_name(),
+        ..Default::default()
+    };
+    let scanned = service.scan(&Call::default(), scan).await.err();
+    let watched = service.watch(&Call::default(), watch).await.err();
+    for refused in [scanned, watched] {
+        let text = refused.unwrap().to_string();
+        assert!(text.contains("are held only from 7 on"), "{text}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
