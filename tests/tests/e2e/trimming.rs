@@ -1,6 +1,11 @@
 //! The servers of a cluster forget the records of the journal that all of them store, and one that comes back without its
 //! directory takes a copy. The environment variable `NATS_SERVER` has the path of the program nats-server.
 
+use std::{
+    io::{Read, Write},
+    net::TcpStream,
+};
+
 use tokio::time::timeout;
 use wayfold_tests::{ServerProcess, Signal, Stubs};
 
@@ -114,4 +119,49 @@ async fn the_journal_keeps_what_the_servers_do_not_store() {
     assert_eq!(expected.len() as u64, points);
     let mut stubs = Stubs::connect(first.uri()).await;
     assert_eq!(latest_content(&mut stubs).await.points, expected);
+}
+
+/// The revision after which the page of a server can go back, by the beginning of its stream of points.
+fn oldest(pages: &str) -> u64 {
+    let mut socket = TcpStream::connect(pages).unwrap();
+    let request = "POST /api/v1/arm/points?max=1 HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\n\
+                   Connection: close\r\n\r\n";
+    socket.write_all(request.as_bytes()).unwrap();
+    let mut answer = Vec::new();
+    socket.read_to_end(&mut answer).unwrap();
+    let text = String::from_utf8_lossy(&answer);
+    let (_, after) = text.split_once("\"oldest\":").unwrap();
+    let digits = after.split(|it: char| !it.is_ascii_digit()).next().unwrap();
+    digits.parse().unwrap()
+}
+
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn each_server_of_a_cluster_knows_its_window() {
+    let cluster = Cluster::empty();
+    // The second keeps the newest record alone.
+    let servers = [
+        cluster.start(0),
+        cluster.start_with(1, &[("WAYFOLD_INDEX__WINDOW_BYTES", "1")]),
+    ];
+    let mut stubs = Stubs::connect(servers[0].uri()).await;
+    stubs.create("arm", "R1").await;
+    for id in 0..POINTS_A_ROUND {
+        insert(&mut stubs, id).await.unwrap();
+    }
+    let newest = stubs.describe("arm").await.revision.unwrap().number;
+    for (mut server, kept) in servers.into_iter().zip([newest, 1]) {
+        Stubs::connect(server.uri()).await.find("arm").await;
+        let pages = server.pages();
+        let known = || {
+            let window = "wayfold_index_window_records{index=\"arm\"}";
+            (figures(&pages)[window] as u64, oldest(&pages))
+        };
+        let caught_up = async {
+            while known() != (kept, newest - kept) {
+                tokio::task::yield_now().await;
+            }
+        };
+        assert!(timeout(MAX_WAIT, caught_up).await.is_ok(), "{:?}", known());
+    }
 }
