@@ -156,7 +156,7 @@ pub trait Journal: Send + Sync {
     fn window(&self, uid: Uid) -> Result<Window, LogError>;
 
     /// Submits again the newest records that a journal elsewhere has lost and that this server has applied. Returns their
-    /// number. [`LogError::Damaged`] if they do not follow what the journal has. Blocks.
+    /// number. [`LogError::Contradicted`] if they do not follow what the journal has. Blocks.
     fn repair(&self, _: Uid) -> Result<u64, LogError> {
         Ok(0)
     }

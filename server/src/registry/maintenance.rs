@@ -267,6 +267,9 @@ impl Registry {
                         records,
                         "the journal had lost its newest records, and has them again from this server"
                     ),
+                    Err(LogError::Contradicted {
+                        revision, member, ..
+                    }) => registry.contradicted(hosted.uid(), revision, &member),
                     // The reason was reported when the index stopped.
                     Err(error) => {
                         debug!(index = hosted.name(), %error, "cannot repair the journal")

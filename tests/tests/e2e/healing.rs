@@ -8,13 +8,16 @@ use tonic::Code;
 use wayfold_proto::v1::{InsertRequest, ListIndexesRequest};
 use wayfold_tests::{Content, ServerProcess, Signal, Stubs, row_states};
 
-use crate::journal_loss::{Cluster, MAX_WAIT, insert, insert_until_acknowledged};
+use crate::{
+    journal_loss::{Cluster, MAX_WAIT, insert, insert_until_acknowledged},
+    metrics::figures,
+};
 
 pub(crate) const JOINS: &str = "a server joins the cluster";
 pub(crate) const HEALED: &str = "goes on from a copy of another server";
 
 /// Starts two servers that hear each other.
-fn two(cluster: &Cluster) -> [ServerProcess; 2] {
+pub(crate) fn two(cluster: &Cluster) -> [ServerProcess; 2] {
     let mut servers = [0, 1].map(|number| cluster.start(number));
     for server in &mut servers {
         server.log_until(JOINS);
@@ -205,17 +208,27 @@ async fn a_server_ahead_of_another_history_stays_stopped() {
     insert(&mut others, 1000).await.unwrap();
 
     let mut server = cluster.start(0);
-    server.log_until("no further record is applied");
+    let log = server.log_until("two servers contradict each other");
+    let told = log.last().unwrap();
+    for part in ["ERROR", "another record of revision 6", "reseed"] {
+        assert!(told.contains(part), "{told}");
+    }
     let mut stubs = Stubs::connect(server.uri()).await;
-    // Its follower needs two seconds to notice that the journal ends early, and healing begins after five.
     let until = Instant::now() + Duration::from_secs(5);
     let mut looks = interval(Duration::from_millis(20));
     while Instant::now() < until {
         let listed = stubs.indexes.list_indexes(ListIndexesRequest::default());
-        assert_eq!(listed.await.unwrap().into_inner().damaged.len(), 1);
+        let listed = listed.await.unwrap().into_inner();
+        let [damaged] = &listed.damaged[..] else {
+            panic!("{listed:?}");
+        };
+        let text = format!("{damaged:?}");
+        assert!(text.contains("has applied another record"), "{text}");
         looks.tick().await;
     }
-    server.log_until("no member gives a copy of an index yet");
+    let indices = figures(&server.pages());
+    assert_eq!(indices["wayfold_indices{state=\"damaged\"}"], 1.0);
+    refuse(&mut stubs, 3000).await;
     // The other one compares the two before it writes.
     refuse(&mut others, 2000).await;
     assert_eq!(Content::read(&stubs, "arm").await.unwrap(), expected);

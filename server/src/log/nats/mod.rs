@@ -241,7 +241,11 @@ impl Journal for NatsJournal {
                 return Ok(repaired);
             };
             if !begins && records.first().is_some_and(|first| !first.follows(tip)) {
-                return Err(LogError::replaced(uid, tip.revision));
+                return Err(LogError::Contradicted {
+                    uid,
+                    revision: tip.revision,
+                    member: "another server".into(),
+                });
             }
             let mut receipts = Vec::new();
             for record in records {

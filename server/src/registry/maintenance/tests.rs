@@ -16,9 +16,11 @@ use crate::{
 
 const APPLIED: u64 = 3;
 
-/// A journal with another record in the place of a lost one, which no server can repair.
+/// A journal that ends early.
 struct SetBack {
     local: Arc<MemoryLog>,
+    /// True if it has another record in the place of a lost one; otherwise this server does not keep the lost records.
+    is_other: bool,
     /// Its newest revision.
     head: AtomicU64,
     /// The number of times that it was followed.
@@ -66,15 +68,28 @@ impl Journal for SetBack {
     }
 
     fn repair(&self, uid: Uid) -> Result<u64, LogError> {
-        Err(LogError::replaced(uid, self.head.load(SeqCst)))
+        let head = self.head.load(SeqCst);
+        Err(match self.is_other {
+            true => LogError::Contradicted {
+                uid,
+                revision: head,
+                member: "another server".into(),
+            },
+            false => LogError::Trimmed {
+                uid,
+                after: head,
+                oldest: APPLIED,
+            },
+        })
     }
 }
 
 /// A server whose index has applied more than its journal has, once it has stopped.
-async fn stopped() -> (Arc<SetBack>, Arc<Registry>, Arc<Hosted>) {
+async fn stopped(is_other: bool) -> (Arc<SetBack>, Arc<Registry>, Arc<Hosted>) {
     let local = recorded(APPLIED);
     let journal = Arc::new(SetBack {
         local: Arc::clone(&local),
+        is_other,
         head: AtomicU64::new(1),
         follows: AtomicU64::new(0),
     });
@@ -93,7 +108,7 @@ async fn stopped() -> (Arc<SetBack>, Arc<Registry>, Arc<Hosted>) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_index_ahead_of_a_journal_that_cannot_be_repaired_stays_stopped() {
-    let (journal, registry, hosted) = stopped().await;
+    let (journal, registry, hosted) = stopped(false).await;
     registry.resume_unsettled(&hosted).await;
     assert_eq!(journal.follows.load(SeqCst), 1);
     assert!(hosted.is_ahead());
@@ -108,9 +123,24 @@ async fn an_index_ahead_of_a_journal_that_cannot_be_repaired_stays_stopped() {
     hosted.reached(APPLIED + 1).await.unwrap();
 }
 
+/// The journal has another record in the place of one that it has lost.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_index_ahead_of_another_history_is_contradicted() {
+    let (journal, registry, hosted) = stopped(true).await;
+    registry.resume_unsettled(&hosted).await;
+    let why = hosted.damage().unwrap().to_string();
+    let told = "another server has applied another record of revision 1";
+    assert!(why.contains(told) && why.contains("reseed"), "{why}");
+    // No copy takes its place, and it does not resume once the journal is longer.
+    assert!(registry.stopped().is_empty() && !hosted.is_unsettled());
+    journal.head.store(APPLIED, SeqCst);
+    registry.resume_unsettled(&hosted).await;
+    assert!(!hosted.follows());
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_contradicted_index_does_not_resume() {
-    let (journal, registry, hosted) = stopped().await;
+    let (journal, registry, hosted) = stopped(false).await;
     registry.contradicted(hosted.uid(), APPLIED, "peer");
     journal.head.store(APPLIED, SeqCst);
     let resuming = (Arc::clone(&registry), Arc::clone(&hosted));
@@ -124,7 +154,7 @@ async fn a_contradicted_index_does_not_resume() {
     assert!(registry.stopped().is_empty());
 
     // A contradiction closes no index that follows its journal again.
-    let (journal, registry, hosted) = stopped().await;
+    let (journal, registry, hosted) = stopped(false).await;
     journal.head.store(APPLIED, SeqCst);
     registry.resume_unsettled(&hosted).await;
     registry.contradicted(hosted.uid(), APPLIED, "peer");
