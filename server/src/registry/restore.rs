@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use parking_lot::MutexGuard;
 use tracing::{info, warn};
 use wayfold_index::Space;
 use wayfold_proto::v1::PayloadEncoding;
@@ -72,14 +73,23 @@ impl Registry {
         } = restore;
         let points = loader.len();
         let forest = loader.finish(origin.revision).map_err(unloaded)?;
-        let _change = self.change_lock.lock();
+        let mut change = self.change_lock.lock();
         self.room_for(&entry.name, &limits)?;
         // A copy has another uid, so no call to the original is repeated here.
         stored.finish(sessions, Vec::new())?;
-        publish(&host.log, host.run, (&entry, None), origin).map_err(|error| match error {
-            LogError::NameTaken { .. } => RegistryError::Taken,
-            error => error.into(),
-        })?;
+        if host.log.journal.is_shared() {
+            // A journal elsewhere answers late or never. Of two restores of a name one claims it.
+            let publish = || publish(&host.log, host.run, (&entry, None), origin);
+            let published = MutexGuard::unlocked(&mut change, publish);
+            published.map_err(|error| match error {
+                LogError::NameTaken { .. } => RegistryError::Taken,
+                error => error.into(),
+            })?;
+            // The maintenance may have adopted the claimed name already.
+            if let Some(hosted) = self.by_uid(entry.uid) {
+                return Ok(hosted);
+            }
+        }
         let view = host.log.points.view(entry.uid)?;
         let hosted = Hosted::new(
             &host,
@@ -107,16 +117,13 @@ impl Registry {
 
 /// Publishes an index that the point store has from a restore: its journal begins behind the origin, and the index gets its
 /// name last. So a server that ends before leaves an index without a name, which no call can reach. `replaced` takes the name from
-/// the index that has it. Does nothing where the point store is the whole log.
+/// the index that has it.
 pub(crate) fn publish(
     log: &Log,
     run: RunId,
     (entry, replaced): (&Entry, Option<Uid>),
     origin: Origin,
 ) -> Result<(), LogError> {
-    if !log.journal.is_shared() {
-        return Ok(());
-    }
     let tip = Tip {
         revision: origin.revision,
         digest: origin.digest,

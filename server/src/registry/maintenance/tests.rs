@@ -1,14 +1,17 @@
 //! A journal that ends before the records that a server has applied.
 
-use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
+use std::sync::{
+    OnceLock, Weak,
+    atomic::{AtomicU64, Ordering::SeqCst},
+};
 
 use futures_util::{StreamExt, stream};
 
 use super::*;
 use crate::{
     log::{
-        Effects, Journal, Log, MemoryLog, PointStore, Receipt, Record, RecordStream, Retention,
-        Uid, Window,
+        Catalogue, Effects, Journal, Log, MemoryLog, Origin, PointStore, Receipt, Record,
+        RecordStream, Retention, Sessions, Uid, Window,
     },
     registry::RegistryOptions,
     testing::recorded,
@@ -65,6 +68,10 @@ impl Journal for SetBack {
 
     fn window(&self, _: Uid) -> Result<Window, LogError> {
         Ok(Window::default())
+    }
+
+    fn is_shared(&self) -> bool {
+        true
     }
 
     fn repair(&self, uid: Uid) -> Result<u64, LogError> {
@@ -158,5 +165,64 @@ async fn a_contradicted_index_does_not_resume() {
     journal.head.store(APPLIED, SeqCst);
     registry.resume_unsettled(&hosted).await;
     registry.contradicted(hosted.uid(), APPLIED, "peer");
+    assert!(hosted.follows());
+}
+
+/// A catalogue whose registry adopts a claim before the claim is answered.
+struct Adopted {
+    local: Arc<MemoryLog>,
+    registry: OnceLock<Weak<Registry>>,
+}
+
+impl Catalogue for Adopted {
+    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
+        self.local.indexes()
+    }
+
+    fn create(&self, entry: Entry) -> Result<(), LogError> {
+        self.local.create(entry)
+    }
+
+    fn claim(&self, _: &Entry, _: Option<Uid>) -> Result<(), LogError> {
+        let registry = self.registry.get().and_then(Weak::upgrade).unwrap();
+        assert!(registry.change_lock.try_lock().is_some(), "it is locked");
+        registry.refresh().unwrap();
+        Ok(())
+    }
+
+    fn delete(&self, uid: Uid) -> Result<(), LogError> {
+        self.local.delete(uid)
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_restore_holds_no_lock_while_its_name_is_claimed() {
+    let local = Arc::new(MemoryLog::new());
+    let catalogue = Arc::new(Adopted {
+        local: Arc::clone(&local),
+        registry: OnceLock::new(),
+    });
+    let journal = SetBack {
+        local: Arc::clone(&local),
+        is_other: false,
+        head: AtomicU64::new(0),
+        follows: AtomicU64::new(0),
+    };
+    let log = Log {
+        journal: Arc::new(journal),
+        points: local,
+        catalogue: Arc::clone(&catalogue) as Arc<dyn Catalogue>,
+    };
+    let registry = Arc::new(Registry::new(log, RegistryOptions::default()));
+    catalogue.registry.set(Arc::downgrade(&registry)).unwrap();
+    let restoring = Arc::clone(&registry);
+    let restored = tokio::task::spawn_blocking(move || {
+        let what = ("R1".parse().unwrap(), Default::default());
+        let restore = restoring.restore("arm", what, Vec::new(), Origin::START)?;
+        restoring.host(restore, Sessions::default())
+    });
+    let hosted = restored.await.unwrap().unwrap();
+    // The index is served once.
+    assert!(Arc::ptr_eq(&registry.get("arm").unwrap(), &hosted));
     assert!(hosted.follows());
 }
