@@ -14,7 +14,10 @@ const LOST: u64 = 300;
 /// NATS comes back, and the servers look at it each second.
 pub(crate) const MAX_WAIT: Duration = Duration::from_secs(60);
 
-/// One server of NATS, and servers with a data directory each.
+/// The beginning of what is denied in the configuration of NATS.
+const DENIED: &str = "no_auth_user: any\n";
+
+/// Servers of NATS, and servers with a data directory each.
 pub(crate) struct Cluster {
     directory: TempDir,
     pub(crate) nats: Nats,
@@ -23,8 +26,13 @@ pub(crate) struct Cluster {
 impl Cluster {
     /// A cluster without a server of Wayfold.
     pub(crate) fn empty() -> Self {
+        Self::with_nats(1)
+    }
+
+    /// The same with this many servers of NATS, which have pages for operators.
+    pub(crate) fn with_nats(count: usize) -> Self {
         let directory = tempfile::tempdir().unwrap();
-        let nats = Nats::start(directory.path(), 1);
+        let nats = Nats::start_with(directory.path(), count, "http: \"127.0.0.1:-1\"");
         Self { directory, nats }
     }
 
@@ -50,14 +58,22 @@ impl Cluster {
 
     /// Restarts NATS so that no server can follow the indices of a stream.
     fn hide(&mut self, stream: u8) {
-        let file = self.directory.path().join("nats-0.conf");
         let consumers = format!("$JS.API.CONSUMER.CREATE.wayfold-log-{stream}");
-        let denied = format!("\"{consumers}\", \"{consumers}.>\"");
-        let more = format!(
-            "no_auth_user: any\nauthorization {{ users: [ {{ user: any, password: any, permissions: \
-             {{ publish: {{ allow: \">\", deny: [{denied}] }} }} }} ] }}\n"
-        );
-        let text = std::fs::read_to_string(&file).unwrap() + &more;
+        self.deny(&[&consumers, &format!("{consumers}.>")]);
+    }
+
+    /// Restarts NATS so that it takes nothing on these subjects, and gives no answer there.
+    pub(crate) fn deny(&mut self, subjects: &[&str]) {
+        let file = self.directory.path().join("nats-0.conf");
+        let text = std::fs::read_to_string(&file).unwrap();
+        let allowed = text.split(DENIED).next().unwrap();
+        let text = match subjects {
+            [] => allowed.to_owned(),
+            denied => format!(
+                "{allowed}{DENIED}authorization {{ users: [ {{ user: any, password: any, permissions: \
+                 {{ publish: {{ allow: \">\", deny: {denied:?} }} }} }} ] }}\n"
+            ),
+        };
         self.nats.kill(0);
         std::fs::write(file, text).unwrap();
         self.nats.restart(0);

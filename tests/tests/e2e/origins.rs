@@ -4,8 +4,8 @@
 use tokio::time::timeout;
 use tokio_stream::iter;
 use tonic::{Code, Status};
-use wayfold_proto::v1::{InsertRequest, RestoreIndexRequest, SnapshotPart};
-use wayfold_tests::{Content, Signal, States, Stubs, row_states, server};
+use wayfold_proto::v1::{InsertRequest, ListIndexesRequest, RestoreIndexRequest, SnapshotPart};
+use wayfold_tests::{Content, ServerProcess, Signal, States, Stubs, row_states, server};
 
 use crate::{
     healing::{JOINS, latest_content},
@@ -166,4 +166,61 @@ async fn a_restored_index_gets_its_only_message_back() {
     let third = cluster.start(2);
     let mut others = Stubs::connect(third.uri()).await;
     assert!(latest_content(&mut others).await.points == expected.points);
+}
+
+const UNKNOWN: &str = "NATS does not know this index";
+
+/// A server whose restore ended before NATS took the name: the journal has the origin record.
+async fn unnamed(parts: &[SnapshotPart]) -> (Cluster, ServerProcess) {
+    let mut cluster = Cluster::empty();
+    let mut first = cluster.start(0);
+    let mut stubs = Stubs::connect(first.uri()).await;
+    stubs.create("leg", "R1").await;
+    cluster.deny(&["$KV.>"]);
+    reach_nats(&mut stubs).await;
+    let refused = restore(&mut stubs, parts).await.unwrap_err();
+    assert_eq!(refused.code(), Code::Unavailable, "{refused}");
+    first.log_until("it is unknown whether an index was restored");
+    (cluster, first)
+}
+
+/// Waits until a server is connected to NATS again.
+async fn reach_nats(stubs: &mut Stubs) {
+    let reached = async { while stubs.latest("leg").await.is_err() {} };
+    timeout(MAX_WAIT, reached).await.unwrap();
+}
+
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_server_that_is_killed_before_a_restored_index_has_its_name_serves_none() {
+    let (parts, original) = original().await;
+    let (mut cluster, first) = unnamed(&parts).await;
+    first.stop(Signal::Kill);
+    cluster.deny(&[]);
+    let mut first = cluster.start(0);
+    first.log_until(UNKNOWN);
+    let mut stubs = Stubs::connect(first.uri()).await;
+    let listed = stubs.indexes.list_indexes(ListIndexesRequest::default());
+    let listed = listed.await.unwrap().into_inner();
+    assert!(listed.indexes.len() == 1 && listed.damaged.is_empty());
+    restore(&mut stubs, &parts).await.unwrap();
+    assert!(latest_content(&mut stubs).await.points == original.points);
+}
+
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_repeated_restore_removes_the_points_of_one_that_got_no_name() {
+    let (parts, original) = original().await;
+    let (mut cluster, first) = unnamed(&parts).await;
+    cluster.deny(&[]);
+    let mut stubs = Stubs::connect(first.uri()).await;
+    reach_nats(&mut stubs).await;
+    restore(&mut stubs, &parts).await.unwrap();
+    first.stop(Signal::Terminate);
+    let mut first = cluster.start(0);
+    let mut log = first.log_until("replayed the log");
+    let mut stubs = Stubs::connect(first.uri()).await;
+    assert!(latest_content(&mut stubs).await.points == original.points);
+    log.push(first.stop(Signal::Kill).stderr);
+    assert!(!log.iter().any(|line| line.contains(UNKNOWN)), "{log:?}");
 }

@@ -14,6 +14,7 @@ use async_nats::jetstream::kv;
 use base64::{Engine as _, engine::general_purpose::URL_SAFE_NO_PAD};
 use bytes::Bytes;
 use futures_util::StreamExt;
+use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use tokio::{
     runtime::Handle,
@@ -57,6 +58,8 @@ pub(super) struct NatsCatalogue {
     /// The indices of this server's point store.
     local: Arc<dyn Catalogue>,
     known: Arc<watch::Sender<Known>>,
+    /// The uids of claims without an answer, by name. None of them is in the bucket once a later claim of the name is.
+    unanswered: Mutex<BTreeMap<String, Vec<String>>>,
     changed: watch::Sender<()>,
     _watching: AbortOnDropHandle<()>,
 }
@@ -94,6 +97,7 @@ impl NatsCatalogue {
             runtime,
             local,
             known,
+            unanswered: Mutex::default(),
             changed,
         })
     }
@@ -217,12 +221,24 @@ impl Catalogue for NatsCatalogue {
         };
         let replaced = replaced.map(|uid| uid.to_string());
         deleted.extend(replaced.filter(|uid| !deleted.contains(uid)));
+        let unanswered = self.unanswered.lock().get(&entry.name).cloned();
+        deleted.extend(unanswered.unwrap_or_default());
         let named = Named {
             name: entry.name.clone(),
             index: Some((entry.uid.to_string(), entry.content())),
             deleted: newest(deleted),
         };
-        self.runtime.block_on(self.set(named, revision))
+        let claimed = self.runtime.block_on(self.set(named, revision));
+        let mut unanswered = self.unanswered.lock();
+        match &claimed {
+            Ok(()) => drop(unanswered.remove(&entry.name)),
+            Err(LogError::NameTaken { .. }) => {}
+            Err(_) => {
+                let uids = unanswered.entry(entry.name.clone()).or_default();
+                uids.push(entry.uid.to_string());
+            }
+        }
+        claimed
     }
 
     fn delete(&self, uid: Uid) -> Result<(), LogError> {
