@@ -153,14 +153,14 @@ impl Nats {
         self.nodes.fill_with(|| None);
     }
 
-    /// Starts a server that was killed.
+    /// Starts a server that was killed. Returns the log of its start.
     ///
     /// # Panics
     /// If it does not come up.
-    pub fn restart(&mut self, node: usize) {
+    pub fn restart(&mut self, node: usize) -> Vec<String> {
         self.launch(node);
         let started = self.nodes[node].as_mut().expect("a server that runs");
-        started.log_until("Server is ready");
+        started.log_until("Server is ready")
     }
 
     /// Removes the message of an index that ends with the record of a revision, as damage to the store of NATS would; false

@@ -28,6 +28,7 @@ mod power_loss;
 mod preload;
 mod readme;
 mod restore;
+mod runbook;
 mod server_program;
 mod shared;
 mod shutdown;

@@ -1,0 +1,150 @@
+//! The steps of the runbook of docs/cluster.md that no other test takes. The environment variable `NATS_SERVER` has the path of
+//! the program nats-server.
+
+use std::fs;
+
+use tokio::{task, time::timeout};
+use tonic::Code;
+use wayfold::Client;
+use wayfold_proto::v1::{CreateIndexRequest, create_index_request::SpaceForm};
+use wayfold_tests::{Content, Signal, Stubs, page};
+
+use crate::{
+    healing::{JOINS, latest_content, two},
+    journal_loss::{Cluster, MAX_WAIT, insert, insert_until_acknowledged},
+};
+
+const SERVERS: usize = 3;
+const POINTS: u64 = 20;
+
+/// Stops and starts one server after the other under a client, no call of which fails. With `replaces` each one starts on an
+/// empty directory.
+async fn roll(replaces: bool) {
+    let cluster = Cluster::empty();
+    let mut servers: Vec<_> = (0..SERVERS).map(|number| cluster.start(number)).collect();
+    for server in &mut servers {
+        server.log_until(JOINS);
+        server.log_until(JOINS);
+    }
+    let mut stubs = Stubs::connect(servers[0].uri()).await;
+    stubs.create("arm", "R1").await;
+    let mut written = 0;
+    for number in 0..SERVERS {
+        let server = servers.remove(0);
+        let mut uris = vec![server.uri()];
+        uris.extend(servers.iter().map(|other| other.uri()));
+        let client = Client::connect(&uris.join(",")).await.unwrap();
+        let index = client.index("arm").await.unwrap();
+        let stopping = task::spawn_blocking(move || server.stop(Signal::Terminate));
+        let mut without = 0;
+        while without < POINTS {
+            without += u64::from(stopping.is_finished());
+            index.insert([[written as f64]]).await.unwrap();
+            written += 1;
+        }
+        let stopped = stopping.await.unwrap();
+        assert!(stopped.status.success(), "{}", stopped.stderr);
+        if replaces {
+            cluster.lose(number);
+        }
+        let server = cluster.start(number);
+        let client = Client::connect(server.uri()).await.unwrap();
+        let serving = async { while !client.is_serving().await.unwrap() {} };
+        timeout(MAX_WAIT, serving).await.unwrap();
+        servers.push(server);
+    }
+    for server in &servers {
+        let mut stubs = Stubs::connect(server.uri()).await;
+        let content = latest_content(&mut stubs).await;
+        assert_eq!(content.points.len() as u64, written);
+    }
+}
+
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn servers_are_upgraded_one_after_the_other_under_a_client() {
+    roll(false).await;
+}
+
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn servers_are_replaced_one_after_the_other_under_a_client() {
+    roll(true).await;
+}
+
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn reads_go_on_without_two_of_three_servers_of_nats_and_writes_say_why() {
+    let mut cluster = Cluster::with_nats(3);
+    let servers = two(&cluster);
+    let [first, second] = &servers;
+    let mut stubs = [
+        Stubs::connect(first.uri()).await,
+        Stubs::connect(second.uri()).await,
+    ];
+    stubs[0].create("arm", "R1").await;
+    stubs[1].find("arm").await;
+    insert_until_acknowledged(&mut stubs[0], 0..POINTS).await;
+    latest_content(&mut stubs[1]).await;
+    for node in [1, 2] {
+        cluster.nats.kill(node);
+    }
+    for (stubs, id) in stubs.iter_mut().zip(POINTS..) {
+        let refused = insert(stubs, id).await.unwrap_err();
+        assert_eq!(refused.code(), Code::Unavailable, "{refused}");
+        let reasons = ["NATS does not answer", "the answer to the record"];
+        let told = reasons.iter().any(|why| refused.message().contains(why));
+        assert!(told, "{refused}");
+        let create = CreateIndexRequest {
+            name: "leg".into(),
+            space_form: Some(SpaceForm::SpaceText("R1".into())),
+            ..Default::default()
+        };
+        let refused = stubs.indexes.create_index(create).await.unwrap_err();
+        assert_eq!(refused.code(), Code::Unavailable, "{refused}");
+        let content = Content::read(stubs, "arm").await.unwrap();
+        assert!(content.points.keys().copied().eq(0..POINTS));
+    }
+
+    cluster.nats.restart(1);
+    for (stubs, id) in stubs.iter_mut().zip(POINTS..) {
+        let written = insert_until_acknowledged(stubs, id..id + 1);
+        timeout(MAX_WAIT, written).await.unwrap();
+    }
+    for stubs in &mut stubs {
+        let content = latest_content(stubs).await;
+        assert!(content.points.keys().copied().eq(0..POINTS + 2));
+    }
+}
+
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_lost_server_of_nats_is_replaced_by_an_empty_one() {
+    let mut cluster = Cluster::with_nats(3);
+    let server = cluster.start(0);
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("arm", "R1").await;
+    insert_until_acknowledged(&mut stubs, 0..POINTS).await;
+    cluster.nats.kill(1);
+    fs::remove_dir_all(cluster.nats.store(1)).unwrap();
+    let written = insert_until_acknowledged(&mut stubs, POINTS..2 * POINTS);
+    timeout(MAX_WAIT, written).await.unwrap();
+    let log = cluster.nats.restart(1);
+    let address = log
+        .iter()
+        .find_map(|line| line.split_once("Starting http monitor on "));
+    let (_, address) = address.unwrap();
+    let healthy = async {
+        while page(address, "/healthz", "").0 != 200 {
+            tokio::task::yield_now().await;
+        }
+    };
+    timeout(MAX_WAIT, healthy).await.unwrap();
+
+    // The other one would not suffice.
+    cluster.nats.kill(0);
+    let written = insert_until_acknowledged(&mut stubs, 2 * POINTS..3 * POINTS);
+    timeout(MAX_WAIT, written).await.unwrap();
+    let content = latest_content(&mut stubs).await;
+    assert!(content.points.keys().copied().eq(0..3 * POINTS));
+}
