@@ -37,6 +37,8 @@ pub(super) enum Fault {
     FullNats,
     /// A server reaches no other and no server of NATS. Clients reach all servers.
     CutServer,
+    /// The same for the owner of the index.
+    CutOwner,
     /// A server of NATS reaches no other server.
     CutNats,
     /// A server and a server of NATS reach each other and no others. Clients reach all servers.
@@ -58,7 +60,7 @@ pub(super) enum Needs {
 }
 
 impl Fault {
-    const ALL: [Fault; 19] = [
+    const ALL: [Fault; 20] = [
         Fault::Kill,
         Fault::Lose,
         Fault::Pause,
@@ -74,6 +76,7 @@ impl Fault {
         Fault::Full,
         Fault::FullNats,
         Fault::CutServer,
+        Fault::CutOwner,
         Fault::CutNats,
         Fault::CutMinority,
         Fault::CutFront,
@@ -97,6 +100,7 @@ impl Fault {
             | Fault::Full
             | Fault::FullNats => Needs::Disks,
             Fault::CutServer
+            | Fault::CutOwner
             | Fault::CutNats
             | Fault::CutMinority
             | Fault::CutFront

@@ -6,18 +6,21 @@ use std::{
     sync::{Arc, Mutex},
 };
 
+use tokio::{task::yield_now, time::timeout};
 use wayfold_tests::{
     Process, ServerProcess, Signal,
     nats::{Host, Nats},
 };
 
 use super::{
+    MAX_PAUSE,
     clock::Clocks,
     disk::Disk,
     fault::{Fault, Needs},
     network::Network,
     notices::Notices,
 };
+use crate::metrics::figures;
 
 pub(super) const SERVERS: usize = 3;
 pub(super) const NATS_SERVERS: usize = 3;
@@ -27,6 +30,8 @@ pub(super) struct Cluster {
     pub(super) nats: Nats,
     pub(super) servers: Vec<Option<ServerProcess>>,
     pub(super) uris: Arc<Mutex<Vec<String>>>,
+    /// The addresses of the pages of the servers.
+    pages: Vec<String>,
     pub(super) clocks: Clocks,
     /// The disks of the servers and then of those of NATS, if a fault needs them.
     pub(super) disks: Vec<Disk>,
@@ -63,6 +68,7 @@ impl Cluster {
             nats,
             servers: (0..SERVERS).map(|_| None).collect(),
             uris: Arc::new(Mutex::new(vec![String::new(); SERVERS])),
+            pages: vec![String::new(); SERVERS],
             clocks: Clocks::new(directory.path(), SERVERS),
             disks,
             network,
@@ -87,7 +93,8 @@ impl Cluster {
     pub(super) fn start_servers(&mut self, servers: &[usize]) {
         let started: Vec<_> = servers.iter().map(|server| self.launch(*server)).collect();
         for (&server, process) in servers.iter().zip(started) {
-            let process = ServerProcess::ready(process);
+            let mut process = ServerProcess::ready(process);
+            self.pages[server] = process.pages();
             self.uris.lock().unwrap()[server] = process.uri().to_owned();
             self.servers[server] = Some(process);
         }
@@ -99,8 +106,9 @@ impl Cluster {
         let listen = format!("{}:0", host.address);
         let network = self.network.as_ref();
         let front = network.map(|network| format!("{}:0", network.front(server)));
+        let front = front.as_ref().unwrap_or(&listen);
         command
-            .args(["--grpc", front.as_ref().unwrap_or(&listen), "--data"])
+            .args(["--grpc", front, "--http", front, "--data"])
             .arg(self.data(server))
             .envs(self.nats.member_settings())
             .env("WAYFOLD_CLUSTER__LISTEN", listen)
@@ -115,6 +123,22 @@ impl Cluster {
             command.env("WAYFOLD_INDEX__WINDOW_SECONDS", "1");
         }
         Process::spawn(&mut command)
+    }
+
+    /// The server that owns the index, once one alone believes so.
+    pub(super) async fn owner(&self) -> usize {
+        const OWNED: &str = "wayfold_index_owned{index=\"arm\"}";
+        let owns = |pages: &String| figures(pages).get(OWNED) == Some(&1.0);
+        let only = async {
+            loop {
+                let owners = (0..SERVERS).filter(|&server| owns(&self.pages[server]));
+                match owners.collect::<Vec<_>>()[..] {
+                    [owner] => return owner,
+                    _ => yield_now().await,
+                }
+            }
+        };
+        timeout(MAX_PAUSE, only).await.expect("one owner")
     }
 
     pub(super) fn kill(&mut self, server: usize) {

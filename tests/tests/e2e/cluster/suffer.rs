@@ -101,6 +101,11 @@ impl Cluster {
                 self.kill_nats(of);
                 self.nats.restart(of);
             }
+            Fault::CutOwner => {
+                let owner = self.owner().await;
+                self.cut(fault, owner, random, go_on).await;
+                return format!("server {owner}");
+            }
             Fault::CutServer
             | Fault::CutNats
             | Fault::CutMinority
@@ -156,7 +161,7 @@ impl Cluster {
     ) {
         let node = SERVERS + random.random_range(0..NATS_SERVERS);
         let (side, places) = match fault {
-            Fault::CutServer => (Side::Back, vec![of]),
+            Fault::CutServer | Fault::CutOwner => (Side::Back, vec![of]),
             Fault::CutNats => (Side::Back, vec![node]),
             Fault::CutMinority => (Side::Back, vec![of, node]),
             Fault::CutFront => (Side::Front, vec![of]),
