@@ -111,7 +111,7 @@ async fn an_operator_chooses_the_records_that_nats_has_lost() {
     contradict(2 * LOST, true).await;
 }
 
-/// A cluster whose NATS has lost records that server 0 had applied before it was killed: its content then, and server 1, which
+/// A cluster whose NATS has lost records that server 0 had applied before it was stopped: its content then, and server 1, which
 /// has the older records alone.
 async fn set_back() -> (Cluster, Content, ServerProcess, Stubs) {
     let mut cluster = Cluster::empty();
@@ -124,7 +124,8 @@ async fn set_back() -> (Cluster, Content, ServerProcess, Stubs) {
     cluster.save_store();
     insert_until_acknowledged(&mut stubs, KEPT..KEPT + LOST).await;
     let expected = latest_content(&mut stubs).await;
-    server.stop(Signal::Kill);
+    // Killed, it might not have stored the newest records.
+    server.stop(Signal::Terminate);
     cluster.set_store_back();
     let other = cluster.start(1);
     let mut others = Stubs::connect(other.uri()).await;
