@@ -15,7 +15,7 @@ use wayfold_index::{
 
 use super::{
     local::check_id,
-    runtime::{runtime, wait_for},
+    runtime::{spawn, wait_for},
 };
 use crate::{
     Code, Error, Filter, Include, IndexHandle, NeighborSpec, Neighbors, Outcome, Radius,
@@ -277,7 +277,7 @@ impl NearestNeighbors for Remote {
         const MAX_PARTS: usize = 2;
         let (send, receive) = mpsc::sync_channel(MAX_PARTS);
         let index = self.index.clone();
-        runtime()?.spawn(async move {
+        spawn(async move {
             let columns = Include::none().states().tags().revisions();
             let mut scan = match index.scan().include(columns).await {
                 Ok(scan) => scan,
@@ -294,7 +294,7 @@ impl NearestNeighbors for Remote {
                     return;
                 }
             }
-        });
+        })?;
         let mut part = VecDeque::new();
         Ok(Box::new(std::iter::from_fn(move || {
             while part.is_empty() {

@@ -2,10 +2,13 @@
 
 use std::sync::{Arc, OnceLock, mpsc};
 
-use tokio::runtime::{Builder, Runtime};
+use tokio::{
+    runtime::{Builder, Runtime},
+    task::JoinHandle,
+};
 
 use super::origin::Origin;
-use crate::Error;
+use crate::{Error, net::in_same_trace};
 
 struct Owned {
     runtime: Runtime,
@@ -16,7 +19,7 @@ struct Owned {
 static RUNTIME: OnceLock<Result<Owned, Arc<std::io::Error>>> = OnceLock::new();
 
 /// The runtime of all shared and remote indices.
-pub(super) fn runtime() -> Result<&'static Runtime, Error> {
+fn runtime() -> Result<&'static Runtime, Error> {
     let start = || {
         let runtime = Builder::new_multi_thread()
             .worker_threads(1)
@@ -38,15 +41,22 @@ pub(super) fn runtime() -> Result<&'static Runtime, Error> {
     }
 }
 
+/// Runs a task on the runtime, in the trace of the caller.
+pub(super) fn spawn<T: Send + 'static>(
+    task: impl Future<Output = T> + Send + 'static,
+) -> Result<JoinHandle<T>, Error> {
+    Ok(runtime()?.spawn(in_same_trace(task)))
+}
+
 /// Runs a call on the runtime, and waits for it. It may be called inside another runtime's task, which it blocks.
 pub(super) fn wait_for<T: Send + 'static>(
     call: impl Future<Output = Result<T, Error>> + Send + 'static,
 ) -> Result<T, Error> {
     let (send, receive) = mpsc::sync_channel(1);
-    runtime()?.spawn(async move {
+    spawn(async move {
         // The caller waits as long as the call runs.
         let _ = send.send(call.await);
-    });
+    })?;
     let lost = |_| Error::Thread {
         source: Arc::new(std::io::Error::other("a call ended without an answer")),
     };

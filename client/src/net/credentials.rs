@@ -60,11 +60,12 @@ impl Credentials {
         self
     }
 
-    /// The token in the form of a query's attachment.
+    /// The attachment of a query: the token and the trace of this task.
     #[cfg(feature = "zenoh")]
-    pub(crate) fn attachment(&self) -> Option<Arc<str>> {
-        let token = self.token.as_ref()?;
-        Some(format!("token={token}").into())
+    pub(crate) fn attachment(&self) -> Option<String> {
+        let token = self.token.as_ref().map(|token| format!("token={token}"));
+        let parts: Vec<String> = token.into_iter().chain(trace::parameter()).collect();
+        (!parts.is_empty()).then(|| parts.join(";"))
     }
 
     /// True if a connection needs TLS.

@@ -44,6 +44,7 @@ pub use revision::Revision;
 pub use server::{Durability, Limits, ServerInfo};
 pub use snapshot::{SnapshotPart, SnapshotReader, SnapshotWriter};
 pub use states::States;
+pub(crate) use trace::in_same_trace;
 pub use trace::in_trace;
 
 pub use tonic::Code;

@@ -11,9 +11,10 @@ tokio::task_local! {
     static CONTEXT: MetadataValue<Ascii>;
 }
 
-/// Awaits `calls` as a part of a trace. Each call to a server that they make has the header `traceparent` of W3C Trace
-/// Context, and the server's log lines of the call name its trace. Tasks that `calls` spawn do not belong to it, nor do
-/// the threads of a shared index.
+/// Awaits `calls` as a part of a trace. Each call to a server that they make has the `traceparent` of W3C Trace Context,
+/// as a header of gRPC or in the attachment over Zenoh, and the server's log lines of the call name its trace. The calls
+/// of an [`Index`](crate::Index) belong to it too; a shared index sends its writes and follows its server in the trace in
+/// which it was opened. Tasks that `calls` spawn do not belong to it.
 ///
 /// ```no_run
 /// # async fn search(index: wayfold::IndexHandle) -> Result<(), wayfold::Error> {
@@ -24,17 +25,45 @@ tokio::task_local! {
 /// ```
 ///
 /// # Errors
-/// [`Error::Argument`]: no header has such characters.
+/// [`Error::Argument`]: it has other characters than lower-case hexadecimal digits and hyphens.
 pub async fn in_trace<F: Future>(traceparent: &str, calls: F) -> Result<F::Output, Error> {
-    let value = traceparent.parse().map_err(|_| Error::Argument {
+    let is_allowed = |byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f' | b'-');
+    let value = traceparent.parse().ok();
+    let value = value.filter(|_| traceparent.bytes().all(is_allowed));
+    let value = value.ok_or_else(|| Error::Argument {
         field: TRACEPARENT,
-        problem: "it has characters that no header has".to_owned(),
+        problem: "it has other characters than lower-case hexadecimal digits and hyphens"
+            .to_owned(),
     })?;
     Ok(CONTEXT.scope(value, calls).await)
 }
 
+/// Awaits `calls`, on whatever task, as a part of the trace of the present one.
+pub(crate) fn in_same_trace<F: Future>(calls: F) -> impl Future<Output = F::Output> {
+    let context = current();
+    async move {
+        match context {
+            Some(context) => CONTEXT.scope(context, calls).await,
+            None => calls.await,
+        }
+    }
+}
+
+/// The `traceparent` of this task, if it has one.
+fn current() -> Option<MetadataValue<Ascii>> {
+    CONTEXT.try_with(Clone::clone).ok()
+}
+
 /// Adds the trace of this task to a call, if it has one.
 pub(super) fn mark(metadata: &mut MetadataMap) {
-    // An error means that there is no trace.
-    let _ = CONTEXT.try_with(|context| metadata.insert(TRACEPARENT, context.clone()));
+    if let Some(context) = current() {
+        metadata.insert(TRACEPARENT, context);
+    }
+}
+
+/// The trace of this task as a parameter of a query's attachment.
+#[cfg(feature = "zenoh")]
+pub(super) fn parameter() -> Option<String> {
+    let context = current()?;
+    Some(format!("{TRACEPARENT}={}", context.to_str().ok()?))
 }

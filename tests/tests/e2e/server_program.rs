@@ -1,15 +1,18 @@
 //! The server as a program: its output, its reaction to signals, and its exit status.
 
-use std::{fs, net::TcpListener};
+use std::{fs, net::TcpListener, thread};
 
 use tokio_stream::pending;
 use tonic::{Code, Request, transport::Channel};
 use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
-use wayfold::{Client, Space, in_trace};
+use wayfold::{Client, Error, Index, Space, in_trace};
 use wayfold_proto::v1;
 use wayfold_tests::{
-    Process, ProcessOutput, ServerProcess, Signal, Stubs, revision, row_states, server,
+    Process, ProcessOutput, ServerProcess, Signal, Stubs, measuring, revision, row_states, server,
 };
+
+const TRACE: &str = "4bf92f3577b34da6a3ce929d0e0e4736";
+const TRACEPARENT: &str = "00-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01";
 
 async fn reflection(server: &ServerProcess) -> ServerReflectionClient<Channel> {
     let channel = Channel::from_shared(server.uri().to_owned()).unwrap();
@@ -147,14 +150,12 @@ async fn a_missing_file_of_marks_is_reported_once() {
 
 #[tokio::test]
 async fn the_lines_of_a_call_name_the_trace_of_its_client() {
-    const TRACE: &str = "4bf92f3577b34da6a3ce929d0e0e4736";
     let program = env!("CARGO_BIN_EXE_server-process");
     let debug = ["--data", "memory", "--log", "wayfold_server=debug"];
     let mut server = ServerProcess::start(program, &debug);
     let client = Client::connect(server.uri()).await.unwrap();
-    let traceparent = format!("00-{TRACE}-00f067aa0ba902b7-01");
     let space: Space = "R1".parse().unwrap();
-    let created = in_trace(&traceparent, client.create_index("arm", &space)).await;
+    let created = in_trace(TRACEPARENT, client.create_index("arm", &space)).await;
     created.unwrap().unwrap();
     client.index("arm").await.unwrap();
     let lines = server.log_until("GetIndex");
@@ -164,7 +165,67 @@ async fn the_lines_of_a_call_name_the_trace_of_its_client() {
         named.iter().all(|it| it.contains("CreateIndex")),
         "{named:#?}"
     );
-    assert!(in_trace("\n", async {}).await.is_err());
+    for wrong in ["\n", "00-;token=another"] {
+        assert!(in_trace(wrong, async {}).await.is_err());
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_calls_of_an_index_belong_to_the_trace_in_which_it_was_opened() {
+    let mut server = server!(
+        "--log",
+        "wayfold_server=debug",
+        "--zenoh",
+        "tcp/127.0.0.1:0"
+    );
+    let session = measuring::connect(&server.zenoh()).await;
+    let space: Space = "R1".parse().unwrap();
+    let used = in_trace(TRACEPARENT, async {
+        for open in [
+            Index::shared(server.uri(), "shared"),
+            Index::shared_over_zenoh(session.clone(), "wayfold/v1", "arm"),
+        ] {
+            let open = open.create(&space);
+            let (index, copy) = (open.clone().open()?, open.open()?);
+            let id = index.insert([0.5])?;
+            index.flush()?;
+            // The copy has it by its feed, and asks the server for the payload.
+            while copy.len()? == 0 {
+                thread::yield_now();
+            }
+            copy.payload(id)?;
+        }
+        let index = Index::remote(server.uri(), "remote");
+        let index = index.create(&space).open()?;
+        index.insert([0.5])?;
+        assert_eq!(index.scan()?.count(), 1);
+        Ok::<(), Error>(())
+    });
+    used.await.unwrap().unwrap();
+    let log = server.stop(Signal::Terminate).stderr;
+    let calls: Vec<_> = log.lines().filter(|it| it.contains("call ended")).collect();
+    for rpc in [
+        "IndexService/GetServer",
+        "IndexService/CreateIndex",
+        "PointService/Insert",
+        "PointService/OpenSession",
+        "PointService/Write",
+        "PointService/Get",
+        "PointService/Scan",
+        "PointService/Watch",
+        "Zenoh/server",
+        "Zenoh/create",
+        "Zenoh/session",
+        "Zenoh/scan",
+        "Zenoh/log",
+        "Zenoh/write",
+        "Zenoh/get",
+    ] {
+        assert!(calls.iter().any(|it| it.contains(rpc)), "{rpc}: {log}");
+    }
+    for call in calls {
+        assert!(call.contains(TRACE), "{call}");
+    }
 }
 
 #[tokio::test]
@@ -185,10 +246,8 @@ async fn a_slow_call_has_a_line_that_says_where_its_time_went() {
         min_revision: revision(&uid, 7),
         ..Default::default()
     });
-    const TRACE: &str = "4bf92f3577b34da6a3ce929d0e0e4736";
-    let parent = format!("00-{TRACE}-00f067aa0ba902b7-01");
     let metadata = waiting.metadata_mut();
-    metadata.insert("traceparent", parent.parse().unwrap());
+    metadata.insert("traceparent", TRACEPARENT.parse().unwrap());
     let status = stubs.points.get(waiting).await.unwrap_err();
     assert_eq!(status.code(), Code::DeadlineExceeded, "{status:?}");
     let line = server.log_until("slow call").pop().unwrap();

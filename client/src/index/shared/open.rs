@@ -16,7 +16,7 @@ use crate::{
     Credentials, Error, Index, PayloadEncoding,
     index::{
         local::LocalPoints,
-        runtime::{runtime, wait_for},
+        runtime::{spawn, wait_for},
     },
     net::request::{LONGEST_WAIT, fresh_operation_id},
 };
@@ -113,12 +113,11 @@ impl OpenShared {
     /// `ALREADY_EXISTS`: it has another space. [`Error::Argument`]: a prefix or a name that is no key of Zenoh.
     pub fn open(self) -> Result<Index, Error> {
         let core = wait_for(self.connect())?;
-        let runtime = runtime()?;
         let (index, revision) = core.published.lock().clone();
         let follower = Follower::new(Arc::clone(&core), index, revision);
         let tasks = [
-            runtime.spawn(sender::run(Arc::clone(&core))).abort_handle(),
-            runtime.spawn(follower.run()).abort_handle(),
+            spawn(sender::run(Arc::clone(&core)))?.abort_handle(),
+            spawn(follower.run())?.abort_handle(),
         ];
         Ok(Index::of_shared(SharedIndex::new(core, tasks)))
     }

@@ -25,7 +25,7 @@ use super::{
 };
 use crate::{
     Credentials, Error, Points, Refusal, RetryPolicy, Revision, Watch,
-    index::{runtime::runtime, shared::served_index::ServedIndex},
+    index::{runtime::spawn, shared::served_index::ServedIndex},
 };
 
 /// The time without a publication after which the index's log is read: the last one may be lost.
@@ -40,8 +40,7 @@ pub(super) struct ZenohLink {
     /// The prefix of the index's keys.
     index: Arc<str>,
     pub(super) timeout: Duration,
-    /// The attachment of every call.
-    attachment: Option<Arc<str>>,
+    credentials: Credentials,
 }
 
 /// A session whose last clone is dropped on the thread that talks to servers. That drop waits for the network, and
@@ -57,10 +56,10 @@ impl HeldSession {
     fn new(session: Session) -> Result<HeldSession, Error> {
         let (end, ended) = oneshot::channel();
         let last = session.clone();
-        runtime()?.spawn(async move {
+        spawn(async move {
             let _dropped = ended.await;
             drop(last);
-        });
+        })?;
         Ok(HeldSession { session, _end: end })
     }
 }
@@ -87,7 +86,7 @@ impl ZenohLink {
             prefix: prefix.into(),
             index: format!("{prefix}/{name}").into(),
             timeout,
-            attachment: credentials.attachment(),
+            credentials: credentials.clone(),
         })
     }
 
@@ -177,7 +176,7 @@ impl ZenohLink {
         let query = query.consolidation(ConsolidationMode::None);
         // The server's log names the session by it.
         let query = query.source_info(SourceInfo::new(self.session.id(), 0));
-        let query = query.attachment(self.attachment.as_deref().map(ZBytes::from));
+        let query = query.attachment(self.credentials.attachment().map(ZBytes::from));
         let replies = query.await.map_err(|error| lost(call, key, error))?;
         let mut failed = None;
         loop {
