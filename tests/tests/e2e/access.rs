@@ -69,7 +69,8 @@ async fn certificates_are_renewed_without_a_failed_call() {
     let client = Client::builder().credentials(credentials.clone());
     let client = client.connect(&uri).await.unwrap();
     let space: Space = "R1".parse().unwrap();
-    let index = client.create_index("arm", &space).await.unwrap();
+    let index = client.await.unwrap().create_index("arm", &space).await;
+    let index = index.unwrap();
     assert_eq!(presented(&authority, &server).await, first);
 
     let done = Arc::new(AtomicBool::new(false));
@@ -78,8 +79,10 @@ async fn certificates_are_renewed_without_a_failed_call() {
         tokio::spawn(async move {
             let mut inserted = 0;
             while !done.load(Relaxed) {
-                let client = Client::builder().credentials(credentials.clone());
-                let index = client.connect(&uri).await.unwrap().index("arm").await;
+                // A retry would hide a failed call.
+                let client = Client::builder().retry(RetryPolicy::never());
+                let client = client.credentials(credentials.clone()).connect(&uri);
+                let index = client.await.unwrap().index("arm").await;
                 let index = index.unwrap();
                 for _ in 0..CALLS {
                     index.insert([[caller as f64]]).await.unwrap();
