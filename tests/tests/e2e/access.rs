@@ -22,6 +22,9 @@ use wayfold_tests::{Process, ServerProcess, Signal};
 use authority::{Authority, wayfold};
 
 const CALLERS: u64 = 4;
+/// The server takes this address for one beyond this machine, and only this machine reaches it.
+const BEYOND: &str = "[::ffff:127.0.0.1]:0";
+
 /// The calls of one connection of a caller.
 const CALLS: usize = 10;
 
@@ -345,4 +348,23 @@ fn beyond_this_machine_nothing_is_served_without_both() {
     assert!(log.contains("--insecure"), "{log}");
     let log = open(&["--grpc", "127.0.0.1:0", "--zenoh", "tls/0.0.0.0:0"]);
     assert!(log.contains("without identities"), "{log}");
+}
+
+#[test]
+fn an_insecure_server_starts_and_says_so_each_time() {
+    let directory = tempfile::tempdir().unwrap();
+    let data = directory.path().to_str().unwrap();
+    let arguments = ["--data", data, "--grpc", BEYOND, "--zenoh", "off"];
+    let program = env!("CARGO_BIN_EXE_server-process");
+    let refused = Process::start(program, &arguments).finish();
+    assert_eq!(refused.status.code(), Some(1), "{}", refused.stderr);
+    let why = "grpc.listen: [::ffff:127.0.0.1]";
+    assert!(refused.stderr.contains(why), "{}", refused.stderr);
+    for _ in 0..2 {
+        let all = [&arguments[..], &["--insecure"]].concat();
+        let server = ServerProcess::ready(Process::start(program, &all));
+        let log = server.stop(Signal::Terminate).stderr;
+        assert!(log.contains("insecure: everyone who reaches"), "{log}");
+        assert!(log.contains("[::ffff:127.0.0.1]"), "{log}");
+    }
 }
