@@ -1,8 +1,9 @@
 //! The metrics that `/metrics` shows: times of calls and syncs, and the figures that others measure at each look.
 
 use std::{
+    collections::HashMap,
     fmt,
-    sync::{Arc, OnceLock},
+    sync::{Arc, OnceLock, Weak},
     time::Duration,
 };
 
@@ -58,9 +59,18 @@ struct Inner {
     are_read: bool,
     registry: Mutex<Registry>,
     calls: Family<CallLabels, Histogram, fn() -> Histogram>,
+    /// The series of `calls` by the name of their index.
+    by_index: Mutex<HashMap<Arc<str>, IndexSeries>>,
     queued: Family<FaceLabels, Histogram, fn() -> Histogram>,
     snapshots: Family<SnapshotLabels, Counter>,
     no_index: Arc<str>,
+}
+
+/// The series of the calls of an index. The next new series of any index removes them once its label is gone.
+#[derive(Debug)]
+struct IndexSeries {
+    label: Weak<str>,
+    calls: Vec<CallLabels>,
 }
 
 /// A call that has ended.
@@ -106,6 +116,7 @@ impl Metrics {
             are_read,
             registry: Mutex::new(registry),
             calls,
+            by_index: Mutex::default(),
             queued,
             snapshots,
             no_index: "".into(),
@@ -159,11 +170,43 @@ impl Metrics {
             outcome: ended.outcome,
         };
         let seconds = ended.took.as_secs_f64();
-        calls.get_or_create(&labels).observe(seconds);
+        match calls.get(&labels) {
+            Some(series) => series.observe(seconds),
+            None => self.0.add_series(labels).observe(seconds),
+        }
         if let Some(queued) = ended.queued {
             let labels = FaceLabels { face };
             let queue = queues.get_or_create(&labels);
             queue.observe(queued.as_secs_f64());
         }
+    }
+}
+
+impl Inner {
+    /// Adds a series of calls, and removes those whose index gave up its label.
+    fn add_series(&self, labels: CallLabels) -> Histogram {
+        let mut by_index = self.by_index.lock();
+        by_index.retain(|_, series| {
+            let is_used = series.label.strong_count() > 0;
+            for labels in series.calls.iter().filter(|_| !is_used) {
+                self.calls.remove(labels);
+            }
+            is_used
+        });
+        // The keys of the series must not hold the label.
+        let name: Arc<str> = (&*labels.index).into();
+        let series = by_index
+            .entry(Arc::clone(&name))
+            .or_insert_with(|| IndexSeries {
+                label: Arc::downgrade(&labels.index),
+                calls: Vec::new(),
+            });
+        let labels = CallLabels {
+            index: name,
+            ..labels
+        };
+        let added = self.calls.get_or_create_owned(&labels);
+        series.calls.push(labels);
+        added
     }
 }

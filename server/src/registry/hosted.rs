@@ -172,7 +172,7 @@ impl Hosted {
         &self.name
     }
 
-    /// Its name in metrics; all indices beyond the first hundred share one.
+    /// Its name in metrics; indices beyond a hundred share one.
     pub fn label(&self) -> &Arc<str> {
         &self.label
     }

@@ -126,14 +126,16 @@ struct Host {
     /// A permit per merge that may run.
     merges: Semaphore,
     run: RunId,
-    /// The names of indices that have a label of their own in metrics.
+    /// The names of indices that have a label of their own in metrics, also of some that were deleted.
     labels: Mutex<BTreeSet<Arc<str>>>,
+    /// The label of all others.
+    others: Arc<str>,
 }
 
-/// The most names of indices in metrics: each stays a series of its own until the server ends.
+/// The most names of indices in metrics.
 const MAX_LABELS: usize = 100;
 
-/// The label of all others. No index has this name.
+/// No index has this name.
 const OTHERS: &str = "(others)";
 
 impl Host {
@@ -144,7 +146,11 @@ impl Host {
             return Arc::clone(known);
         }
         if labels.len() >= MAX_LABELS {
-            return OTHERS.into();
+            // Neither an index nor a call has these.
+            labels.retain(|label| Arc::strong_count(label) > 1);
+        }
+        if labels.len() >= MAX_LABELS {
+            return Arc::clone(&self.others);
         }
         let label: Arc<str> = name.into();
         labels.insert(Arc::clone(&label));
@@ -181,6 +187,7 @@ impl Registry {
                 merges,
                 run: *Uid::unique().as_bytes(),
                 labels: Mutex::default(),
+                others: OTHERS.into(),
             }),
             indexes: RwLock::default(),
             change_lock: Mutex::new(()),

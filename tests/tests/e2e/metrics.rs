@@ -167,6 +167,34 @@ async fn the_counts_are_those_of_the_clients() {
     }
 }
 
+/// 100 indices have labels; an index that was deleted gives its label to a new one.
+#[tokio::test]
+async fn deleted_indices_make_room_for_the_labels_of_others() {
+    const LABELS: usize = 100;
+    let mut server = server(&["--zenoh", "off", "--data", "memory"]);
+    let address = server.pages();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let old: Vec<_> = (0..2 * LABELS).map(|it| format!("old-{it}")).collect();
+    for name in old.iter().map(String::as_str).chain(["new"]) {
+        stubs.create(name, "R1").await;
+        let index_name = name.to_owned();
+        let request = v1::GetIndexRequest { index_name };
+        stubs.indexes.get_index(request).await.unwrap();
+        if name != "new" {
+            let request = v1::DeleteIndexRequest {
+                index_name: name.into(),
+                ..Default::default()
+            };
+            stubs.indexes.delete_index(request).await.unwrap();
+        }
+    }
+    let figures = figures(&address);
+    let count = |index: &str| figures.get(&calls("grpc", "info", index, "OK")).copied();
+    assert_eq!((count("new"), count(&old[0])), (Some(1.0), None));
+    let shown = old.iter().filter(|name| count(name).is_some());
+    assert!(shown.count() < LABELS, "{figures:#?}");
+}
+
 /// The listener takes 64 connections at a time. Further ones wait for a place, and each gives it up at its end.
 #[test]
 fn connections_beyond_the_bound_wait_and_are_answered() {
