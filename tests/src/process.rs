@@ -295,8 +295,9 @@ impl ServerProcess {
     /// If it has none, or was asked before.
     pub fn pages(&mut self) -> String {
         let line = self.process.line().unwrap_or_default();
-        let address = line.strip_prefix("metrics at http://");
+        let address = line.strip_prefix("metrics at ");
         let address = address.and_then(|address| address.strip_suffix("/metrics"));
+        let address = address.and_then(|address| Some(address.split_once("://")?.1));
         address.expect("a server with pages").to_owned()
     }
 

@@ -9,7 +9,7 @@ use std::{
     collections::BTreeMap,
     net::SocketAddr,
     sync::{
-        Arc, OnceLock,
+        Arc,
         atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::SeqCst},
     },
     time::Duration,
@@ -23,6 +23,7 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
+use super::tls::ClientNames;
 use crate::admission::{Admission, Flow};
 
 /// A connection keeps its place for this long after it was opened and after a call: its client may be about to call,
@@ -61,8 +62,7 @@ struct State {
     is_stalled: AtomicBool,
     cut: CancellationToken,
     peer: Option<SocketAddr>,
-    /// The names in the verified certificate of its client, once the handshake is done.
-    certificate: OnceLock<Vec<String>>,
+    certificate: ClientNames,
     flow: Arc<Flow>,
     unread: Mutex<Unread>,
 }
@@ -124,7 +124,7 @@ impl Connections {
             is_stalled: AtomicBool::new(false),
             cut,
             peer,
-            certificate: OnceLock::new(),
+            certificate: ClientNames::default(),
             flow: self.admission.open(),
             unread: Mutex::new(Unread {
                 frames: 0,
@@ -264,9 +264,9 @@ impl Activity {
         self.state.certificate.get().map(Vec::as_slice)
     }
 
-    /// Notes these names. A connection has one handshake.
-    pub(super) fn set_certificate(&self, names: Vec<String>) {
-        let _ = self.state.certificate.set(names);
+    /// The place of these names.
+    pub(super) fn client_names(&self) -> ClientNames {
+        Arc::clone(&self.state.certificate)
     }
 
     /// The flow of its calls.

@@ -39,7 +39,7 @@ use member_service::MemberFace;
 use point_service::{PointFace, TolerantPointServer};
 use stream_knn::KnnStreams;
 pub use tls::TlsError;
-pub(crate) use tls::{Socket, Tls};
+pub(crate) use tls::{ClientNames, Socket, Tls};
 
 use crate::{config::GrpcConfig, faces::Shared, lifecycle::PhaseWatch};
 

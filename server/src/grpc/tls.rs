@@ -5,7 +5,7 @@ use std::{
     fmt, io,
     path::{Path, PathBuf},
     pin::Pin,
-    sync::Arc,
+    sync::{Arc, OnceLock},
     task::{Context, Poll, ready},
 };
 
@@ -30,7 +30,6 @@ use tokio_util::either::Either;
 use tracing::{error, info};
 use x509_parser::{extensions::GeneralName, prelude::FromDer, prelude::X509Certificate};
 
-use super::connections::Activity;
 use crate::{
     config::TlsConfig,
     identity::{LOOK_INTERVAL, Stamp},
@@ -134,12 +133,12 @@ impl Tls {
         })
     }
 
-    /// A connection that begins with a handshake if there is TLS. `activity`, if there is one, gets the names of a client
+    /// A connection that begins with a handshake if there is TLS. `names`, if there is one, gets those of a client
     /// certificate.
     pub(crate) fn accept(
         tls: Option<&Self>,
         socket: TcpStream,
-        activity: Option<&Activity>,
+        names: Option<ClientNames>,
     ) -> Socket {
         let Some(tls) = tls else {
             return Either::Left(socket);
@@ -147,7 +146,7 @@ impl Tls {
         let handshake = tls.acceptor.read().accept(socket);
         Either::Right(TlsSocket {
             state: State::Shaking(Box::new(handshake)),
-            activity: activity.cloned(),
+            names,
         })
     }
 
@@ -237,10 +236,13 @@ fn in_file<E: fmt::Display>(setting: &'static str, file: &Path) -> impl Fn(E) ->
 /// A connection, with TLS or without.
 pub(crate) type Socket = Either<TcpStream, TlsSocket>;
 
+/// The names in the verified certificate of a client, once the handshake is done; none without one.
+pub(crate) type ClientNames = Arc<OnceLock<Vec<String>>>;
+
 /// A connection with TLS, whose handshake takes place as it is first read or written.
 pub(crate) struct TlsSocket {
     state: State,
-    activity: Option<Activity>,
+    names: Option<ClientNames>,
 }
 
 enum State {
@@ -256,10 +258,9 @@ impl TlsSocket {
         if let State::Shaking(handshake) = &mut self.state {
             let stream = ready!(Pin::new(handshake).poll(context))?;
             let chain = stream.get_ref().1.peer_certificates();
-            if let (Some(certificate), Some(activity)) =
-                (chain.and_then(<[_]>::first), &self.activity)
-            {
-                activity.set_certificate(names(certificate));
+            if let (Some(certificate), Some(of)) = (chain.and_then(<[_]>::first), &self.names) {
+                // A connection has one handshake.
+                let _ = of.set(names(certificate));
             }
             self.state = State::Open(Box::new(stream));
         }

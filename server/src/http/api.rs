@@ -11,7 +11,7 @@ use std::{
 use axum::{
     body::Body,
     extract::{Request as HttpRequest, State as Of},
-    http::{HeaderMap, StatusCode, header},
+    http::{StatusCode, header, request::Parts},
     response::{IntoResponse, Response},
 };
 use bytes::{Bytes, BytesMut};
@@ -21,11 +21,10 @@ use tokio::sync::Semaphore;
 use tracing::Instrument;
 use wayfold_proto::v1;
 
-use super::{Pages, streams::MAX_STREAMS};
+use super::{Pages, caller, streams::MAX_STREAMS};
 use crate::{
     admission::{CALL_BYTES, CallTurns, Flow, HeldBytes},
     faces::{Addresses, Shared},
-    grpc::token,
     identity::Denial,
     observe::{CallRecord, Ending, Times},
     service::{Call, Code, Error},
@@ -76,12 +75,13 @@ impl Api {
     pub(super) fn admit(
         &self,
         verb: &'static str,
-        headers: &HeaderMap,
+        request: &Parts,
         is_stream: bool,
     ) -> Result<Admitted, Box<Status>> {
         let arrived = Instant::now();
-        let caller = self.shared.identities.caller(token(headers), None);
-        let trace = headers.get("traceparent").and_then(|it| it.to_str().ok());
+        let caller = caller(&self.shared.identities, request);
+        let trace = request.headers.get("traceparent");
+        let trace = trace.and_then(|it| it.to_str().ok());
         let mut record = CallRecord::begin(
             format!("Http/{verb}"),
             ("http", verb),
@@ -129,7 +129,7 @@ pub(super) async fn answer(Of(api): Of<Arc<Api>>, request: HttpRequest) -> Respo
     let (parts, body) = request.into_parts();
     let target = Target::of(PREFIX, parts.uri.path());
     let verb = target.as_ref().map_or("other", |it| it.verb.name());
-    let admitted = match api.admit(verb, &parts.headers, false) {
+    let admitted = match api.admit(verb, &parts, false) {
         Ok(admitted) => admitted,
         Err(status) => return refusal(&status),
     };

@@ -1,7 +1,7 @@
 //! The listener for operators: the page to look at, `/metrics`, and the probes `/healthz` and `/readyz`.
 //!
-//! Probes and the files of the page answer everyone. Everything else needs an identity where the server has identities, as a
-//! bearer token. `api`, `points` and `overview` are what the page reads; `guard` keeps pages of others away from them.
+//! Probes and the files of the page answer everyone. Everything else needs an identity where the server has identities: a
+//! bearer token, or a client certificate of the connection. `api`, `points` and `overview` are what the page reads; `guard` keeps pages of others away from them.
 
 mod api;
 mod bounded;
@@ -17,19 +17,22 @@ use std::{fmt, future::pending, io, sync::Arc, time::Duration};
 
 use axum::{
     Router,
-    extract::State as Of,
-    http::{HeaderMap, StatusCode, header},
+    extract::{
+        State as Of,
+        connect_info::{ConnectInfo, Connected},
+    },
+    http::{StatusCode, header, request::Parts},
     middleware::from_fn_with_state,
     response::{IntoResponse, Response},
     routing::{get, post},
-    serve::Listener,
+    serve::{IncomingStream, Listener},
 };
 use tokio::{net::TcpListener, task::spawn_blocking, time::timeout};
 
 use crate::{
     faces::{Addresses, Shared},
-    grpc::{Tls, token},
-    identity::Role,
+    grpc::{ClientNames, Tls, token},
+    identity::{Caller, Identities, Role},
     lifecycle::{Phase, PhaseWatch},
     service::Error,
     status,
@@ -64,7 +67,25 @@ pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages)
         tls,
         places: Places::new(MAX_CONNECTIONS),
     };
+    let routes = routes.into_make_service_with_connect_info::<Certificate>();
     axum::serve(secured, routes).await
+}
+
+/// The names in the certificate of the client of a connection.
+#[derive(Clone)]
+struct Certificate(ClientNames);
+
+impl Connected<IncomingStream<'_, Secured>> for Certificate {
+    fn connect_info(connection: IncomingStream<'_, Secured>) -> Self {
+        Self(Arc::clone(connection.remote_addr()))
+    }
+}
+
+/// The caller of a request.
+fn caller(identities: &Identities, request: &Parts) -> Caller {
+    let certificate = request.extensions.get::<ConnectInfo<Certificate>>();
+    let names = certificate.and_then(|it| it.0.0.get()).map(Vec::as_slice);
+    identities.caller(token(&request.headers), names)
 }
 
 fn routes(pages: Pages, has_tls: bool) -> Router {
@@ -87,8 +108,8 @@ fn routes(pages: Pages, has_tls: bool) -> Router {
         .merge(page::routes())
 }
 
-async fn metrics(Of(pages): Of<Arc<Pages>>, headers: HeaderMap) -> Response {
-    let caller = pages.shared.identities.caller(token(&headers), None);
+async fn metrics(Of(pages): Of<Arc<Pages>>, request: Parts) -> Response {
+    let caller = caller(&pages.shared.identities, &request);
     if let Err(why) = caller.authorize(Role::Read, None) {
         return refusal(&status::from_error(&Error::Denied { why }));
     }
@@ -134,23 +155,25 @@ struct Secured {
 
 impl Listener for Secured {
     type Io = Bounded;
-    type Addr = std::net::SocketAddr;
+    type Addr = ClientNames;
 
     async fn accept(&mut self) -> (Self::Io, Self::Addr) {
         loop {
-            let Ok((socket, peer)) = self.listener.accept().await else {
+            let Ok((socket, _)) = self.listener.accept().await else {
                 // The listener fails while the process has no file descriptors left.
                 let _ = timeout(ACCEPT_RETRY_PAUSE, pending::<()>()).await;
                 continue;
             };
             let place = self.places.take().await;
-            let socket = Tls::accept(self.tls.as_ref(), socket, None);
-            return (Bounded::new(socket, place), peer);
+            let names = ClientNames::default();
+            let socket = Tls::accept(self.tls.as_ref(), socket, Some(Arc::clone(&names)));
+            return (Bounded::new(socket, place), names);
         }
     }
 
     fn local_addr(&self) -> io::Result<Self::Addr> {
-        self.listener.local_addr()
+        // It has no client.
+        Ok(ClientNames::default())
     }
 }
 

@@ -5,7 +5,7 @@ use std::{net::SocketAddr, sync::Arc, time::Duration};
 
 use axum::{
     extract::State as Of,
-    http::{HeaderMap, header},
+    http::{header, request::Parts},
     response::{IntoResponse, Response},
 };
 use serde_json::{Value, json};
@@ -32,8 +32,8 @@ const PERIOD: Duration = Duration::from_secs(1);
 const MAX_SHARE: u32 = 10;
 
 /// Answers with the addresses that the server listens on.
-pub(super) async fn addresses(Of(api): Of<Arc<Api>>, headers: HeaderMap) -> Response {
-    match api.admit("addresses", &headers, false) {
+pub(super) async fn addresses(Of(api): Of<Arc<Api>>, request: Parts) -> Response {
+    match api.admit("addresses", &request, false) {
         Ok(mut admitted) => {
             admitted.record.end(Ending::Ok);
             let at = &api.addresses;
@@ -51,8 +51,8 @@ pub(super) async fn addresses(Of(api): Of<Arc<Api>>, headers: HeaderMap) -> Resp
 }
 
 /// Answers with the stream.
-pub(super) async fn overview(Of(api): Of<Arc<Api>>, headers: HeaderMap) -> Response {
-    match StreamCall::admit(&api, "overview", &headers) {
+pub(super) async fn overview(Of(api): Of<Arc<Api>>, request: Parts) -> Response {
+    match StreamCall::admit(&api, "overview", &request) {
         Ok(call) => {
             streams::answer(
                 call,

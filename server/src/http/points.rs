@@ -8,7 +8,7 @@ use std::{sync::Arc, time::Duration};
 
 use axum::{
     extract::{Path, RawQuery, State as Of},
-    http::HeaderMap,
+    http::request::Parts,
     response::Response,
 };
 use serde_json::json;
@@ -120,9 +120,9 @@ pub(super) async fn points(
     Of(api): Of<Arc<Api>>,
     Path(index): Path<String>,
     RawQuery(query): RawQuery,
-    headers: HeaderMap,
+    request: Parts,
 ) -> Response {
-    let call = match StreamCall::admit(&api, "points", &headers) {
+    let call = match StreamCall::admit(&api, "points", &request) {
         Ok(call) => call,
         Err(status) => return refusal(&status),
     };

@@ -4,7 +4,7 @@ use std::{convert::Infallible, sync::Arc};
 
 use axum::{
     body::Body,
-    http::{HeaderMap, header},
+    http::{header, request::Parts},
     response::{IntoResponse, Response},
 };
 use bytes::Bytes;
@@ -51,7 +51,7 @@ impl StreamCall {
     pub(super) fn admit(
         api: &Arc<Api>,
         verb: &'static str,
-        headers: &HeaderMap,
+        request: &Parts,
     ) -> Result<Self, Box<Status>> {
         let place = Arc::clone(&api.streams).try_acquire_owned();
         let place = place.map_err(|_| {
@@ -59,7 +59,7 @@ impl StreamCall {
             status::too_many_calls("streams", MAX_STREAMS)
         })?;
         Ok(Self {
-            admitted: api.admit(verb, headers, true)?,
+            admitted: api.admit(verb, request, true)?,
             api: Arc::clone(api),
             unread: 0,
             is_ended: false,

@@ -2,6 +2,7 @@
 
 pub(crate) mod authority;
 mod over_zenoh;
+mod pages;
 
 use std::{
     fs,
@@ -21,10 +22,10 @@ use wayfold_tests::{Process, ServerProcess, Signal};
 
 use authority::{Authority, wayfold};
 
-const CALLERS: u64 = 4;
 /// The server takes this address for one beyond this machine, and only this machine reaches it.
 const BEYOND: &str = "[::ffff:127.0.0.1]:0";
 
+const CALLERS: u64 = 4;
 /// The calls of one connection of a caller.
 const CALLS: usize = 10;
 
@@ -69,8 +70,8 @@ async fn certificates_are_renewed_without_a_failed_call() {
     let server = ServerProcess::ready(Process::spawn(&mut authority.command()));
     let uri = server.uri().to_owned();
     let credentials = authority.credentials().token(token);
-    let client = Client::builder().credentials(credentials.clone());
-    let client = client.connect(&uri).await.unwrap();
+    let client = Client::builder().retry(RetryPolicy::never());
+    let client = client.credentials(credentials.clone()).connect(&uri);
     let space: Space = "R1".parse().unwrap();
     let index = client.await.unwrap().create_index("arm", &space).await;
     let index = index.unwrap();
