@@ -1,7 +1,8 @@
 //! The listener for operators: the page to look at, `/metrics`, and the probes `/healthz` and `/readyz`.
 //!
 //! Probes and the files of the page answer everyone. Everything else needs an identity where the server has identities: a
-//! bearer token, or a client certificate of the connection. `api`, `points` and `overview` are what the page reads; `guard` keeps pages of others away from them.
+//! bearer token, or a client certificate of the connection. `api`, `points` and `overview` are what the page reads; `guard`
+//! keeps pages of others away from them.
 
 mod api;
 mod bounded;
@@ -155,6 +156,7 @@ struct Secured {
 
 impl Listener for Secured {
     type Io = Bounded;
+    /// The client by its certificate.
     type Addr = ClientNames;
 
     async fn accept(&mut self) -> (Self::Io, Self::Addr) {
@@ -172,7 +174,7 @@ impl Listener for Secured {
     }
 
     fn local_addr(&self) -> io::Result<Self::Addr> {
-        // It has no client.
+        // The listener itself has no client.
         Ok(ClientNames::default())
     }
 }

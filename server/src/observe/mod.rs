@@ -9,5 +9,5 @@ mod trace;
 pub(crate) use call::{CallRecord, Ending, Peer, Request, request};
 pub(crate) use logging::start;
 pub use logging::{LogFormat, LoggingError};
-pub(crate) use metrics::{IndexLabel, Metrics};
+pub(crate) use metrics::Metrics;
 pub(crate) use slow::{SlowCalls, Times};

@@ -10,10 +10,7 @@ use super::{
     message::{IndexRequest, Named},
     verb::Verb,
 };
-use crate::{
-    observe,
-    service::{Call, Error},
-};
+use crate::{observe, service::Error};
 
 /// The parameter for the time that the caller waits.
 const TIMEOUT: &str = "timeout_ms";
@@ -32,14 +29,14 @@ pub(crate) struct Request<'a> {
 }
 
 impl<'a> Request<'a> {
-    /// A request for `index` that arrived at `arrived`, and its call with the deadline that a parameter sets.
+    /// A request for `index` that arrived at `arrived`, and the deadline that a parameter sets.
     pub(crate) fn of(
         form: Form,
         index: &'a str,
         named: impl IntoIterator<Item = (&'a str, &'a str)>,
         payload: Cow<'a, [u8]>,
         arrived: Instant,
-    ) -> Result<(Self, Call), Error> {
+    ) -> Result<(Self, Option<Instant>), Error> {
         let mut deadline = None;
         let mut parameters = Vec::new();
         for (name, value) in named {
@@ -61,12 +58,7 @@ impl<'a> Request<'a> {
             parameters,
             payload,
         };
-        let deadline = deadline.flatten();
-        let call = Call {
-            deadline,
-            ..Call::default()
-        };
-        Ok((request, call))
+        Ok((request, deadline.flatten()))
     }
 
     /// Refuses a mutation without a payload.

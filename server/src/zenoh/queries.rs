@@ -29,9 +29,9 @@ use super::{
 use crate::{
     admission::{CALL_BYTES, CallTurns, HeldBytes},
     faces::Shared,
-    identity::{Caller, Denial},
-    observe::{CallRecord, Ending, IndexLabel, Peer, Times},
-    service::{Error, Unavailability},
+    identity::Denial,
+    observe::{CallRecord, Ending, Peer, Times},
+    service::{Call, Error, Unavailability},
     status::{self, Status},
     verbs::{Form, Request, Target, dispatch},
 };
@@ -187,13 +187,18 @@ impl Queries {
             (&caller, attached.get("traceparent")),
         )
         .of_peer(source(&query));
-        let of = (arrived, caller, Arc::clone(record.index()));
+        let call = Call {
+            caller,
+            trace: attached.get("traceparent").map(Arc::from),
+            index: Arc::clone(record.index()),
+            ..Call::default()
+        };
         let span = record.span().clone();
         let asked = async {
             if !held.has_room() {
                 return Err(status::too_many_bytes(held.flow().max_bytes()));
             }
-            self.ask(&query, form, target, of).await
+            self.ask(&query, form, target, (arrived, call)).await
         };
         let answering = AssertUnwindSafe(turns.run(asked)).catch_unwind();
         let result = match answering.instrument(span).await {
@@ -235,7 +240,7 @@ impl Queries {
         query: &Query,
         form: Result<Form, Error>,
         target: Result<Target<'_>, Error>,
-        of: (Instant, Caller, IndexLabel),
+        of: (Instant, Call),
     ) -> Result<Replies, Status> {
         let bytes = query.payload().map_or(0, |payload| payload.len());
         if bytes > self.max_message_bytes {
@@ -250,10 +255,10 @@ impl Queries {
         query: &Query,
         form: Result<Form, Error>,
         target: Result<Target<'_>, Error>,
-        (arrived, caller, label): (Instant, Caller, IndexLabel),
+        (arrived, mut call): (Instant, Call),
     ) -> Result<Replies, Error> {
         // The service checks the caller too; here a stranger is refused before its request is parsed.
-        caller.check().map_err(|why| Error::Denied {
+        call.caller.check().map_err(|why| Error::Denied {
             why: Denial::Unknown(why),
         })?;
         let form = form?;
@@ -261,11 +266,9 @@ impl Queries {
         let index = target.as_ref().map_or("", |target| target.index);
         let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
         let named = query.parameters().iter();
-        let (request, mut call) = Request::of(form, index, named, payload, arrived)?;
+        let (request, deadline) = Request::of(form, index, named, payload, arrived)?;
         let default = || arrived.checked_add(self.default_timeout);
-        call.deadline = call.deadline.or_else(default);
-        call.caller = caller;
-        call.index = label;
+        call.deadline = deadline.or_else(default);
         let answered = async {
             if key.is_wild() {
                 let replies =

@@ -2,7 +2,8 @@
 //! The environment variable `NATS_SERVER` has the path of the program nats-server.
 
 use serde_json::{Value, json};
-use wayfold_tests::{Stubs, nats::Nats};
+use wayfold_tests::{Signal, Stubs, nats::Nats};
+use zenoh::bytes::Encoding;
 
 use crate::{
     feed::{next, subscribe},
@@ -66,4 +67,44 @@ async fn several_servers_answer_as_one() {
         stubs.latest("arm").await.unwrap();
         assert_eq!(stubs.describe("arm").await.point_count, inserted);
     }
+}
+
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_query_that_is_forwarded_stays_in_its_trace() {
+    const TRACE: &str = "4bf92f3577b34da6a3ce929d0e0e4736";
+    let directory = tempfile::tempdir().unwrap();
+    let nats = Nats::start(directory.path(), 1);
+    let settings = nats.member_settings();
+    let settings = settings.each_ref().map(|it| (it.0, &*it.1));
+    let debug = ["--log", "wayfold_server=debug"];
+    let mut servers = [(); 2].map(|()| server_with(&debug, &settings));
+    for (server, _) in &mut servers {
+        server.log_until("a server joins the cluster");
+    }
+    Stubs::connect(servers[0].0.uri())
+        .await
+        .create("arm", "R1")
+        .await;
+    for (server, locator) in &servers {
+        Stubs::connect(server.uri()).await.find("arm").await;
+        let robot = Robot::connect(locator).await;
+        let body = json!({ "states": [[0.5]], "operation_id": locator });
+        let answers = robot.session.get("wayfold/v1/arm/insert");
+        let answers = answers.payload(body.to_string());
+        let answers = answers.encoding(Encoding::APPLICATION_JSON);
+        let answers = answers.attachment(format!("traceparent=00-{TRACE}-00f067aa0ba902b7-01"));
+        let answer = answers.await.unwrap().recv_async().await.unwrap();
+        answer.into_result().unwrap();
+    }
+    let logs = servers.map(|(server, _)| server.stop(Signal::Terminate).stderr);
+    let logs = logs.concat();
+    // One of the two queries reached the owner, which got the other by gRPC.
+    let calls = ["Zenoh/insert", "PointService/Insert"].map(|rpc| {
+        let calls = logs
+            .lines()
+            .filter(|it| it.contains(rpc) && it.contains("call ended"));
+        calls.filter(|it| it.contains(TRACE)).count()
+    });
+    assert_eq!(calls, [2, 1], "{logs}");
 }

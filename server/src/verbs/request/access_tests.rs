@@ -9,7 +9,7 @@ use crate::{
     identity::{Identities, Role},
     log::MemoryLog,
     registry::{Registry, RegistryOptions},
-    service::{Limits, Service},
+    service::{Call, Limits, Service},
     verbs::{
         dispatch,
         verb::{IndexVerb, PointVerb},

@@ -10,7 +10,7 @@ use super::*;
 use crate::{
     log::MemoryLog,
     registry::{Registry, RegistryOptions},
-    service::{Code, Limits, Service},
+    service::{Call, Code, Limits, Service},
     verbs::{Target, dispatch},
 };
 
