@@ -45,7 +45,7 @@ pub struct Published {
 /// One index.
 pub struct Hosted {
     name: String,
-    /// The name in metrics, or [`OTHERS`].
+    /// The name in metrics, or that of all others.
     label: Arc<str>,
     uid: Uid,
     uid_text: String,
@@ -121,7 +121,7 @@ impl Hosted {
         let applied = (entry.uid, published.view.tip());
         let hosted = Arc::new(Self {
             name: entry.name.clone(),
-            label: host.label(&entry.name),
+            label: host.labels.of(&entry.name),
             uid: entry.uid,
             uid_text: entry.uid.to_string(),
             host: Arc::clone(host),

@@ -18,6 +18,7 @@ mod followers;
 mod hosted;
 mod in_flight;
 mod index_limit;
+mod labels;
 mod loading;
 mod maintenance;
 mod merging;
@@ -35,11 +36,7 @@ mod stored;
 mod usage;
 mod writer;
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    ops::Bound,
-    sync::Arc,
-};
+use std::{collections::BTreeMap, ops::Bound, sync::Arc};
 
 use parking_lot::{Mutex, RwLock};
 use tokio::sync::{Semaphore, watch};
@@ -56,6 +53,7 @@ pub use error::RegistryError;
 pub use followers::Follower;
 pub use hosted::{Hosted, Published};
 pub use index_limit::IndexLimit;
+use labels::Labels;
 pub use operations::OperationWindow;
 use operations::Operations;
 pub use options::RegistryOptions;
@@ -126,36 +124,7 @@ struct Host {
     /// A permit per merge that may run.
     merges: Semaphore,
     run: RunId,
-    /// The names of indices that have a label of their own in metrics, also of some that were deleted.
-    labels: Mutex<BTreeSet<Arc<str>>>,
-    /// The label of all others.
-    others: Arc<str>,
-}
-
-/// The most names of indices in metrics.
-const MAX_LABELS: usize = 100;
-
-/// No index has this name.
-const OTHERS: &str = "(others)";
-
-impl Host {
-    /// The label of an index in metrics.
-    fn label(&self, name: &str) -> Arc<str> {
-        let mut labels = self.labels.lock();
-        if let Some(known) = labels.get(name) {
-            return Arc::clone(known);
-        }
-        if labels.len() >= MAX_LABELS {
-            // Neither an index nor a call has these.
-            labels.retain(|label| Arc::strong_count(label) > 1);
-        }
-        if labels.len() >= MAX_LABELS {
-            return Arc::clone(&self.others);
-        }
-        let label: Arc<str> = name.into();
-        labels.insert(Arc::clone(&label));
-        label
-    }
+    labels: Labels,
 }
 
 impl Registry {
@@ -186,8 +155,7 @@ impl Registry {
                 options,
                 merges,
                 run: *Uid::unique().as_bytes(),
-                labels: Mutex::default(),
-                others: OTHERS.into(),
+                labels: Labels::default(),
             }),
             indexes: RwLock::default(),
             change_lock: Mutex::new(()),
