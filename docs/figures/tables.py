@@ -82,11 +82,11 @@ def processor_names():
 def processors():
     """The ratios on each processor: those of each saved file of the index, side by side."""
     names = processor_names()
-    cases = [("SE3^2", "knn10"), ("SE3^4", "knn1")]
-    words = {"knn1": "one neighbour", "knn10": "ten neighbours"}
-    cells = [[ratio(against(of(name), (space, "50000"), op, "wayfold", SCAN)) for name in names] for space, op in cases]
-    rows = [[METRICS[space], words[op], *row] for (space, op), row in zip(cases, cells)]
-    return table(names, ["against a SIMD scan", "asked for", *(read(name)["processor"] for name in names)], rows)
+    cases = [("SE3", GNAT), ("SE3-SUM", GNAT), ("SE2", STATIC), ("SO3", KIDDO), ("R3", KIDDO), ("R6", KIDDO), ("R12", STATIC)]
+    cases += [("SE3^2", SCAN), ("SE3^4", SCAN), ("SE3^8", SCAN), ("R30", SCAN)]
+    of_case = lambda name, space, peers: [against(of(name), (space, "50000"), op, "wayfold", peers) for op in ("knn1", "knn10")]
+    rows = [[METRICS[space], peers, *(" / ".join(map(ratio, of_case(name, space, peers))) for name in names)] for space, peers in cases]
+    return table(names, ["growing, one / ten neighbours", "against", *(read(name)["processor"] for name in names)], rows)
 
 
 def readme_speed():
