@@ -127,7 +127,7 @@ impl Api {
 /// Answers a verb.
 pub(super) async fn answer(Of(api): Of<Arc<Api>>, request: HttpRequest) -> Response {
     let (parts, body) = request.into_parts();
-    let target = Target::of(PREFIX, parts.uri.path());
+    let target = Target::of_reader(PREFIX, parts.uri.path());
     let verb = target.as_ref().map_or("other", |it| it.verb.name());
     let admitted = match api.admit(verb, &parts, false) {
         Ok(admitted) => admitted,

@@ -188,6 +188,13 @@ async fn verbs_that_read_answer_as_over_zenoh() {
         let (status, refused) = post(&mut router, key, body).await;
         assert_eq!(status.as_u16(), expected, "{key} {refused}");
         assert_eq!(refused["details"][0]["reason"], reason, "{key} {refused}");
+        // The list of an unknown verb has only verbs that this listener answers.
+        let words = refused["message"].as_str().unwrap();
+        let offered = words
+            .split(", ")
+            .any(|it| it.ends_with("knn") || it == "scan");
+        assert_eq!(offered, reason == "UNKNOWN_KEY", "{words}");
+        assert!(!words.contains("session"), "{words}");
     }
 }
 

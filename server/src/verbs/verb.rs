@@ -110,6 +110,15 @@ pub(crate) struct Target<'a> {
 impl<'a> Target<'a> {
     /// Parses a key under `prefix`.
     pub(crate) fn of(prefix: &str, key: &'a str) -> Result<Self, Error> {
+        Self::find(prefix, key).ok_or_else(|| unknown(prefix, key, |_| true))
+    }
+
+    /// Parses a key of a face that only reads: its error names no mutation.
+    pub(crate) fn of_reader(prefix: &str, key: &'a str) -> Result<Self, Error> {
+        Self::find(prefix, key).ok_or_else(|| unknown(prefix, key, |verb| !verb.is_mutation()))
+    }
+
+    fn find(prefix: &str, key: &'a str) -> Option<Self> {
         let rest = key.strip_prefix(prefix).unwrap_or_default();
         let rest = rest.strip_prefix('/').unwrap_or_default();
         let known = |(index, verb): (&'a str, &str)| {
@@ -120,19 +129,23 @@ impl<'a> Target<'a> {
             let found = IndexVerb::ALL.iter().find(|(name, _)| *name == rest)?;
             Some(("", Verb::OfServer(found.1)))
         };
-        match rest.split_once('/').map_or_else(of_server, known) {
-            Some((index, verb)) => Ok(Self { index, verb }),
-            None => Err(unknown(prefix, key)),
-        }
+        let (index, verb) = rest.split_once('/').map_or_else(of_server, known)?;
+        Some(Self { index, verb })
     }
 }
 
-fn unknown(prefix: &str, key: &str) -> Error {
-    let names = |all: &[&str]| all.join(", ");
+fn unknown(prefix: &str, key: &str, is_offered: fn(Verb) -> bool) -> Error {
+    let names = |all: &[(&'static str, Verb)]| {
+        let offered = all.iter().filter(|(_, verb)| is_offered(*verb));
+        offered
+            .map(|(name, _)| *name)
+            .collect::<Vec<_>>()
+            .join(", ")
+    };
     let text = format!(
         "no verb has the key {key}: under {prefix}/INDEX/ there are {}, and under {prefix}/ {}",
-        names(&PointVerb::ALL.map(|(name, _)| name)),
-        names(&IndexVerb::ALL.map(|(name, _)| name)),
+        names(&PointVerb::ALL.map(|(name, verb)| (name, Verb::OfIndex(verb)))),
+        names(&IndexVerb::ALL.map(|(name, verb)| (name, Verb::OfServer(verb)))),
     );
     invalid("key", "UNKNOWN_KEY", text)
 }
