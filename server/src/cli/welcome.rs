@@ -15,6 +15,9 @@ const DEFAULT_PORT: u16 = 50051;
 /// Runs the client from the source tree.
 const CARGO_CLIENT: &str = "cargo run --release -p wayfold-cli --";
 
+/// Runs the planner of a maze from the source tree.
+const CARGO_MAZE: &str = "cargo run --release -p wayfold-examples --bin maze -- --workers 2";
+
 /// Prints the welcome to standard output.
 pub(super) fn print(addresses: &Addresses, directory: Option<&Path>) {
     // Under `cargo run` the `wayfold` binary is probably not on the path.
@@ -43,6 +46,13 @@ fn text(addresses: &Addresses, directory: Option<&Path>, client: &str) -> String
         metrics = format!("metrics at {scheme}://{at}/metrics\n");
         let at = reachable(at);
         page = format!("The indices as they grow, in a browser: {scheme}://{at}/\n");
+        // The planner has no options for credentials.
+        if !addresses.has_tls && !addresses.has_identities {
+            let grpc = reachable(address);
+            page += &format!(
+                "A planner whose two trees grow there: {CARGO_MAZE} --server http://{grpc} --keep\n"
+            );
+        }
     }
     let storage = match directory {
         Some(directory) => format!("Indices are kept in {}.", directory.display()),
@@ -137,6 +147,9 @@ mod tests {
         let text = text(&addresses, None, "wayfold");
         assert!(text.contains("\nmetrics at http://0.0.0.0:8080/metrics\n"));
         assert!(text.contains(" in a browser: http://127.0.0.1:8080/\n"));
+        let page = include_str!("../../../docs/page.md");
+        let maze = format!("{CARGO_MAZE} --server http://127.0.0.1:50051 --keep");
+        assert!(text.contains(&format!(": {maze}\n")) && page.contains(&maze));
     }
 
     #[test]
