@@ -19,6 +19,7 @@ import overlay_steps
 import parallel_steps
 import probe_steps
 import projection_steps
+import route_steps
 import sampling_steps
 import time_steps
 from support import MAX_WAIT_S, REFUSAL, launch, picture, probe, running, wait_for_count, wait_until_drawn
@@ -100,6 +101,9 @@ STEPS = [
     overlay_steps.long_names_are_told_apart,
     parallel_steps.joints_are_lines,
     parallel_steps.lines_are_sampled_and_follow_the_slider,
+    route_steps.the_skip_link_leaves_the_address,
+    route_steps.a_followed_link_keeps_the_focus_in_the_content,
+    route_steps.an_unknown_address_says_so,
     health_steps.a_server_that_comes_back_is_seen_again,
     health_steps.a_silent_server_is_noticed,
     health_steps.a_quiet_index_is_no_silence,

@@ -2,9 +2,13 @@
 //
 // `#/` is the overview, `#/arm` the points of an index, and `#/start,goal` those of several in one picture.
 
+import { forget, report } from "./connection.js";
+import { byId } from "./dom.js";
 import { IndexPage } from "./index_page.js";
 import { show as showOverview } from "./overview.js";
 import { start } from "./overview_feed.js";
+
+const ADDRESS = "address";
 
 // Ends the shown view.
 let leave = () => {};
@@ -31,11 +35,25 @@ function route() {
 }
 
 function namesIn(hash) {
-  const names = hash.replace(/^#\/?/, "").split(",");
-  // The names of indices need no encoding, so what is not decodable is no name.
-  return [...new Set(names.filter((name) => /^[a-z0-9][a-z0-9_-]*$/.test(name)))];
+  const asked = hash.replace(/^#\//, "").split(",").filter(Boolean);
+  // The names of indices need no encoding.
+  const isName = (name) => /^[a-z0-9][a-z0-9_-]*$/.test(name);
+  const others = asked.filter((name) => !isName(name));
+  if (others.length > 0) report(ADDRESS, "live", `No index has the name ${others.join(", ")}: names have a to z, 0 to 9, _ and -.`);
+  else forget(ADDRESS);
+  return [...new Set(asked.filter(isName))];
 }
 
-window.addEventListener("hashchange", route);
+window.addEventListener("hashchange", () => {
+  const before = leave;
+  route();
+  // The link that was followed may be hidden now, and would take the focus with it.
+  if (leave !== before) byId("content").focus({ preventScroll: true });
+});
+// The address names the view, so the skip link leaves it alone.
+document.querySelector(".skip").addEventListener("click", (event) => {
+  event.preventDefault();
+  byId("content").focus();
+});
 start();
 route();
