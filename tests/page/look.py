@@ -12,6 +12,7 @@ import tempfile
 
 from playwright.sync_api import expect, sync_playwright
 
+import color_steps
 import edge_steps
 import health_steps
 import model_steps
@@ -101,6 +102,7 @@ STEPS = [
     overlay_steps.long_names_are_told_apart,
     parallel_steps.joints_are_lines,
     parallel_steps.lines_are_sampled_and_follow_the_slider,
+    color_steps.colors_are_told_apart,
     route_steps.the_skip_link_leaves_the_address,
     route_steps.a_followed_link_keeps_the_focus_in_the_content,
     route_steps.an_unknown_address_says_so,

@@ -31,18 +31,18 @@ pub const DARK: RGBColor = RGBColor(38, 43, 56);
 /// The colour of things that only serve orientation.
 pub const PALE: RGBColor = RGBColor(222, 226, 232);
 /// The trees from the start and from the goal.
-pub const TREES: [RGBColor; 2] = [RGBColor(47, 111, 179), RGBColor(226, 128, 45)];
+pub const TREES: [RGBColor; 2] = [WORKERS[0], WORKERS[1]];
 
-/// The colours of workers, used cyclically.
+/// The colours of workers, used cyclically: those of the server's page.
 pub const WORKERS: [RGBColor; 8] = [
-    RGBColor(47, 111, 179),
-    RGBColor(226, 128, 45),
-    RGBColor(35, 138, 92),
-    RGBColor(148, 84, 178),
-    RGBColor(190, 62, 72),
-    RGBColor(28, 148, 160),
-    RGBColor(160, 132, 30),
-    RGBColor(104, 112, 128),
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(22, 168, 121),
+    RGBColor(197, 119, 167),
+    RGBColor(235, 163, 5),
+    RGBColor(142, 193, 241),
+    RGBColor(122, 42, 106),
+    RGBColor(36, 36, 44),
 ];
 
 /// The colour of a source.

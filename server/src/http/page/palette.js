@@ -1,9 +1,11 @@
-// Colours that people with any colour vision tell apart: Okabe and Ito's for categories, viridis for numbers.
+// Colours that people with any colour vision tell apart: for numbers viridis, and for categories eight near those of Okabe and Ito,
+// of which any two differ by at least 20 in CIELAB, also without the red, the green or the blue cones. The planners' pictures have
+// those of the light theme.
 
 import { svg } from "./dom.js";
 
-const LIGHT = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a7a00", "#5b5b66"];
-const DARK = ["#56b4e9", "#e69f00", "#12b886", "#e094bd", "#f2774a", "#f0e442", "#8f9dff", "#b6bcc4"];
+const LIGHT = ["#0072b2", "#d55e00", "#16a879", "#c577a7", "#eba305", "#8ec1f1", "#7a2a6a", "#24242c"];
+const DARK = ["#56b4e9", "#e69f00", "#00945d", "#d392b4", "#d15a00", "#fcec4d", "#3a6fe0", "#e2eaf3"];
 const VIRIDIS = [
   "#440154", "#482475", "#414487", "#355f8d", "#2a788e", "#21918c", "#22a884", "#44bf70", "#7ad151", "#bddf26", "#fde725",
 ];
