@@ -139,9 +139,8 @@ pub(crate) fn busy(
 }
 
 /// The status of a call while as many others are under way as `limit` allows.
-pub(crate) fn too_many_calls(limit: &'static str, value: usize) -> Status {
-    let message =
-        format!("as many calls are under way as {limit} = {value} allows: try again later");
+pub(crate) fn too_many_calls(limit: &'static str, value: usize, advice: &str) -> Status {
+    let message = format!("as many calls are under way as {limit} = {value} allows: {advice}");
     busy("TOO_MANY_CALLS", message, limit, value)
 }
 

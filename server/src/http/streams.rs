@@ -56,7 +56,8 @@ impl StreamCall {
         let place = Arc::clone(&api.streams).try_acquire_owned();
         let place = place.map_err(|_| {
             api.shared.admission.count_excess();
-            status::too_many_calls("streams", MAX_STREAMS)
+            let advice = "close other tabs of the page, or try again later";
+            status::too_many_calls("streams", MAX_STREAMS, advice)
         })?;
         Ok(Self {
             admitted: api.admit(verb, request, true)?,

@@ -83,7 +83,8 @@ impl Queries {
         }
         let Ok(place) = Arc::clone(&self.places).try_acquire_owned() else {
             self.shared.admission.count_excess();
-            let status = status::too_many_calls("zenoh.max_calls", self.max_calls);
+            let status =
+                status::too_many_calls("zenoh.max_calls", self.max_calls, "try again later");
             return self.refuse(query, form, under_way, status);
         };
         let flow = self.flows.of_reader();
