@@ -1,14 +1,18 @@
 """Connections that fall silent or fail, figures, and what an identity of some indices sees."""
 
+import contextlib
+import json
 import os
 import re
 import signal
+import struct
 import tempfile
 import urllib.request
 
 from playwright.sync_api import expect
 
-from support import (MAX_WAIT_S, PROBE, SPACE, identities, open_index, picture, row, running, sign_in, streams_of, wait_for_count)
+from support import (MAX_WAIT_S, PROBE, SPACE, identities, looks, open_index, picture, probe, row, running, sign_in,
+                     streams_of, wait_for_count)
 
 # A latency at the end that is no stream's: those are open for more than a second.
 SHORT = re.compile(r"[\d.]+\s(ms|µs)$")
@@ -27,6 +31,68 @@ def a_server_that_comes_back_is_seen_again(page, programs, pictures):
             server.insert("arm", map(row, range(300, 400)))
             expect(page.locator("#status")).to_have_text("live", timeout=MAX_WAIT_S * 1000)
             wait_for_count(page, 400)
+
+
+def the_addresses_of_a_new_start_are_shown(page, programs, pictures):
+    """The page stays where it was, and gRPC listens on another port."""
+    with tempfile.TemporaryDirectory() as data:
+        with running(programs, data=data) as server:
+            server.command("create", "arm", "--space", SPACE)
+            server.insert("arm", map(row, range(100)))
+            open_index(page, server, "arm")
+            wait_for_count(page, 100)
+            probe(page, PROBE, 5)
+            expect(page.locator("#snippets")).to_contain_text(server.uri)
+            first, at = server.ports()
+        with running(programs, data=data, ports=("0", at)) as server:
+            assert server.ports()[0] != first
+            expect(page.locator("#status")).to_have_text("live", timeout=MAX_WAIT_S * 1000)
+            probe(page, PROBE, 6)
+            expect(page.locator("#snippets")).to_contain_text(server.uri)
+
+
+def too_many_streams_say_what_helps(page, programs, pictures):
+    with running(programs) as server, contextlib.ExitStack() as streams:
+        for _ in range(16):
+            request = urllib.request.Request(f"{server.page}api/v1/overview", method="POST")
+            streams.enter_context(urllib.request.urlopen(request, timeout=MAX_WAIT_S)).read(8)
+        page.goto(server.page)
+        expect(page.locator("#notice")).to_contain_text("close other tabs of the page")
+        streams.close()
+        expect(page.locator("#status")).to_have_text("live", timeout=MAX_WAIT_S * 1000)
+
+
+def frame(head):
+    """A frame without a body."""
+    text = json.dumps(head).encode()
+    text += b" " * (-len(text) % 8)
+    return struct.pack("<II", len(text), 0) + text
+
+
+def damaged_and_lagging_indices_come_first(page, programs, pictures):
+    """The stream is made up: a healthy server has neither."""
+    index = {"space_text": SPACE, "coordinate_count": 7, "dimension": 6, "point_count": "3", "memory_bytes": "4096",
+             "revision": {"uid": "u", "number": "2"}}
+    made = {"indexes": [{**index, "name": name} for name in ("arm", "leg")],
+            "damaged": [{"name": "tail", "uid": "t", "error": {"message": "a record has a wrong checksum"}}]}
+    metrics = 'wayfold_index_followers{index="leg"} 1\nwayfold_index_follower_lag{index="leg"} 500\n'
+    # A lag shows once it was there ten times.
+    body = frame({"kind": "overview", "list": made, "metrics": metrics}) * 10
+    page.route("**/api/v1/overview", lambda route: route.fulfill(body=body, content_type="application/octet-stream"))
+    with running(programs) as server:
+        page.goto(server.page)
+        rows = page.locator("#indices tbody tr")
+        expect(rows).to_have_count(5)
+        expect(rows).to_contain_text(["tail", "a record has a wrong checksum", "leg", "500 revisions behind", "arm"])
+        expect(rows.nth(1)).to_contain_text("Copy the data directory before anything else")
+        expect(rows.nth(3)).to_contain_text("write less, or give it more cores")
+        # A telephone shows all of it, and nothing beside its edge.
+        page.set_viewport_size({"width": 390, "height": 844})
+        for label, text in {"memory": "4 KiB", "followers": "1", "lag": "500"}.items():
+            expect(page.locator(f'[data-index="leg"] [data-label="{label}"]')).to_be_visible()
+            expect(page.locator(f'[data-index="leg"] [data-label="{label}"]')).to_have_text(text)
+        assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth")
+        looks(page, pictures, "damaged")
 
 
 def a_silent_server_is_noticed(page, programs, pictures):

@@ -23,6 +23,7 @@ import projection_steps
 import route_steps
 import sampling_steps
 import time_steps
+import token_steps
 from support import MAX_WAIT_S, REFUSAL, launch, picture, probe, running, wait_for_count, wait_until_drawn
 from text_programs import Builds
 
@@ -107,6 +108,11 @@ STEPS = [
     route_steps.a_followed_link_keeps_the_focus_in_the_content,
     route_steps.an_unknown_address_says_so,
     health_steps.a_server_that_comes_back_is_seen_again,
+    token_steps.a_token_that_no_header_carries_is_refused,
+    token_steps.another_token_can_be_used,
+    health_steps.the_addresses_of_a_new_start_are_shown,
+    health_steps.too_many_streams_say_what_helps,
+    health_steps.damaged_and_lagging_indices_come_first,
     health_steps.a_silent_server_is_noticed,
     health_steps.a_quiet_index_is_no_silence,
     health_steps.a_failed_description_is_asked_for_again,

@@ -8,7 +8,7 @@ const USUAL_URI = "http://127.0.0.1:50051";
 
 let known = null;
 
-/** The address of gRPC for programs that run where the browser does, and whether they need a CA and a token. Asked once. */
+/** The address of gRPC for programs that run where the browser does, and whether they need a CA and a token. */
 export async function serverForPrograms() {
   known ??= callServer("addresses", {}).catch((error) => {
     known = null;
@@ -18,6 +18,11 @@ export async function serverForPrograms() {
   const [, host, port] = /^(.*):(\d+)$/.exec(grpc.address);
   const scheme = grpc.tls ? "https" : "http";
   return { uri: `${scheme}://${ANY_HOST.test(host) ? browserHost() : host}:${port}`, hasTls: grpc.tls, hasIdentities: identities };
+}
+
+/** Asks for the addresses again when they are needed. */
+export function forgetAddresses() {
+  known = null;
 }
 
 /** The options by which the command line reaches the server; none at the usual address. */

@@ -46,6 +46,11 @@ export async function request(path, options = {}, sending = () => {}) {
   }
 }
 
+/** Asks for another token, for an identity that may see more. Escape keeps the present one. */
+export async function useAnotherToken() {
+  token = await askForToken("", token);
+}
+
 async function refusalOf(response) {
   const text = await response.text();
   try {

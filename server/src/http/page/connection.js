@@ -1,6 +1,8 @@
 // The state of all streams of the page as one line of words.
 
-import { byId, setText } from "./dom.js";
+import { useAnotherToken } from "./api.js";
+import { byId, element, setText } from "./dom.js";
+import { restartAll } from "./stream.js";
 
 const WORDS = {
   live: "live",
@@ -13,10 +15,12 @@ const WORDS = {
 // The worst state of any stream is shown.
 const ORDER = ["refused", "silent", "retrying", "connecting", "paused", "live"];
 const states = new Map();
+// The code of gRPC for an identity that may not do this.
+const PERMISSION_DENIED = 7;
 
-/** Records the state of one stream; `problem` has the server's words if it refused the stream. */
-export function report(stream, state, problem = "") {
-  states.set(stream, { state, problem });
+/** Records the state of one stream; `problem` and `code` are the server's if it refused the stream. */
+export function report(stream, state, problem = "", code = 0) {
+  states.set(stream, { state, problem, code });
   show();
 }
 
@@ -35,5 +39,16 @@ function show() {
   const problems = [...new Set(all.map((stream) => stream.problem).filter(Boolean))];
   const notice = byId("notice");
   notice.hidden = problems.length === 0;
-  setText(notice, problems.join(" "));
+  setText(byId("problems"), problems.join(" "));
+  const isDenied = all.some(({ code }) => code === PERMISSION_DENIED);
+  if (isDenied && !byId("another-token")) notice.append(tokenButton());
+  if (!isDenied) byId("another-token")?.remove();
+}
+
+function tokenButton() {
+  const ask = async () => {
+    await useAnotherToken();
+    restartAll();
+  };
+  return element("button", { type: "button", id: "another-token", text: "Use another token", on: { click: ask } });
 }

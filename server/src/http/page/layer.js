@@ -31,6 +31,8 @@ export class Layer {
   space = undefined;
   /** True if the index declares how its payloads hold edges. */
   declaresEdges = false;
+  /** The server's words if it refuses the points. */
+  refusal = "";
   /** True once everything up to some revision has come. */
   isComplete = false;
   #pauses = new Pauses();
@@ -65,11 +67,12 @@ export class Layer {
     return `${path}&after=${this.cloud.uid}:${this.reached}&share=${this.cloud.share.fraction}`;
   }
 
-  #report(state, problem, code) {
+  #report(state, problem = "", code = 0) {
     if (this.isClosed) return;
     // The server may have refused the revision: the next request asks for everything.
     if (code === INVALID_ARGUMENT) this.reached = undefined;
-    report(`points of ${this.name}`, state, problem);
+    report(`points of ${this.name}`, state, problem, code);
+    this.refusal = problem;
   }
 
   #take(head, body) {
@@ -131,7 +134,7 @@ export class Layer {
         return;
       } catch (error) {
         if (this.isClosed) break;
-        if (error instanceof Refusal) report(about, "refused", error.message);
+        if (error instanceof Refusal) report(about, "refused", error.message, error.code);
         else report(about, "retrying");
         await this.#pauses.next();
       }

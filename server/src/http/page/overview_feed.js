@@ -1,5 +1,6 @@
 // The server's overview, which arrives each second while the page is visible. All parts of the page listen to it.
 
+import { forgetAddresses } from "./addresses.js";
 import { callServer } from "./api.js";
 import { report } from "./connection.js";
 import { History } from "./history.js";
@@ -28,7 +29,7 @@ export function start() {
   followWhileVisible(() => "api/v1/overview", {
     begin: askForServer,
     take: (head) => head.kind === "overview" && take(head),
-    state: (state, problem) => report(STREAM, state, problem),
+    state: (state, problem, code) => report(STREAM, state, problem, code),
   });
 }
 
@@ -37,6 +38,8 @@ let server = {};
 let lastHead = null;
 
 async function askForServer() {
+  // The server may have been started again, with other addresses.
+  forgetAddresses();
   try {
     server = await callServer("server", {});
     if (lastHead) tell(sampleOf(server, lastHead));

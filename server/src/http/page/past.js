@@ -30,7 +30,7 @@ export class Past {
       // After a lost connection the past is read again from its beginning.
       begin: () => (this.#replay = new Replay(cloud)),
       take: (head, body) => this.#take(head, body),
-      state: (state, problem) => this.#replay && report(`past of ${this.name}`, state, problem),
+      state: (state, problem, code) => this.#replay && report(`past of ${this.name}`, state, problem, code),
     });
   }
 

@@ -9,6 +9,8 @@ const MAX_SILENCE_MS = 25_000;
 // A connection that lasted this long was good: the pauses begin from the first again.
 const GOOD_MS = 5000;
 
+const running = new Set();
+
 /**
  * Reads `path()` and hands its frames to `take`, until `stop` of the result is called. `restart` asks for `path()` again at
  * once, and no frame of the old answer comes any more. `state` hears "connecting", "live", "silent", "retrying" and
@@ -18,6 +20,11 @@ export function follow(path, listener) {
   const stream = new Stream(path, listener);
   stream.run();
   return { stop: () => stream.stop(), restart: () => stream.restart() };
+}
+
+/** Asks for all streams again at once, for another identity. */
+export function restartAll() {
+  for (const stream of running) stream.restart();
 }
 
 /**
@@ -62,15 +69,18 @@ class Stream {
 
   stop() {
     this.#isStopped = true;
+    running.delete(this);
     this.#pauses.end();
     this.#giveUp("stop");
   }
 
   restart() {
     this.#giveUp("restart");
+    this.#pauses.end();
   }
 
   async run() {
+    running.add(this);
     this.state("connecting");
     while (!this.#isStopped) {
       const began = performance.now();
