@@ -4,7 +4,10 @@ import itertools
 import pathlib
 import re
 
-from support import running
+from playwright.sync_api import expect
+
+from support import open_index, running, wait_for_count
+from time_steps import pixels
 
 ROOT = pathlib.Path(__file__).parent.parent.parent
 # The least distance in CIELAB between two categories. Two of 2.3 are just told apart side by side.
@@ -75,3 +78,22 @@ def colors_are_told_apart(page, programs, pictures):
     report = (ROOT / "client/cli/src/load/report/style.css").read_text()
     drawn = re.findall(r"--(?:insert|knn|query|get|stream|failed|p50|p99): (#\w+)", report)
     assert len(drawn) == 16 and set(drawn[:8]) <= set(palettes["light"]) and set(drawn[8:]) <= set(palettes["dark"]), drawn
+
+
+def any_run_of_tag_bits_gives_the_colour(page, programs, pictures):
+    """Also bits in both halves of a tag."""
+    with running(programs) as server:
+        server.command("create", "arm", "--space", "R2")
+        server.command("insert", "arm", "-", "--ids", "id", input="id,x,y\n1,2,3\n")
+        open_index(page, server, "arm")
+        wait_for_count(page, 1)
+        page.select_option("#color-by", "tag")
+        shown = {}
+        for tag, first in ((5, 0), (5 << 31, 31), (5 << 61, 61), (5 << 31, 0)):
+            server.command("update", "arm", "1", "--tag", str(tag))
+            revision = server.json("info", "arm")["revision"]["number"]
+            expect(page.locator("#revision")).to_contain_text(f"revision {revision}:")
+            page.fill("#tag-first", str(first))
+            page.keyboard.press("Enter")
+            shown[tag, first] = pixels(page)
+        assert shown[5, 0] == shown[5 << 31, 31] == shown[5 << 61, 61] != shown[5 << 31, 0]

@@ -104,6 +104,7 @@ STEPS = [
     parallel_steps.joints_are_lines,
     parallel_steps.lines_are_sampled_and_follow_the_slider,
     color_steps.colors_are_told_apart,
+    color_steps.any_run_of_tag_bits_gives_the_colour,
     route_steps.the_skip_link_leaves_the_address,
     route_steps.a_followed_link_keeps_the_focus_in_the_content,
     route_steps.an_unknown_address_says_so,

@@ -5,8 +5,11 @@ const CLICK_PIXELS = 5;
 const KEY_TURN = 0.12;
 const KEY_ZOOM = 1.15;
 
-/** Moves `camera` by what happens on `target`. `moved` is called after each movement, `clicked` with the place of a click. */
-export function listen(target, camera, { moved, clicked, reset }) {
+/**
+ * Moves `camera` by what happens on `target`. `moved` is called after each movement, `clicked` with the place of a click, and
+ * `entered` on Enter.
+ */
+export function listen(target, camera, { moved, clicked, entered, reset }) {
   const pointers = new Map();
   let travelled = 0;
 
@@ -53,6 +56,7 @@ export function listen(target, camera, { moved, clicked, reset }) {
   }, { passive: false });
   target.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key === "Enter") return entered();
     const step = event.shiftKey ? 0.05 : KEY_TURN;
     const turn = (right, down) => (event.shiftKey ? camera.pan(right, -down) : camera.turn(right, down));
     const keys = {

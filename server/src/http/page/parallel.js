@@ -9,7 +9,8 @@ import { drawParallelAxes, drawParallelMarks, layoutOf, shareOf } from "./parall
 
 // More lines than this hide each other, and drawing them in software takes more than a fifth of a second.
 const MAX_LINES = matchMedia("(max-width: 560px)").matches ? 5_000 : 20_000;
-const REACH_PIXELS = 10;
+// A click beside the last axis means the lines at it.
+const EDGE_PIXELS = 5;
 const ALPHA = { least: 0.06, most: 0.9 };
 
 /** The view. A scene is that of `SpatialView`. */
@@ -84,16 +85,16 @@ export class ParallelView {
     return drawn;
   }
 
-  /** The layer and slot of the line nearest to a place of the canvas, or null. */
-  pick({ layers, revision }, x, y) {
+  /** The layer and slot of the line nearest to a place of the canvas within `reach` pixels, or null. */
+  pick({ layers, revision }, x, y, reach) {
     const { axes, top, bottom } = this.#layout ?? { axes: [] };
-    const right = axes.findIndex((axis) => axis.x >= x - REACH_PIXELS / 2);
+    const right = axes.findIndex((axis) => axis.x >= x - EDGE_PIXELS);
     if (right < 0) return null;
     const to = Math.max(right, 1);
     const [first, second] = [axes[to - 1], axes[to]];
     const along = Math.min(Math.max((x - first.x) / (second.x - first.x), 0), 1);
     let best = null;
-    let least = REACH_PIXELS;
+    let least = reach;
     for (const layer of layers) {
       const { born, died, rows, coordinates } = layer.cloud;
       for (const slot of this.#sampleOf(layer).slots) {

@@ -12,14 +12,16 @@ import { SpatialView } from "./spatial.js";
 
 // Beyond two device pixels a CSS pixel, more of them cost time and show nothing.
 const MAX_PIXEL_RATIO = 2;
+// A click means a point within this distance.
+const REACH_PIXELS = 10;
 const VIEWS = {
   spatial: {
     hint: "drag to turn · wheel or pinch to zoom · click a point to probe it",
-    label: "Points in three dimensions. Arrow keys turn, plus and minus zoom, 0 resets, a click probes the nearest point.",
+    label: "Points in three dimensions. Arrow keys turn, plus and minus zoom, 0 resets, a click probes the nearest point, and Enter the point nearest the middle.",
   },
   parallel: {
     hint: "each line is a point · click a line to probe it",
-    label: "Points as lines through one axis for each coordinate. A click probes the point of the nearest line.",
+    label: "Points as lines through one axis for each coordinate. A click probes the point of the nearest line, and Enter that of the line nearest the middle.",
   },
 };
 
@@ -51,7 +53,8 @@ export class Picture {
         this.pacer.request(true);
       },
       reset: () => this.lookAtAll(),
-      clicked: (x, y) => clicked(this.#view.pick(this.#scene, x, y)),
+      clicked: (x, y) => clicked(this.#view.pick(this.#scene, x, y, REACH_PIXELS)),
+      entered: () => clicked(this.#view.pick(this.#scene, this.root.clientWidth / 2, this.root.clientHeight / 2, Infinity)),
     });
     new ResizeObserver(() => (this.spatial.camera.isMoved ? this.pacer.request(true) : this.lookAtAll())).observe(this.root);
     onThemeChange(() => {

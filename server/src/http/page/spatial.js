@@ -96,9 +96,9 @@ export class SpatialView {
     return drawn;
   }
 
-  /** The layer and slot of the point at a place of the canvas, or null. */
-  pick({ layers, revision, width, height }, x, y) {
-    return pick(layers, { matrix: this.camera.matrix(), box: this.#box, revision, width, height }, x, y);
+  /** The layer and slot of the point nearest to a place of the canvas within `reach` pixels, or null. */
+  pick({ layers, revision, width, height }, x, y, reach) {
+    return pick(layers, { matrix: this.camera.matrix(), box: this.#box, revision, width, height }, x, y, reach);
   }
 
   #encode(layer, coloring) {

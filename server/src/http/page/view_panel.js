@@ -31,7 +31,7 @@ export class ViewPanel {
     byId("axes-preset").addEventListener("change", () => this.#chooseAxes());
     byId("axes-custom").addEventListener("change", () => this.#chooseAxes());
     byId("color-by").addEventListener("change", () => this.#chooseColor());
-    byId("tag-bits").addEventListener("change", () => this.#chooseColor());
+    for (const id of ["tag-bits", "tag-first"]) byId(id).addEventListener("change", () => this.#chooseColor());
     byId("point-size").addEventListener("input", () => {
       this.#isSizeChosen = true;
       this.#setSize(Number(byId("point-size").value));
@@ -113,12 +113,12 @@ export class ViewPanel {
 
   #chooseColor() {
     const by = byId("color-by").value;
-    const mask = (1 << Number(byId("tag-bits").value)) - 1;
+    const { first, bits } = tagRun();
     const none = () => () => 0;
     const colorings = {
       index: { mode: COLOR_MODE.flat, colorOf: none },
       age: { mode: COLOR_MODE.age, colorOf: none },
-      tag: { mode: COLOR_MODE.category, colorOf: ({ tags }) => (slot) => tags[2 * slot] & mask },
+      tag: { mode: COLOR_MODE.category, colorOf: ({ tags }) => (slot) => bitsOf(tags[2 * slot], tags[2 * slot + 1], first, bits) },
       distance: this.#byDistance(),
     };
     this.picture?.setColoring(colorings[by]);
@@ -128,7 +128,7 @@ export class ViewPanel {
 
   #showTagBits() {
     const isHidden = byId("color-by").value !== "tag";
-    byId("tag-bits").hidden = isHidden;
+    byId("tag-run").hidden = isHidden;
     document.querySelector("label[for=tag-bits]").hidden = isHidden;
   }
 
@@ -188,13 +188,25 @@ export class ViewPanel {
     }
     if (by === "age") rows = [scale("old", "new")];
     if (by === "tag") {
-      const bits = Number(byId("tag-bits").value);
+      const { bits } = tagRun();
       rows = Array.from({ length: 1 << bits }, (_, tag) => row(categories()[tag], tag.toString(2).padStart(bits, "0")));
     }
     if (by === "distance" && this.#probed) rows = [scale(`far, ${digits(this.mostDistance)}`, "near, 0")];
     if (by === "distance" && !this.#probed) rows = [element("li", { text: "probe a point first" })];
     byId("legend").replaceChildren(...rows);
   }
+}
+
+/** The run of tag bits that the colours show. */
+function tagRun() {
+  const first = Math.min(Math.max(Math.trunc(Number(byId("tag-first").value)) || 0, 0), 63);
+  return { first, bits: Number(byId("tag-bits").value) };
+}
+
+// A tag has 64 bits, in two halves; beyond them are zeros.
+function bitsOf(low, high, first, bits) {
+  const carried = first > 0 && first < 32 ? high << (32 - first) : 0;
+  return (first < 32 ? (low >>> first) | carried : high >>> (first - 32)) & ((1 << bits) - 1);
 }
 
 /** The other indices: those that can join the picture first, and among them those that are named like one in it. */
