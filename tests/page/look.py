@@ -12,6 +12,7 @@ import tempfile
 
 from playwright.sync_api import expect, sync_playwright
 
+import answer_steps
 import color_steps
 import edge_steps
 import health_steps
@@ -89,12 +90,18 @@ def the_trees_of_a_planner_are_one_picture(page, programs, pictures):
 
 STEPS = [
     probe_steps.the_probe_answers_as_the_command_line,
+    answer_steps.an_answer_is_not_shown_beside_an_error,
+    answer_steps.an_answer_is_about_one_index,
+    answer_steps.an_answer_beside_the_past_says_so,
+    answer_steps.an_answer_says_how_many_are_drawn,
+    answer_steps.enter_probes_the_point_in_the_middle,
     time_steps.the_slider_counts_as_scans_did,
     time_steps.what_the_window_does_not_have_is_said,
     model_steps.histories_are_those_of_a_model,
     edge_steps.edges_follow_the_payloads,
     edge_steps.edges_need_a_declaration,
     sampling_steps.a_sample_goes_on_after_a_cut,
+    sampling_steps.the_slider_of_a_sample_tells_estimates,
     sampling_steps.an_index_that_grows_is_sampled_again,
     projection_steps.projections_are_the_geometry,
     projection_steps.numbers_of_axes_tell_their_steps,

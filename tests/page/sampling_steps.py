@@ -5,7 +5,7 @@ import tempfile
 
 from playwright.sync_api import expect
 
-from support import MAX_WAIT_S, SPACE, row, running, streams_of, wait_until_drawn
+from support import MAX_WAIT_S, SPACE, row, running, set_slider, streams_of, wait_until_drawn
 
 SHOWN = re.compile(r"shows ([\d,]+) of ([\d,]+) points")
 
@@ -47,6 +47,23 @@ def a_sample_goes_on_after_a_cut(page, programs, pictures):
             assert whole["share"] == 0.25 and before < whole["sent"] < before + 180, (whole, before)
             wait_until_shown(page, whole["sent"], 4400)
             assert asked and all("after=" in it and "share=0.25" in it for it in asked), asked
+
+
+def the_slider_of_a_sample_tells_estimates(page, programs, pictures):
+    """The points of the sample are counted, and those of the index are estimated from them."""
+    with running(programs) as server:
+        server.command("create", "arm", "--space", SPACE)
+        for number in range(4):
+            server.insert("arm", map(row, range(1000 * number, 1000 * number + 1000)))
+        open_sampled(page, server, "arm", 1000)
+        shown = shown_of(page, "arm", 4000, server)
+        expect(page.locator("#revision")).to_contain_text(f"({shown:,} of the sample)")
+        set_slider(page, 2)
+        expect(page.locator("#sampled")).to_contain_text("of about")
+        words = page.locator("#revision").inner_text()
+        about, sampled = (int(it.replace(",", "")) for it in re.search(r"about ([\d,]+) points \(([\d,]+) of the sample\)", words).groups())
+        assert 1600 < about < 2400 and 400 < sampled < 600, words
+        expect(page.locator("#sampled")).to_have_text(f"shows {sampled:,} of about {about:,} points, sampled evenly")
 
 
 def an_index_that_grows_is_sampled_again(page, programs, pictures):

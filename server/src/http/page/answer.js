@@ -2,6 +2,7 @@
 
 import { byId, copyButton, element, setText } from "./dom.js";
 import { count, counted } from "./format.js";
+import { MAX_NEIGHBORS } from "./marks.js";
 import { snippets } from "./snippets.js";
 
 /** Shows an answer of `knn` or `query` to the search `asked`, and the texts of it for programs that reach `server`. */
@@ -19,7 +20,8 @@ export function showAnswer(asked, answer, server) {
   });
   byId("neighbors").replaceChildren(...rows);
   const revision = count(answer.revision.number);
-  setText(byId("answer-about"), `${counted(ids.length, "neighbour")} at revision ${revision}, nearest first.`);
+  const drawn = ids.length > MAX_NEIGHBORS ? ` The nearest ${MAX_NEIGHBORS} are drawn.` : "";
+  setText(byId("answer-about"), `${counted(ids.length, "neighbour")} at revision ${revision}, nearest first.${drawn}`);
   byId("answer").hidden = false;
   showSnippets(asked, server);
 }

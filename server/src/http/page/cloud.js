@@ -131,6 +131,11 @@ export class Cloud {
     return count;
   }
 
+  /** About how many points the whole index had at a revision, of which this may be a sample. */
+  estimateAt(revision) {
+    return this.countAt(revision) / this.share.fraction;
+  }
+
   /** The number of points that were there at a revision and are not drawn, because nothing tells where. */
   lostAt(revision) {
     return revision < this.knownFrom ? 0 : this.lost.after(revision);

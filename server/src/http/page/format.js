@@ -7,6 +7,11 @@ export function count(number) {
   return WHOLE.format(number);
 }
 
+/** An estimate in two digits: about 2,300. */
+export function about(number) {
+  return `about ${count(Number(number.toPrecision(2)))}`;
+}
+
 /** A count with its noun: "1 point", "2 points". */
 export function counted(number, noun) {
   return `${count(number)} ${noun}${Number(number) === 1 ? "" : "s"}`;

@@ -3,7 +3,7 @@
 import { commandForServer } from "./addresses.js";
 import { forget, report } from "./connection.js";
 import { byId, setText } from "./dom.js";
-import { count, counted } from "./format.js";
+import { about, count, counted } from "./format.js";
 import { Layer } from "./layer.js";
 import { listen, newest } from "./overview_feed.js";
 import { categories, onThemeChange } from "./palette.js";
@@ -79,7 +79,7 @@ export class IndexPage {
     parts.picture?.setLayers(drawn);
     parts.view.setLayers(this.#layers, drawn);
     if (drawn.length > 0) parts.view.setSpace(drawn[0].space);
-    parts.probe.setLayers(drawn);
+    parts.probe.setLayers(drawn, this.#layers);
     this.changed();
   }
 
@@ -105,12 +105,13 @@ export class IndexPage {
 
   /** Another revision is shown, or another number of points. */
   describe(revision) {
+    parts.probe.showRevision(parts.timeline.isLive ? 0 : revision);
     const layers = this.drawn.filter(({ cloud }) => cloud.edges);
     const lines = parts.picture?.linesAt(revision);
-    const about = layers.map(sampleOf);
-    if (lines && lines.lines < lines.points) about.push(`draws ${count(lines.lines)} of ${count(lines.points)} points, sampled evenly`);
-    if (!lines) about.push(...edgesAt(layers, revision));
-    setText(byId("sampled"), about.filter(Boolean).join(" · "));
+    const words = layers.map((layer) => sampleOf(layer, revision));
+    if (lines && lines.lines < lines.points) words.push(`draws ${count(lines.lines)} of ${count(lines.points)} points, sampled evenly`);
+    if (!lines) words.push(...edgesAt(layers, revision));
+    setText(byId("sampled"), words.filter(Boolean).join(" · "));
   }
 
   /** After each frame. */
@@ -143,8 +144,9 @@ export class IndexPage {
 }
 
 /** What to say about an index of which only a part is in the picture. */
-function sampleOf({ name, cloud }) {
+function sampleOf({ name, cloud }, revision) {
   if (cloud.length === undefined || cloud.share.isWhole) return "";
+  if (revision < cloud.newest) return `shows ${count(cloud.countAt(revision))} of ${about(cloud.estimateAt(revision))} points, sampled evenly`;
   const all = Number(newest?.indices.find((index) => index.name === name)?.points ?? cloud.total);
   // Between two samples of the overview the picture may be ahead of it.
   return `shows ${count(cloud.alive)} of ${count(Math.max(all, cloud.alive))} points, sampled evenly`;

@@ -3,8 +3,8 @@
 import { onScreen } from "./camera.js";
 import { svg } from "./dom.js";
 
-// More lines than this hide the picture.
-const MAX_LINES = 300;
+/** More neighbours than this hide the picture. */
+export const MAX_NEIGHBORS = 300;
 // A label needs this much room.
 const LABEL = { width: 52, height: 15 };
 
@@ -20,7 +20,7 @@ export function drawMarks(target, { matrix, probe, neighbors, labels, highlight,
     return;
   }
   const ends = neighbors
-    .slice(0, MAX_LINES)
+    .slice(0, MAX_NEIGHBORS)
     .map((place, i) => ({ i, at: onScreen(matrix, place, width, height) }))
     .filter(({ at }) => at);
   // The nearest come last, so that they lie above the others.

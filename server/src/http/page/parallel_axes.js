@@ -1,6 +1,7 @@
 // The parallel axes with their numbers and names, and the lines of the probe and its neighbours above the others.
 
 import { svg } from "./dom.js";
+import { MAX_NEIGHBORS } from "./marks.js";
 import { ticksOf } from "./ticks.js";
 
 // Room for the names above the axes, for numbers beside the outer ones, and for notes below.
@@ -10,7 +11,6 @@ const NARROW_PIXELS = 560;
 // Below this distance of two axes, names are turned and axes have only the numbers of their ends.
 const CLOSE_PIXELS = 74;
 const CHARACTER_PIXELS = 7.5;
-const MAX_LINES = 100;
 const LABEL_PIXELS = 15;
 
 /** The axes of a space on a canvas: where each stands, its range, its name, and its numbers. */
@@ -73,7 +73,7 @@ export function drawParallelMarks(target, layout, { probe, neighbors, labels, hi
     return;
   }
   // The nearest come last, so that they lie above the others.
-  const others = neighbors.slice(0, MAX_LINES).map((row, i) => ({ places: placesOf(row), i })).reverse();
+  const others = neighbors.slice(0, MAX_NEIGHBORS).map((row, i) => ({ places: placesOf(row), i })).reverse();
   const isStrong = ({ i }) => i === highlight;
   const ordered = [...others.filter((one) => !isStrong(one)), ...others.filter(isStrong)];
   const own = placesOf(probe);

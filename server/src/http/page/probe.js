@@ -4,7 +4,7 @@ import { serverForPrograms } from "./addresses.js";
 import { call } from "./api.js";
 import { showAnswer } from "./answer.js";
 import { byId, element, setText } from "./dom.js";
-import { digits, shortened } from "./format.js";
+import { count, digits, shortened } from "./format.js";
 
 // The number of characters for which the list of indices has room.
 const MAX_NAME = 20;
@@ -22,6 +22,13 @@ const FIELDS = {
 /** The form of the probe. */
 export class Probe {
   #layers = [];
+  #all = [];
+  // The index that the form is about, and its space.
+  #uid = "";
+  #space = "";
+  // The revision of the shown answer, and the one that the picture shows; 0 while that is the newest.
+  #answered = 0;
+  #shown = 0;
   // The number of searches so far: a late answer of an older one is dropped.
   #searches = 0;
 
@@ -43,26 +50,35 @@ export class Probe {
     byId("look-at-all").addEventListener("click", () => picture?.lookAtAll());
     byId("neighbors").addEventListener("pointerover", (event) => picture?.setHighlight(event.target.closest("tr")?.sectionRowIndex ?? -1));
     byId("neighbors").addEventListener("pointerleave", () => picture?.setHighlight(-1));
-    byId("probe-index").addEventListener("change", () => this.#showNames());
+    byId("probe-index").addEventListener("change", () => this.#choose());
   }
 
-  /** The indices that can be asked. */
-  setLayers(layers) {
+  /** The indices that can be asked, which are among `all`. */
+  setLayers(layers, all) {
     const select = byId("probe-index");
     const chosen = select.value;
     this.#layers = layers;
+    this.#all = all;
     select.replaceChildren(...layers.map(({ name }) => element("option", { value: name, title: name, text: shortened(name, MAX_NAME) })));
     if (layers.some(({ name }) => name === chosen)) select.value = chosen;
-    else this.clear();
     const isOne = layers.length < 2;
     select.hidden = isOne;
     document.querySelector("label[for=probe-index]").hidden = isOne;
-    this.#showNames();
+    this.#choose();
+  }
+
+  /** The picture shows another revision; 0 is the newest. */
+  showRevision(revision) {
+    this.#shown = revision;
+    const isPast = revision > 0 && revision < this.#answered;
+    byId("answer-past").hidden = !isPast;
+    if (isPast) setText(byId("answer-past"), `The server searches the newest revision; the picture shows revision ${count(revision)}.`);
   }
 
   /** Probes a stored point of the picture. The picture has rounded coordinates, so the exact ones are asked for. */
   async probePoint(layer, slot) {
     byId("probe-index").value = layer.name;
+    this.#choose();
     const id = layer.cloud.idOf(slot);
     let state = [...layer.cloud.stateOf(slot)];
     try {
@@ -79,8 +95,11 @@ export class Probe {
   async run() {
     const search = ++this.#searches;
     this.#fail("");
-    const layer = this.#layers.find(({ name }) => name === byId("probe-index").value);
-    if (!layer) return this.#fail("The page still waits for the server to describe the index. Search again then.");
+    const layer = this.#layer;
+    if (!layer) {
+      const refusal = this.#all.map((one) => one.refusal).find(Boolean);
+      return this.#fail(refusal || "The page still waits for the server to describe the index. Search again then.");
+    }
     const asked = readForm(layer.space, (field, problem) => this.#fail(problem, field));
     if (!asked) return;
     byId("probe-run").disabled = true;
@@ -93,6 +112,8 @@ export class Probe {
       this.picture?.setMarks(asked.state, states, labels);
       this.view.setProbed(asked.state);
       showAnswer({ ...asked, index: layer.name }, answer, server);
+      this.#answered = Number(answer.revision.number);
+      this.showRevision(this.#shown);
     } catch (error) {
       if (search !== this.#searches) return;
       const field = Object.keys(FIELDS).find((name) => error.field?.startsWith(name) || error.message.startsWith(name));
@@ -106,12 +127,18 @@ export class Probe {
   clear() {
     this.#searches += 1;
     this.#fail("");
+    this.#dropAnswer();
+  }
+
+  #dropAnswer() {
     byId("answer").hidden = true;
     this.picture?.setMarks(null);
     this.view.setProbed(null);
   }
 
   #fail(problem, field) {
+    // An older answer is none to this search.
+    if (problem) this.#dropAnswer();
     setText(byId("probe-error"), problem);
     for (const [name, id] of Object.entries(FIELDS)) {
       if (problem && name === field) byId(id).setAttribute("aria-invalid", "true");
@@ -119,10 +146,19 @@ export class Probe {
     }
   }
 
-  #showNames() {
-    const layer = this.#layers.find(({ name }) => name === byId("probe-index").value);
+  get #layer() {
+    return this.#layers.find(({ name }) => name === byId("probe-index").value);
+  }
+
+  // An answer is about one index: another one has others, also if it was made again under the same name.
+  #choose() {
+    const layer = this.#layer;
+    if (layer?.uidOfSpace !== this.#uid) this.clear();
+    this.#uid = layer?.uidOfSpace;
     if (!layer) return;
-    const { factors, names } = layer.space;
+    const { factors, names, text } = layer.space;
+    if (text !== this.#space) byId("probe-state").value = "";
+    this.#space = text;
     setText(byId("probe-names"), names.join(", "));
     byId("probe-state").placeholder = factors.flatMap(({ kind, size }) => (kind === "SO3" ? [0, 0, 0, 1] : Array(size).fill(0))).join(", ");
   }

@@ -2,13 +2,14 @@
 
 import { ALIVE } from "./cloud.js";
 import { byId, setText } from "./dom.js";
-import { count, counted } from "./format.js";
+import { about, count, counted } from "./format.js";
 
 const REPLAY_MS = 10_000;
 
 /** The slider. At its right end it follows the newest revision. */
 export class Timeline {
-  #isLive = true;
+  /** True while the newest revision is shown. */
+  isLive = true;
   #replay = 0;
   // The past that is still to be loaded.
   #queue = [];
@@ -43,7 +44,7 @@ export class Timeline {
 
   /** The revision that the picture shows. */
   get revision() {
-    return this.#isLive ? this.newest : Number(this.slider.value);
+    return this.isLive ? this.newest : Number(this.slider.value);
   }
 
   /** Brings the slider up to date with the points. */
@@ -51,7 +52,7 @@ export class Timeline {
     const { newest, slider } = this;
     this.#loadNext();
     slider.max = newest;
-    if (this.#isLive) slider.value = newest;
+    if (this.isLive) slider.value = newest;
     else if (this.picture) this.picture.revision = Number(slider.value);
     this.#show();
   }
@@ -78,10 +79,10 @@ export class Timeline {
   }
 
   #goTo(revision) {
-    this.#isLive = revision >= this.newest;
+    this.isLive = revision >= this.newest;
     this.slider.value = revision;
     if (this.picture) {
-      this.picture.revision = this.#isLive ? ALIVE - 1 : revision;
+      this.picture.revision = this.isLive ? ALIVE - 1 : revision;
       this.picture.pacer.request(true);
     }
     this.#show();
@@ -91,8 +92,11 @@ export class Timeline {
     const { revision } = this;
     const clouds = this.#clouds();
     const total = (countOf) => clouds.reduce((sum, cloud) => sum + countOf(cloud), 0);
-    const points = counted(total((cloud) => cloud.countAt(revision)), "point");
-    const words = `revision ${count(revision)}: ${points}`;
+    const shown = total((cloud) => cloud.countAt(revision));
+    const points = counted(shown, "point");
+    const isWhole = clouds.every((cloud) => cloud.share.isWhole);
+    const all = isWhole ? points : `${about(total((cloud) => cloud.estimateAt(revision)))} points (${count(shown)} of the sample)`;
+    const words = `revision ${count(revision)}: ${all}`;
     const lost = total((cloud) => cloud.lostAt(revision));
     const notes = [
       lost > 0 && `${count(lost)} not drawn: the log tells only that they were there`,
@@ -104,12 +108,12 @@ export class Timeline {
     setText(byId("count"), points);
     this.slider.setAttribute("aria-valuetext", [words, ...notes].join(", "));
     this.shown();
-    byId("live").setAttribute("aria-pressed", String(this.#isLive));
+    byId("live").setAttribute("aria-pressed", String(this.isLive));
   }
 
   #play() {
     this.#loadPast();
-    const from = this.#isLive ? Number(this.slider.min) : Number(this.slider.value);
+    const from = this.isLive ? Number(this.slider.min) : Number(this.slider.value);
     const whole = Math.max(this.newest - Number(this.slider.min), 1);
     let began = performance.now();
     this.#label("pause", "Pause");
