@@ -203,8 +203,8 @@ function tagRun() {
   return { first, bits: Number(byId("tag-bits").value) };
 }
 
-// A tag has 64 bits, in two halves; beyond them are zeros.
-function bitsOf(low, high, first, bits) {
+/** `bits` bits of a tag from bit `first` on. A tag has 64 bits, in two halves; beyond them are zeros. */
+export function bitsOf(low, high, first, bits) {
   const carried = first > 0 && first < 32 ? high << (32 - first) : 0;
   return (first < 32 ? (low >>> first) | carried : high >>> (first - 32)) & ((1 << bits) - 1);
 }
