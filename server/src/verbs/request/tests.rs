@@ -11,7 +11,10 @@ use crate::{
     log::MemoryLog,
     registry::{Registry, RegistryOptions},
     service::{Call, Code, Limits, Service},
-    verbs::{Target, dispatch},
+    verbs::{
+        Target, dispatch,
+        verb::{IndexVerb, PointVerb},
+    },
 };
 
 #[path = "../../../tests/extremes/mod.rs"]
@@ -19,8 +22,8 @@ mod extremes;
 
 use extremes::{EXTREMES, requests, variants};
 
-/// The verb and the message of each request.
-const VERBS: [(&str, &str); 14] = [
+/// The key and the request message of each verb. The length is that of the lists of all verbs.
+const VERBS: [(&str, &str); PointVerb::ALL.len() + IndexVerb::ALL.len()] = [
     ("server", "GetServerRequest"),
     ("arm/knn", "KnnRequest"),
     ("arm/query", "QueryRequest"),
@@ -30,6 +33,7 @@ const VERBS: [(&str, &str); 14] = [
     ("arm/session", "OpenSessionRequest"),
     ("arm/write", "WriteRequest"),
     ("arm/get", "GetRequest"),
+    ("arm/scan", "ScanRequest"),
     ("arm/info", "GetIndexRequest"),
     ("arm/log", "WatchRequest"),
     ("create", "CreateIndexRequest"),
