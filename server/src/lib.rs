@@ -1,7 +1,7 @@
 //! The Wayfold server: shared nearest-neighbour indices for motion planners.
 //!
-//! Dependencies point one way: `log, watermark ← registry ← identity ← service ← grpc, zenoh, http, snapshots ← run ←
-//! cli`. The [`service`] knows no transport. `grpc`, `zenoh` and `http` translate and hold no policy. The mutation [`log`] is
+//! Dependencies point one way: `log, watermark ← registry ← identity ← service ← grpc, zenoh, http, snapshots ← cluster ←
+//! run ← cli`. The [`service`] knows no transport. `grpc`, `zenoh` and `http` translate and hold no policy. The mutation [`log`] is
 //! the only record of an index's past.
 
 pub mod config;

@@ -1,40 +1,29 @@
-//! The servers that share a journal know each other here: the live members, the owner of each index, and the calls from
-//! server to server.
+//! The servers that share a journal know each other here: the live members, and the owner of each index. The calls from
+//! server to server are made by [`MemberClient`].
 //!
 //! The owner of an index is chosen by rendezvous hashing over the live members. It evaluates the mutations that arrive at
 //! any member, so that writers at several servers do not refuse each other. Nothing depends on it: the journal
 //! accepts only the first of two records, and two servers that both believe to be the owner are only slower.
 
-mod channels;
 mod members;
 
-use std::{
-    net::SocketAddr,
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{net::SocketAddr, sync::Arc, time::Duration};
 
 use bytes::Bytes;
-use futures_util::{StreamExt, future::BoxFuture};
-use http::{HeaderMap, HeaderValue, uri::PathAndQuery};
+use futures_util::future::BoxFuture;
 use thiserror::Error;
 use tokio::{sync::oneshot, time::timeout};
 use tokio_util::task::AbortOnDropHandle;
-use tonic::{Request, client::Grpc, metadata::MetadataMap, transport::Channel};
-use tonic_prost::ProstCodec;
 use tracing::warn;
 
-use self::{
-    channels::{Channels, Raw, refusal},
-    members::Members,
-};
+use self::members::Members;
 use crate::{
     config::{ClusterConfig, OFF, TlsConfig},
-    grpc::IDENTITY,
+    grpc::MemberClient,
     log::Uid,
     service::{
-        COPY, Call, CopyPart, CopyParts, CopyRequest, NotForwarded, Owners, Peers, STORED, Service,
-        StoredRequest, StoredResponse, Unanswered,
+        Call, CopyParts, CopyRequest, NotForwarded, Owners, Peers, Service, StoredRequest,
+        StoredResponse, Unanswered,
     },
 };
 
@@ -81,7 +70,7 @@ pub(crate) fn advertised(
 /// This server among the members of its cluster.
 pub(crate) struct Cluster {
     members: Members,
-    channels: Channels,
+    client: MemberClient,
 }
 
 impl Cluster {
@@ -96,7 +85,7 @@ impl Cluster {
         let subject = format!("{}.members", config.name);
         Self {
             members: Members::join(nats, subject, own),
-            channels: Channels::new(config.peer_ca(), tls),
+            client: MemberClient::new(config.peer_ca(), tls),
         }
     }
 
@@ -120,53 +109,6 @@ impl Cluster {
     /// Tells the others that this server is about to stop, so that they do not forward to it any more.
     pub(crate) async fn leave(&self) {
         self.members.leave().await;
-    }
-
-    async fn send(
-        &self,
-        member: &str,
-        rpc: &'static str,
-        call: &Call,
-        request: Bytes,
-    ) -> Result<Bytes, NotForwarded> {
-        let mut channel = self.channels.get(member).await?;
-        let mut headers = HeaderMap::new();
-        let unsent = |_| NotForwarded::Unsent;
-        if let Some(name) = call.caller.name() {
-            headers.insert(IDENTITY, HeaderValue::from_str(name).map_err(unsent)?);
-        }
-        if let Some(trace) = &call.trace {
-            headers.insert("traceparent", HeaderValue::from_str(trace).map_err(unsent)?);
-        }
-        let metadata = MetadataMap::from_headers(headers);
-        let mut request = Request::from_parts(metadata, Default::default(), request);
-        if let Some(deadline) = call.deadline {
-            request.set_timeout(deadline.saturating_duration_since(Instant::now()));
-        }
-        let answered = match channel.ready().await {
-            Ok(()) => {
-                let answer = channel.unary(request, PathAndQuery::from_static(rpc), Raw);
-                answer.await.map_err(|status| refusal(member, &status))
-            }
-            Err(_) => Err(NotForwarded::Unsent),
-        };
-        let is_late = call.deadline.is_some_and(|it| it <= Instant::now());
-        if let Err(why) = &answered {
-            self.channels.note(member, why, is_late);
-        }
-        Ok(answered?.into_inner())
-    }
-}
-
-impl Cluster {
-    /// The connection to a member, for a call that only members send.
-    async fn channel(&self, member: &str) -> Result<Grpc<Channel>, Unanswered> {
-        let channel = self.channels.get(member).await;
-        let mut channel = channel.map_err(|_| Unanswered {
-            what: "it cannot be reached".into(),
-        })?;
-        channel.ready().await.map_err(unanswered)?;
-        Ok(channel)
     }
 }
 
@@ -192,9 +134,9 @@ impl Owners for Cluster {
     ) -> BoxFuture<'a, Result<Bytes, NotForwarded>> {
         Box::pin(async move {
             tokio::select! {
-                answered = self.send(owner, rpc, call, request) => answered,
+                answered = self.client.forward(owner, rpc, call, request) => answered,
                 () = self.members.departure(owner) => {
-                    self.channels.forget(owner);
+                    self.client.forget(owner);
                     Err(NotForwarded::Unknown { what: "it left the cluster".into() })
                 }
             }
@@ -220,13 +162,7 @@ impl Peers for Cluster {
         member: &'a str,
         request: StoredRequest,
     ) -> BoxFuture<'a, Result<StoredResponse, Unanswered>> {
-        Box::pin(async move {
-            let mut channel = self.channel(member).await?;
-            let codec = ProstCodec::<StoredRequest, StoredResponse>::default();
-            let path = PathAndQuery::from_static(STORED);
-            let answer = channel.unary(Request::new(request), path, codec).await;
-            Ok(answer.map_err(unanswered)?.into_inner())
-        })
+        Box::pin(self.client.stored(member, request))
     }
 
     fn copy<'a>(
@@ -234,19 +170,6 @@ impl Peers for Cluster {
         member: &'a str,
         request: CopyRequest,
     ) -> BoxFuture<'a, Result<CopyParts, Unanswered>> {
-        Box::pin(async move {
-            let mut channel = self.channel(member).await?;
-            let codec = ProstCodec::<CopyRequest, CopyPart>::default();
-            let path = PathAndQuery::from_static(COPY);
-            let answer = channel.server_streaming(Request::new(request), path, codec);
-            let parts = answer.await.map_err(unanswered)?.into_inner();
-            Ok(parts.map(|part| part.map_err(unanswered)).boxed())
-        })
-    }
-}
-
-fn unanswered(error: impl std::error::Error) -> Unanswered {
-    Unanswered {
-        what: error.to_string(),
+        Box::pin(self.client.copy(member, request))
     }
 }

@@ -75,7 +75,7 @@ pub(super) fn flow_of<T>(request: &tonic::Request<T>) -> Option<Arc<Flow>> {
 }
 
 /// The header by which a member of the cluster names the identity of the caller whose call it forwards.
-pub(crate) const IDENTITY: &str = "wayfold-identity";
+pub(super) const IDENTITY: &str = "wayfold-identity";
 
 /// The callers of a listener.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

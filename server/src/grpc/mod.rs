@@ -1,4 +1,5 @@
-//! The gRPC face: translates `wayfold.v1` to calls of the service and holds no policy of its own.
+//! The gRPC face: translates `wayfold.v1` to calls of the service and holds no policy of its own. The client of the other
+//! members of a cluster is here too.
 
 mod body;
 mod calls;
@@ -8,6 +9,7 @@ mod deadline;
 mod health;
 mod in_process;
 mod index_service;
+mod member_client;
 mod member_service;
 mod point_service;
 mod refusals;
@@ -30,11 +32,12 @@ use tonic_health::pb::health_server::HealthServer;
 use wayfold_proto::v1::{self, index_service_server::IndexServiceServer};
 
 use calls::CallsLayer;
-pub(crate) use calls::{Callers, IDENTITY, token};
+pub(crate) use calls::{Callers, token};
 use connections::Connections;
 use health::HealthFace;
 pub use in_process::InProcess;
 use index_service::IndexFace;
+pub(crate) use member_client::MemberClient;
 use member_service::MemberFace;
 use point_service::{PointFace, TolerantPointServer};
 use stream_knn::KnnStreams;

@@ -1,4 +1,5 @@
-//! A status as a message, with details of google.rpc.
+//! A status as a message, with details of google.rpc. `tonic_types` has these as messages without a transport, and all faces
+//! send them.
 
 use prost::Message;
 use prost_types::Any;
