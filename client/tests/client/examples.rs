@@ -6,10 +6,16 @@
 mod hello;
 #[path = "../../examples/rrt.rs"]
 mod rrt;
+#[path = "../../examples/shared.rs"]
+mod shared;
 #[path = "../../examples/shared_prm.rs"]
 mod shared_prm;
 #[path = "../../examples/watch.rs"]
 mod watch;
+
+use std::thread;
+
+use wayfold::Index;
 
 use crate::server::Server;
 
@@ -73,6 +79,36 @@ async fn workers_of_shared_prm_connect_all_milestones() {
         open.extend(later.map(|(&later, _)| later));
     }
     assert!(reached.iter().all(|reached| *reached));
+}
+
+/// If two milestones are within the radius of each other, the later one has an edge to the earlier one.
+#[test]
+fn processes_of_shared_miss_no_edge_and_find_none_twice() {
+    let server = Server::start();
+    let work = &|seed| shared::shared(&server.uri, seed).map_err(|error| error.to_string());
+    let parts = thread::scope(|scope| {
+        let workers = [1, 2].map(|seed| scope.spawn(move || work(seed)));
+        workers.map(|worker| worker.join().unwrap().unwrap())
+    });
+    let pair = |a: u64, b: u64| [a.min(b), a.max(b)];
+    let mut edges = Vec::new();
+    for (id, earlier) in parts.iter().flatten() {
+        edges.extend(earlier.iter().map(|earlier| pair(*id, *earlier)));
+    }
+    edges.sort_unstable();
+
+    let index = Index::shared(&server.uri, "roadmap").open().unwrap();
+    let points: Result<Vec<_>, _> = index.scan().unwrap().collect();
+    let points = points.unwrap();
+    assert_eq!(points.len(), 400);
+    let is_near = |a: &[f64], b: &[f64]| (a[0] - b[0]).hypot(a[1] - b[1]) <= 1.0;
+    let mut expected = Vec::new();
+    for (i, a) in points.iter().enumerate() {
+        let near = points[..i].iter().filter(|b| is_near(&a.state, &b.state));
+        expected.extend(near.map(|b| pair(a.id, b.id)));
+    }
+    expected.sort_unstable();
+    assert_eq!(edges, expected);
 }
 
 #[tokio::test]
