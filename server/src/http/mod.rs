@@ -115,7 +115,8 @@ async fn metrics(Of(pages): Of<Arc<Pages>>, request: Parts) -> Response {
         return refusal(&status::from_error(&Error::Denied { why }));
     }
     if !caller.oversees() {
-        let why = "the metrics name all indices, and the identity may see only some of them\n";
+        let why =
+            "the metrics name all indices: the identity needs metrics = true, or the pattern *\n";
         return (StatusCode::FORBIDDEN, why).into_response();
     }
     match metrics_text(&pages.shared).await {

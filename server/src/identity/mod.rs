@@ -46,6 +46,7 @@ pub struct Identity {
     name: String,
     role: Role,
     indexes: Vec<Pattern>,
+    reads_metrics: bool,
     expires: Option<SystemTime>,
     max_calls: Option<usize>,
     max_indexes: Option<usize>,
@@ -191,13 +192,13 @@ impl Caller {
         }
     }
 
-    /// True if the caller may know of all indices: it is limited to none of them, or has rights on none and only watches
-    /// the server.
+    /// True if the caller may read the metrics, which name all indices: its identity has that right, or the pattern of all
+    /// indices.
     pub(crate) fn oversees(&self) -> bool {
         let Some(identity) = self.identity() else {
             return matches!(self, Caller::Anyone);
         };
-        identity.indexes.is_empty() || identity.indexes.iter().any(|it| it.0 == "*")
+        identity.reads_metrics || identity.indexes.iter().any(|it| it.0 == "*")
     }
 
     /// True if the caller has rights on an index of this name.

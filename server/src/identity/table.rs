@@ -62,6 +62,8 @@ struct Entry {
     name: String,
     role: Role,
     indexes: Vec<String>,
+    #[serde(default)]
+    metrics: bool,
     token_sha256: Option<String>,
     certificate: Option<String>,
     expires: Option<String>,
@@ -108,6 +110,7 @@ impl Table {
             name: entry.name.clone(),
             role: entry.role,
             indexes: entry.indexes.iter().cloned().map(Pattern).collect(),
+            reads_metrics: entry.metrics,
             expires,
             max_calls: entry.max_calls,
             max_indexes: entry.max_indexes,

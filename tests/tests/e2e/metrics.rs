@@ -233,9 +233,12 @@ fn probes_answer_everyone_and_metrics_those_with_an_identity() {
     // The SHA-256 of "password".
     let digest = "5e884898da28047151d0e56f8dc6292773603d0d6aabbdd62a11ef721d1542d8";
     let of_cell = "39d02b42938b2b75d027ebeb25c9d1fd0b71b6e0453e217a2e85cedc7e4637b4";
+    let of_nothing = "1785cfc3bc6ac7738e8b38cdccd1af12563c2b9070e07af336a1bf8c0f772b6a";
     let entry = format!(
-        "[[identity]]\nname = \"prometheus\"\nrole = \"read\"\nindexes = []\ntoken_sha256 = \"{digest}\"\n\
-         [[identity]]\nname = \"cell\"\nrole = \"admin\"\nindexes = [\"cell-*\"]\ntoken_sha256 = \"{of_cell}\"\n"
+        "[[identity]]\nname = \"prometheus\"\nrole = \"read\"\nindexes = []\nmetrics = true\n\
+         token_sha256 = \"{digest}\"\n\
+         [[identity]]\nname = \"cell\"\nrole = \"admin\"\nindexes = [\"cell-*\"]\ntoken_sha256 = \"{of_cell}\"\n\
+         [[identity]]\nname = \"nothing\"\nrole = \"read\"\nindexes = []\ntoken_sha256 = \"{of_nothing}\"\n"
     );
     fs::write(file.path(), entry).unwrap();
     let mut settings = tempfile::NamedTempFile::new().unwrap();
@@ -263,6 +266,12 @@ fn probes_answer_everyone_and_metrics_those_with_an_identity() {
             "Authorization: Bearer cell\r\n",
             403,
             "name all indices",
+        ),
+        (
+            "/metrics",
+            "Authorization: Bearer nothing\r\n",
+            403,
+            "metrics = true",
         ),
         ("/", "", 200, "<title>Wayfold</title>"),
         ("/other", "", 404, ""),

@@ -45,10 +45,12 @@ struct CreateArgs {
     /// The rights: read; write, which includes read; admin, which includes both
     #[arg(long, value_enum)]
     role: Role,
-    /// The indices by name; * stands for any characters. Give it again for more; without it there are none, as for
-    /// /metrics
+    /// The indices by name; * stands for any characters. Give it again for more; without it there are none
     #[arg(long = "index", value_name = "PATTERN")]
     indexes: Vec<String>,
+    /// It may read /metrics, which names all indices
+    #[arg(long)]
+    metrics: bool,
     /// The end of its rights: 2027-01-31T00:00:00Z
     #[arg(long, value_name = "TIME")]
     expires: Option<String>,
@@ -115,6 +117,9 @@ fn entry(args: &CreateArgs, token: &str) -> String {
         indexes.join(", "),
         hex(&Sha256::digest(token))
     );
+    if args.metrics {
+        entry += "metrics = true\n";
+    }
     if let Some(expires) = &args.expires {
         // Writing to a string does not fail.
         let _ = writeln!(entry, "expires = {}", text(expires));

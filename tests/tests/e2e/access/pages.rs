@@ -63,13 +63,13 @@ async fn a_certificate_has_its_rights_on_the_pages() {
     ] {
         authority.certify(name);
     }
-    let entry = |name: &str, indexes: &str| {
+    let entry = |name: &str, indexes: &str, metrics: bool| {
         format!(
-            "[[identity]]\nname = \"{name}\"\nrole = \"read\"\nindexes = [{indexes}]\n\
+            "[[identity]]\nname = \"{name}\"\nrole = \"read\"\nindexes = [{indexes}]\nmetrics = {metrics}\n\
              certificate = \"{name}.example\"\n"
         )
     };
-    let entries = entry("prometheus", "") + &entry("cell", "\"cell-*\"");
+    let entries = entry("prometheus", "", true) + &entry("cell", "\"cell-*\"", false);
     fs::write(authority.file("identities", "toml"), entries).unwrap();
     let mut server = authority.command();
     let server = server.args(["--http", BEYOND]);
