@@ -84,16 +84,23 @@ pub(crate) async fn serve(
     let (data, min_free_bytes) = (config.data.directory(), config.disk.min_free_bytes);
     let schedule = Schedule::open(&config.snapshot, data, min_free_bytes)?;
     let publishes = !identities.are_required() || config.access.publish_events == ON;
-    let _following = AbortOnDropHandle::new(tokio::spawn(identities.clone().follow()));
-    let certificates = tls.clone().into_iter().chain(member_tls.clone());
-    let _renewing = certificates
-        .map(|tls| AbortOnDropHandle::new(tokio::spawn(tls.follow())))
-        .collect::<Vec<_>>();
     let durability = config.data.directory().map(|_| config.data.durability);
     let service = Service::starting_durable(config.limits.clone(), durability);
     let lifecycle = Lifecycle::starting();
     let shared = Shared::new(&config, service.clone(), identities);
     let metrics = shared.metrics.clone();
+    let following = shared.identities.clone();
+    let following = following.follow(metrics.wrong_file("identities"));
+    let _following = AbortOnDropHandle::new(tokio::spawn(following));
+    let of_clients = tls.clone().map(|tls| (tls, "certificates"));
+    let of_members = member_tls.clone().map(|tls| (tls, "peer_certificates"));
+    let _renewing = of_clients
+        .into_iter()
+        .chain(of_members)
+        .map(|(tls, file)| {
+            AbortOnDropHandle::new(tokio::spawn(tls.follow(metrics.wrong_file(file))))
+        })
+        .collect::<Vec<_>>();
     let under_way = TaskTracker::new();
     let _reporting = AbortOnDropHandle::new(tokio::spawn(shared.admission.clone().report()));
     let cut = CancellationToken::new();

@@ -10,6 +10,7 @@ use std::{
 };
 
 use parking_lot::RwLock;
+use prometheus_client::metrics::gauge::Gauge;
 use thiserror::Error;
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
@@ -150,8 +151,9 @@ impl Tls {
         })
     }
 
-    /// Reads the certificates again whenever their files change. Files that are wrong change nothing.
-    pub(crate) async fn follow(self) {
+    /// Reads the certificates again whenever their files change. Files that are wrong change nothing but
+    /// the gauge.
+    pub(crate) async fn follow(self, is_wrong: Gauge) {
         let mut known = self.first;
         let mut looks = interval(LOOK_INTERVAL);
         loop {
@@ -161,7 +163,9 @@ impl Tls {
                 continue;
             }
             known = now;
-            match self.files.read() {
+            let read = self.files.read();
+            is_wrong.set(read.is_err().into());
+            match read {
                 Ok(acceptor) => {
                     *self.acceptor.write() = acceptor;
                     info!("certificates read");

@@ -8,6 +8,7 @@ use std::{
 };
 
 use parking_lot::RwLock;
+use prometheus_client::metrics::gauge::Gauge;
 use tokio::time::interval;
 use tracing::{error, info};
 
@@ -87,8 +88,8 @@ impl Identities {
         }
     }
 
-    /// Reads the file again whenever it changes. A file that is wrong changes nothing.
-    pub(crate) async fn follow(self) {
+    /// Reads the file again whenever it changes. A file that is wrong changes nothing but the gauge.
+    pub(crate) async fn follow(self, is_wrong: Gauge) {
         let Some(source) = self.source else {
             return;
         };
@@ -99,22 +100,20 @@ impl Identities {
             let now = Stamp::of(&source.file);
             if now != known {
                 known = now;
-                source.read_again();
+                is_wrong.set(source.read_again().is_err().into());
             }
         }
     }
 }
 
 impl Source {
-    fn read_again(&self) {
-        match Table::read(&self.file) {
-            Ok(table) => {
-                let mut current = self.table.write();
-                let table = table.succeed(&current);
-                info!(file = %self.file.display(), identities = table.len(), "identities read");
-                *current = table;
-            }
-            Err(error) => error!(%error, "the identities stay as they were"),
-        }
+    fn read_again(&self) -> Result<(), TableError> {
+        let read = Table::read(&self.file);
+        let table = read.inspect_err(|error| error!(%error, "the identities stay as they were"))?;
+        let mut current = self.table.write();
+        let table = table.succeed(&current);
+        info!(file = %self.file.display(), identities = table.len(), "identities read");
+        *current = table;
+        Ok(())
     }
 }

@@ -11,7 +11,7 @@ use parking_lot::Mutex;
 use prometheus_client::{
     collector::Collector,
     encoding::{EncodeLabelSet, text},
-    metrics::{counter::Counter, family::Family, histogram::Histogram},
+    metrics::{counter::Counter, family::Family, gauge::Gauge, histogram::Histogram},
     registry::{Registry, Unit},
 };
 
@@ -49,6 +49,9 @@ type SnapshotLabels = [(&'static str, &'static str); 1];
 const WRITTEN: SnapshotLabels = [("outcome", "written")];
 const FAILED: SnapshotLabels = [("outcome", "failed")];
 
+/// A file that the server reads again when it changes.
+type FileLabels = [(&'static str, &'static str); 1];
+
 /// The metrics of a server. Clones share them.
 #[derive(Clone, Debug)]
 pub(crate) struct Metrics(Arc<Inner>);
@@ -63,6 +66,7 @@ struct Inner {
     by_index: Mutex<HashMap<Arc<str>, IndexSeries>>,
     queued: Family<FaceLabels, Histogram, fn() -> Histogram>,
     snapshots: Family<SnapshotLabels, Counter>,
+    wrong_files: Family<FileLabels, Gauge>,
     no_index: Arc<str>,
 }
 
@@ -112,6 +116,12 @@ impl Metrics {
             "Snapshots that the server took by its schedule, by outcome",
             snapshots.clone(),
         );
+        let wrong_files = Family::default();
+        registry.register(
+            "files_wrong",
+            "1 while a file is wrong or missing, and the server goes on with its former content",
+            wrong_files.clone(),
+        );
         Self(Arc::new(Inner {
             are_read,
             registry: Mutex::new(registry),
@@ -119,6 +129,7 @@ impl Metrics {
             by_index: Mutex::default(),
             queued,
             snapshots,
+            wrong_files,
             no_index: "".into(),
         }))
     }
@@ -150,6 +161,11 @@ impl Metrics {
     pub(crate) fn count_snapshot(&self, is_written: bool) {
         let outcome = if is_written { WRITTEN } else { FAILED };
         self.0.snapshots.get_or_create(&outcome).inc();
+    }
+
+    /// The gauge of a file: 1 while it is wrong.
+    pub(crate) fn wrong_file(&self, file: &'static str) -> Gauge {
+        self.0.wrong_files.get_or_create_owned(&[("file", file)])
     }
 
     pub(super) fn count(&self, ended: &Ended<'_>) {

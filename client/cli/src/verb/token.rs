@@ -7,9 +7,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use clap::{Subcommand, ValueEnum};
+use clap::{Subcommand, ValueEnum, builder::NonEmptyStringValueParser};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
+use time::{OffsetDateTime, format_description::well_known::Rfc3339};
 
 use crate::{
     failure::Failure,
@@ -41,6 +42,7 @@ enum TokenCommand {
 #[derive(Debug, clap::Args)]
 struct CreateArgs {
     /// The name of the identity, which log lines show
+    #[arg(value_parser = NonEmptyStringValueParser::new())]
     name: String,
     /// The rights: read; write, which includes read; admin, which includes both
     #[arg(long, value_enum)]
@@ -52,7 +54,7 @@ struct CreateArgs {
     #[arg(long)]
     metrics: bool,
     /// The end of its rights: 2027-01-31T00:00:00Z
-    #[arg(long, value_name = "TIME")]
+    #[arg(long, value_name = "TIME", value_parser = expiry)]
     expires: Option<String>,
     /// Write the token to a new file that only its owner can read
     #[arg(long, value_name = "FILE")]
@@ -125,6 +127,16 @@ fn entry(args: &CreateArgs, token: &str) -> String {
         let _ = writeln!(entry, "expires = {}", text(expires));
     }
     entry
+}
+
+/// A time that the server can read, and that has not come yet.
+fn expiry(text: &str) -> Result<String, &'static str> {
+    let time = OffsetDateTime::parse(text, &Rfc3339)
+        .map_err(|_| "it is no time such as 2027-01-31T00:00:00Z")?;
+    match time > OffsetDateTime::now_utc() {
+        true => Ok(text.to_owned()),
+        false => Err("it is past"),
+    }
 }
 
 fn hex(bytes: &[u8]) -> String {

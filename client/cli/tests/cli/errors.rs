@@ -26,6 +26,25 @@ fn wrong_usage_is_status_2() {
         &["scan", "arm", "a.npy"],
         &["list", "--timeout", "5"],
         &["list", "--output", "xml"],
+        &["token", "create", "", "--role", "read"],
+        &[
+            "token",
+            "create",
+            "x",
+            "--role",
+            "read",
+            "--expires",
+            "soon",
+        ],
+        &[
+            "token",
+            "create",
+            "x",
+            "--role",
+            "read",
+            "--expires",
+            "2001-01-01T00:00:00Z",
+        ],
     ] {
         run_alone(args).error(2);
     }

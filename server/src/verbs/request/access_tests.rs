@@ -64,7 +64,7 @@ async fn every_key_refuses_every_wrong_caller() {
     let revoked = identities.caller(Some(b"revoked"), None);
     assert_eq!(revoked.check(), Ok(()));
     fs::write(file.path(), self::identities(&[])).unwrap();
-    let following = tokio::spawn(identities.clone().follow());
+    let following = tokio::spawn(identities.clone().follow(Default::default()));
     while revoked.check().is_ok() {
         tokio::time::advance(Duration::from_secs(1)).await;
     }

@@ -13,7 +13,7 @@ use tokio_rustls::{
         pki_types::{CertificateDer, PrivateKeyDer, pem::PemObject},
     },
 };
-use wayfold_tests::{Process, ServerProcess};
+use wayfold_tests::{Process, ServerProcess, page};
 
 use super::{Authority, BEYOND};
 
@@ -49,6 +49,34 @@ async fn ask(
     let _ = stream.read_to_string(&mut answer).await;
     let (head, body) = answer.split_once("\r\n\r\n").expect("an answer");
     (head.lines().next().unwrap().to_owned(), body.to_owned())
+}
+
+#[test]
+fn files_that_became_wrong_are_a_metric() {
+    let directory = tempfile::tempdir().unwrap();
+    let authority = Authority::new(directory.path());
+    authority.certify("server");
+    let token = authority.token("prometheus", "read", "*");
+    let mut server = authority.command();
+    let server = server.args(["--http", "127.0.0.1:0"]);
+    let mut server = ServerProcess::ready(Process::spawn(server));
+    let address = server.pages();
+    let header = format!("Authorization: Bearer {token}\r\n");
+    for (label, file) in [
+        ("identities", authority.file("identities", "toml")),
+        ("certificates", authority.file("server", "pem")),
+    ] {
+        let says = |figure: u8| {
+            let line = format!("wayfold_files_wrong{{file=\"{label}\"}} {figure}\n");
+            page(&address, "/metrics", &header).1.contains(&line)
+        };
+        assert!(says(0));
+        let content = fs::read(&file).unwrap();
+        fs::remove_file(&file).unwrap();
+        while !says(1) {}
+        fs::write(&file, content).unwrap();
+        while !says(0) {}
+    }
 }
 
 #[tokio::test]
