@@ -32,6 +32,14 @@ pub enum Error {
         /// The error that the transport reported.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
+    /// The server and the client did not accept each other's certificates, or the server speaks no TLS. No retry follows.
+    #[error("the TLS handshake with {uri} failed: {problem}")]
+    Handshake {
+        /// The server's address.
+        uri: String,
+        /// The problem.
+        problem: String,
+    },
     /// No answer arrived in time. The effect of a mutation is unknown; the same call again, with the same operation
     /// id, takes effect once.
     #[error("{call}: no answer within {timeout:?}{}", earlier_attempt(earlier.as_deref()))]
@@ -182,7 +190,7 @@ impl Error {
             Error::Closed | Error::Forked | Error::OtherSpace { .. } => Code::FailedPrecondition,
             Error::Thread { .. } => Code::Unavailable,
             Error::SearchTimeout => Code::DeadlineExceeded,
-            Error::Connection { .. } => Code::Unavailable,
+            Error::Connection { .. } | Error::Handshake { .. } => Code::Unavailable,
             Error::Ended { why } => why.code(),
             Error::Timeout { .. } => Code::DeadlineExceeded,
             Error::Refused(refusal) => refusal.code,

@@ -1,7 +1,15 @@
 //! The options that show the server who calls.
 
-use std::{fs, path::PathBuf};
+use std::{
+    fmt, fs,
+    path::{Path, PathBuf},
+};
 
+use tokio_rustls::rustls::{
+    crypto::ring,
+    pki_types::{CertificateDer, PrivateKeyDer, pem::PemObject},
+    sign::CertifiedKey,
+};
 use wayfold::Credentials;
 
 use crate::failure::Failure;
@@ -60,12 +68,15 @@ impl ConnectionArgs {
     pub(super) fn credentials(&self) -> Result<Credentials, Failure> {
         let mut credentials = Credentials::new();
         if let Some(ca) = &self.ca {
-            credentials = credentials.ca_certificate(read("--ca", ca)?);
+            let pem = read("--ca", ca)?;
+            certificates("--ca", ca, &pem)?;
+            credentials = credentials.ca_certificate(pem);
         }
         match (&self.cert, &self.key) {
             (Some(cert), Some(key)) => {
-                let (cert, key) = (read("--cert", cert)?, read("--key", key)?);
-                credentials = credentials.client_certificate(cert, key);
+                let (chain, secret) = (read("--cert", cert)?, read("--key", key)?);
+                check_pair((cert, &chain), (key, &secret))?;
+                credentials = credentials.client_certificate(chain, secret);
             }
             (None, None) => {}
             _ => return Err(Failure::HalfCertificate),
@@ -82,6 +93,39 @@ impl ConnectionArgs {
             Some(token) => credentials.token(token),
             None => credentials,
         })
+    }
+}
+
+fn certificates(
+    option: &'static str,
+    file: &Path,
+    pem: &[u8],
+) -> Result<Vec<CertificateDer<'static>>, Failure> {
+    let read: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(pem).collect();
+    match read {
+        Ok(read) if read.is_empty() => Err(wrong(option, file)("it has no certificate in PEM")),
+        read => read.map_err(wrong(option, file)),
+    }
+}
+
+/// Refuses a private key that is none, or not that of the certificate.
+fn check_pair(cert: (&Path, &[u8]), key: (&Path, &[u8])) -> Result<(), Failure> {
+    let chain = certificates("--cert", cert.0, cert.1)?;
+    let secret = PrivateKeyDer::from_pem_slice(key.1)
+        .map_err(|_| wrong("--key", key.0)("it has no private key in PEM"))?;
+    let fits = CertifiedKey::from_der(chain, secret, &ring::default_provider());
+    let fits = fits.map_err(|error| {
+        let problem = format!("it does not fit --cert {}: {error}", cert.0.display());
+        wrong("--key", key.0)(problem)
+    });
+    fits.map(drop)
+}
+
+fn wrong<E: fmt::Display>(option: &'static str, file: &Path) -> impl Fn(E) -> Failure {
+    move |problem| Failure::WrongCredential {
+        option,
+        path: file.to_owned(),
+        problem: problem.to_string(),
     }
 }
 

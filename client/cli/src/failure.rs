@@ -53,6 +53,16 @@ pub(super) enum Failure {
         path: PathBuf,
         source: io::Error,
     },
+    #[error("{option}: {}: {problem}", path.display())]
+    WrongCredential {
+        option: &'static str,
+        path: PathBuf,
+        problem: String,
+    },
+    #[error(
+        "{source}: --ca is for the authority of the server, --cert and --key are for this client"
+    )]
+    Handshake { source: Error },
     #[error("--cert and --key are given together: a certificate needs its private key")]
     HalfCertificate,
     #[error("the system gives no random numbers: {0}")]
@@ -95,6 +105,7 @@ impl Failure {
                 problem: root_cause(source.as_ref()),
                 timeout,
             },
+            Failure::Client(source @ Error::Handshake { .. }) => Failure::Handshake { source },
             Failure::Client(source)
                 if matches!(source.code(), Code::Unavailable | Code::DeadlineExceeded) =>
             {
@@ -119,6 +130,7 @@ impl Failure {
             }
             Failure::Client(Error::Address { .. })
             | Failure::Credential { .. }
+            | Failure::WrongCredential { .. }
             | Failure::HalfCertificate
             | Failure::NoServer
             | Failure::Terminal => Status::Usage,
@@ -135,6 +147,7 @@ impl Failure {
             | Failure::Snapshot { .. }
             | Failure::Reset { .. }
             | Failure::Random(_)
+            | Failure::Handshake { .. }
             | Failure::Runtime(_)
             | Failure::Replaceable { .. } => Status::Failed,
         }

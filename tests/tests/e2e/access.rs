@@ -1,6 +1,7 @@
 //! A server with TLS and identities: certificates that are renewed under load, and callers with and without rights.
 
 pub(crate) mod authority;
+mod command_line;
 mod over_zenoh;
 mod pages;
 
@@ -20,7 +21,7 @@ use tokio_rustls::{
 use wayfold::{Client, Code, Credentials, RetryPolicy, Space};
 use wayfold_tests::{Process, ServerProcess, Signal};
 
-use authority::{Authority, wayfold};
+use authority::Authority;
 
 /// The server takes this address for one beyond this machine, and only this machine reaches it.
 const BEYOND: &str = "[::ffff:127.0.0.1]:0";
@@ -272,67 +273,6 @@ async fn an_identity_has_its_quotas() {
     drop(second);
     // The server learns of the end of a stream after the client.
     while index.info().await.is_err() {}
-}
-
-#[test]
-fn the_command_line_takes_certificates_and_tokens_and_says_what_is_wrong() {
-    let directory = tempfile::tempdir().unwrap();
-    let authority = Authority::new(directory.path());
-    authority.certify("server");
-    authority.token("cell", "admin", "cell-*");
-    let server = ServerProcess::ready(Process::spawn(&mut authority.command()));
-    let uri = server.uri().to_owned();
-    let ca = authority.file("ca", "pem");
-    let token = authority.file("cell", "token");
-    let (ca, token) = (ca.to_str().unwrap(), token.to_str().unwrap());
-    let known = ["--server", &uri, "--ca", ca, "--token-file", token];
-    let run = |options: &[&str], command: &[&str]| wayfold(&[options, command].concat());
-    let created = run(&known, &["create", "cell-1", "--space", "R1"]);
-    assert!(created.status.success(), "{}", created.stderr);
-    for (options, command, status, part) in [
-        (
-            &known[..],
-            &["create", "arm", "--space", "R1"][..],
-            3,
-            "no rights on the index",
-        ),
-        (
-            &known[..4],
-            &["info", "cell-1"],
-            3,
-            "neither a token nor a client certificate",
-        ),
-        (
-            &known[..2],
-            &["info", "cell-1"],
-            2,
-            "https needs the certificate",
-        ),
-        (
-            &["--ca", "missing.pem"],
-            &["list"],
-            2,
-            "--ca: cannot read missing.pem",
-        ),
-        (&["--cert", ca], &["list"], 2, "--cert and --key"),
-    ] {
-        let refused = run(options, command);
-        assert_eq!(refused.status.code(), Some(status), "{}", refused.stderr);
-        assert!(refused.stderr.contains(part), "{}", refused.stderr);
-    }
-    // A token is written once, where no one else reads it.
-    let again = [
-        "token", "create", "x", "--role", "read", "--index", "*", "--to", token,
-    ];
-    assert!(wayfold(&again).stderr.contains("File exists"));
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        assert_eq!(
-            fs::metadata(token).unwrap().permissions().mode() & 0o777,
-            0o600
-        );
-    }
 }
 
 #[test]

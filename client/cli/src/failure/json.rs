@@ -102,12 +102,15 @@ fn code_and_reason(failure: &Failure) -> (&str, &str) {
     match failure {
         Failure::Client(source)
         | Failure::Replaceable { source }
+        | Failure::Handshake { source }
         | Failure::Late { source, .. } => of_client(source),
         Failure::Stopped { source, .. } => code_and_reason(source),
         Failure::Load(error) => error.code_and_reason(),
         Failure::Input(_) => ("INVALID_ARGUMENT", "INPUT"),
         Failure::Snapshot { .. } => ("INVALID_ARGUMENT", "SNAPSHOT"),
-        Failure::Credential { .. } => ("INVALID_ARGUMENT", "CREDENTIAL"),
+        Failure::Credential { .. } | Failure::WrongCredential { .. } => {
+            ("INVALID_ARGUMENT", "CREDENTIAL")
+        }
         Failure::HalfCertificate | Failure::NoServer => ("INVALID_ARGUMENT", "USAGE"),
         Failure::Random(_) => ("UNAVAILABLE", "RANDOM"),
         Failure::Terminal => ("INVALID_ARGUMENT", "TERMINAL"),
@@ -136,6 +139,7 @@ fn of_client(error: &Error) -> (&str, &str) {
         }
         Error::Snapshot(_) => ("INVALID_ARGUMENT", "SNAPSHOT"),
         Error::Connection { .. } => ("UNAVAILABLE", "UNREACHABLE"),
+        Error::Handshake { .. } => ("UNAVAILABLE", "HANDSHAKE"),
         Error::Timeout { .. } => ("DEADLINE_EXCEEDED", "TIMEOUT"),
         Error::Protocol { .. } => ("INTERNAL", "PROTOCOL"),
         // The errors of indices in a planner's process; the command opens none.

@@ -286,7 +286,10 @@ impl Link {
 /// does nothing twice. Damaged data stay damaged until an operator restores the index, which is another one then.
 pub(super) fn is_transient(error: &Error) -> bool {
     match error {
-        Error::Connection { .. } | Error::Timeout { .. } | Error::Protocol { .. } => true,
+        Error::Connection { .. }
+        | Error::Handshake { .. }
+        | Error::Timeout { .. }
+        | Error::Protocol { .. } => true,
         Error::Refused(refusal) => {
             let may_end = matches!(
                 refusal.code,

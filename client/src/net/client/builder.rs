@@ -70,8 +70,9 @@ impl ClientBuilder {
     /// than the client has seen before; a [`Watch`](crate::Watch) ends with an error when the client leaves its server.
     ///
     /// # Errors
-    /// [`Error::Address`]; [`Error::Argument`]: a token that is none; or [`Error::Connection`] if no attempt reaches a
-    /// server within the timeout.
+    /// [`Error::Address`]; [`Error::Argument`]: a token that is none; [`Error::Handshake`] if the only server and this
+    /// client do not accept each other's certificates; or [`Error::Connection`] if no attempt reaches a server within the
+    /// timeout.
     pub async fn connect(self, uri: &str) -> Result<Client, Error> {
         let bearer = self.credentials.bearer()?;
         let endpoints = self.endpoints(uri)?;
@@ -145,7 +146,13 @@ impl ClientBuilder {
             let why = match connected {
                 Ok(Ok(channel)) => return Ok((number, channel)),
                 Ok(Err(error)) if endpoints.len() == 1 => {
-                    return Err(unreachable(uri, Box::new(error)));
+                    return Err(match failed_handshake(&error) {
+                        true => Error::Handshake {
+                            uri: uri.to_owned(),
+                            problem: root_cause(&error),
+                        },
+                        false => unreachable(uri, Box::new(error)),
+                    });
                 }
                 Err(_) if failures.is_empty() => return Err(Error::timeout(CALL, self.timeout)),
                 Ok(Err(error)) => root_cause(&error),
@@ -158,6 +165,13 @@ impl ClientBuilder {
 }
 
 const CALL: &str = "connect";
+
+/// True if TLS refused what the server sent: rustls reports nothing else as invalid data.
+fn failed_handshake(error: &(dyn std::error::Error + 'static)) -> bool {
+    std::iter::successors(Some(error), |error| error.source())
+        .filter_map(|error| error.downcast_ref::<std::io::Error>())
+        .any(|error| error.kind() == std::io::ErrorKind::InvalidData)
+}
 
 fn unreachable(uri: &str, source: Box<dyn std::error::Error + Send + Sync>) -> Error {
     Error::Connection {
@@ -201,5 +215,8 @@ fn endpoint(uri: &str, credentials: &Credentials) -> Result<Endpoint, Error> {
         ));
     };
     let endpoint = endpoint.tls_config(tls);
-    endpoint.map_err(|error| refused(&format!("its certificates cannot be used: {error}")))
+    endpoint.map_err(|error| {
+        let problem = root_cause(&error);
+        refused(&format!("the certificates cannot be used: {problem}"))
+    })
 }
