@@ -2,6 +2,8 @@
 
 use std::{
     fmt, fs,
+    io::{self, Write},
+    net::IpAddr,
     path::{Path, PathBuf},
 };
 
@@ -12,7 +14,10 @@ use tokio_rustls::rustls::{
 };
 use wayfold::Credentials;
 
-use crate::failure::Failure;
+use crate::{
+    failure::Failure,
+    output::{self, Format},
+};
 
 const HEADING: &str = "Options of every command";
 
@@ -54,6 +59,25 @@ pub(super) struct ConnectionArgs {
 }
 
 impl ConnectionArgs {
+    /// Warns of a token that goes to an address beyond this machine without TLS.
+    pub(super) fn warn(&self, addresses: &[String], format: Format) -> io::Result<()> {
+        let has_token = self.token.is_some() || self.token_file.is_some();
+        let has_tls = self.ca.is_some() || self.cert.is_some();
+        let mut addresses = addresses.iter().flat_map(|it| it.split(','));
+        let Some(open) = addresses.find(|address| has_token && is_open(address, has_tls)) else {
+            return Ok(());
+        };
+        let warning =
+            format!("the token goes to {open} without TLS: everyone on the way can read it");
+        let mut stderr = io::stderr();
+        match format {
+            Format::Text => writeln!(stderr, "warning: {warning}"),
+            Format::Json => {
+                output::json_line(&mut stderr, &serde_json::json!({ "warning": warning }))
+            }
+        }
+    }
+
     /// The certificates as Zenoh's configuration names them. A link over TCP reads none.
     pub(super) fn zenoh_tls(&self) -> serde_json::Value {
         serde_json::json!({
@@ -96,6 +120,19 @@ impl ConnectionArgs {
     }
 }
 
+/// True for an address of gRPC or Zenoh beyond this machine without TLS. gRPC has TLS without a scheme if `has_tls`.
+fn is_open(address: &str, has_tls: bool) -> bool {
+    let rest = match address.split_once("://").or(address.split_once('/')) {
+        Some(("http" | "tcp" | "udp" | "ws", rest)) => rest,
+        None if !has_tls => address,
+        _ => return false,
+    };
+    let host = rest.trim_end_matches('/').rsplit_once(':');
+    let host = host.map_or(rest, |(host, _)| host).trim_matches(['[', ']']);
+    let is_loopback = host.parse().is_ok_and(|ip: IpAddr| ip.is_loopback());
+    host != "localhost" && !is_loopback
+}
+
 fn certificates(
     option: &'static str,
     file: &Path,
@@ -135,4 +172,32 @@ fn read(option: &'static str, file: &PathBuf) -> Result<Vec<u8>, Failure> {
         path: file.clone(),
         source,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_beyond_this_machine_without_tls_are_open() {
+        for open in [
+            "http://planning:50051",
+            "planning:50051",
+            "http://[fe80::1]:1/",
+            "tcp/10.0.0.1:7448",
+        ] {
+            assert!(is_open(open, false), "{open}");
+        }
+        for closed in [
+            "https://planning:50051",
+            "http://127.0.0.1:50051",
+            "http://[::1]:1/",
+            "localhost:1",
+            "tls/10.0.0.1:7448",
+            "tcp/127.0.0.1:7448",
+        ] {
+            assert!(!is_open(closed, false), "{closed}");
+        }
+        assert!(!is_open("planning:50051", true));
+    }
 }

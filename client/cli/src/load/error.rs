@@ -39,6 +39,8 @@ pub(crate) enum LoadError {
     Thread { source: io::Error },
     #[error("a worker ended without a result")]
     Worker,
+    #[error("a signal ended the run early; the figures are those of the calls until then")]
+    Interrupted,
     #[error("none of {calls} calls was answered; the first failure: {first}")]
     NoAnswer { calls: u64, first: String },
     #[error(
@@ -63,6 +65,7 @@ impl LoadError {
             | LoadError::NothingToGet { .. }
             | LoadError::Thread { .. }
             | LoadError::Worker
+            | LoadError::Interrupted
             | LoadError::NoAnswer { .. }
             | LoadError::Left { .. } => Status::Failed,
         }
@@ -80,6 +83,7 @@ impl LoadError {
             LoadError::Report { .. } | LoadError::ReportLost { .. } => ("UNKNOWN", "FILE"),
             LoadError::NothingToGet { .. } => ("FAILED_PRECONDITION", "NO_POINTS"),
             LoadError::Thread { .. } | LoadError::Worker => ("INTERNAL", "RUNTIME"),
+            LoadError::Interrupted => ("CANCELLED", "INTERRUPTED"),
             LoadError::NoAnswer { .. } => ("UNAVAILABLE", "NO_CALL_ANSWERED"),
             LoadError::Left { .. } => ("UNKNOWN", "POINTS_LEFT"),
         }

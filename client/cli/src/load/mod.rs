@@ -110,12 +110,14 @@ pub(crate) async fn load(
     let phases = scenario.phases(&args.phase);
     let settings = args.run.or(scenario.run);
     let server = servers.first().ok_or(Failure::NoServer)?;
+    let address = settings.address(server)?;
+    connection.warn(std::slice::from_ref(&address.server), output.format)?;
     let plan = Plan {
         index: args.name,
         address: Address {
             credentials: connection.credentials()?,
             zenoh_tls: connection.zenoh_tls(),
-            ..settings.address(server)?
+            ..address
         },
         phases,
         warmup: settings.warmup(),
@@ -137,7 +139,7 @@ pub(crate) async fn load(
     if let (Some(path), Format::Text) = (report.transpose()?, output.format) {
         output.text(format_args!("the report is in {}", path.display()))?;
     }
-    answered(&outcome)
+    complete(&outcome)
 }
 
 /// Runs a plan on a thread of its own. The first signal ends the run, the second also the removal of its points.
@@ -173,8 +175,11 @@ async fn run_until_signal(plan: Plan) -> Result<Outcome, Failure> {
     ended.map_err(|_| LoadError::Worker)?
 }
 
-/// A run without any answer is a failure, so that a script can rely on the exit status.
-fn answered(outcome: &Outcome) -> Result<(), Failure> {
+/// A run that a signal ended, or without any answer, is a failure, so that a script can rely on the exit status.
+fn complete(outcome: &Outcome) -> Result<(), Failure> {
+    if outcome.is_interrupted {
+        return Err(LoadError::Interrupted.into());
+    }
     let total = outcome.total().total();
     match total.failures.values().next() {
         Some(failures) if total.answered() == 0 => Err(LoadError::NoAnswer {

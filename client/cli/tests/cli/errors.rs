@@ -51,6 +51,26 @@ fn wrong_usage_is_status_2() {
 }
 
 #[test]
+fn a_token_that_others_can_read_is_warned_of() {
+    let list = |server, output| {
+        let token = ["--token", "wayfold_of_a_test", "--output", output];
+        let to = ["list", "--server", server, "--timeout", "50ms"];
+        run_alone(&[&to[..], &token].concat())
+    };
+    // No machine has this address.
+    let run = list("http://192.0.2.1:1", "text");
+    let message = run.error(4);
+    assert!(
+        message.starts_with("warning: the token goes to http://192.0.2.1:1 without TLS"),
+        "{message}"
+    );
+    let run = list("http://192.0.2.1:1", "json");
+    assert!(run.error(4).starts_with("{\"warning\":"), "{}", run.stderr);
+    let run = list("http://127.0.0.1:1", "text");
+    assert!(run.error(4).starts_with("error: "), "{}", run.stderr);
+}
+
+#[test]
 fn help_and_version_are_no_errors() {
     for args in [&["--help"][..], &["insert", "--help"], &["--version"]] {
         let run = run_alone(args);

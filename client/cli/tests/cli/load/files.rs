@@ -178,7 +178,8 @@ async fn a_signal_ends_the_run_and_the_result_and_the_report_are_written() {
         send(signal, &child);
         let ended = tokio::task::spawn_blocking(move || child.wait_with_output());
         let output = ended.await.unwrap().unwrap();
-        assert_eq!(output.status.code(), Some(0), "SIG{signal}");
+        assert_eq!(output.status.code(), Some(3), "SIG{signal}");
+        assert!(String::from_utf8_lossy(&output.stderr).contains("INTERRUPTED"));
         let result: Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(result["interrupted"], true);
         assert!(number(&result["total"]["answered"]) > 0);
