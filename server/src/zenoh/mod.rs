@@ -27,6 +27,8 @@ use tokio_util::{
 use tracing::{debug, info, warn};
 use zenoh::{Session, key_expr::KeyExpr, query::Queryable};
 
+#[cfg(test)]
+pub(crate) use queries::{attached, caller};
 pub use session::ZenohError;
 pub(crate) use session::exposed;
 

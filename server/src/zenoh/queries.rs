@@ -29,7 +29,7 @@ use super::{
 use crate::{
     admission::{CALL_BYTES, CallTurns, HeldBytes},
     faces::Shared,
-    identity::Denial,
+    identity::{Caller, Denial, Identities},
     observe::{CallRecord, Ending, Peer, Times},
     service::{Call, Error, Unavailability},
     status::{self, Status},
@@ -175,11 +175,8 @@ impl Queries {
             Ok(target) => target.verb.name(),
             Err(_) => "other",
         };
-        let attached = attached(&query);
-        let caller = self
-            .shared
-            .identities
-            .caller(attached.get("token").map(str::as_bytes), None);
+        let attached = attached(query.attachment());
+        let caller = caller(&self.shared.identities, &attached);
         let mut record = CallRecord::begin(
             format!("Zenoh/{rpc}"),
             ("zenoh", rpc),
@@ -314,8 +311,13 @@ fn source(query: &Query) -> Option<Peer> {
 }
 
 /// The attachment of a query, `token=TOKEN;traceparent=…`. Any other text counts as empty.
-fn attached(query: &Query) -> Parameters<'static> {
-    let bytes = query.attachment().map(ZBytes::to_bytes);
+pub(crate) fn attached(attachment: Option<&ZBytes>) -> Parameters<'static> {
+    let bytes = attachment.map(ZBytes::to_bytes);
     let text = bytes.and_then(|bytes| String::from_utf8(bytes.into_owned()).ok());
     Parameters::from(text.unwrap_or_default())
+}
+
+/// The caller with the token of an attachment.
+pub(crate) fn caller(identities: &Identities, attached: &Parameters<'_>) -> Caller {
+    identities.caller(attached.get("token").map(str::as_bytes), None)
 }

@@ -2,6 +2,7 @@
 
 use std::{fs, sync::Arc, time::Duration};
 
+use ::zenoh::bytes::ZBytes;
 use sha2::{Digest, Sha256};
 
 use super::*;
@@ -14,6 +15,7 @@ use crate::{
         dispatch,
         verb::{IndexVerb, PointVerb},
     },
+    zenoh,
 };
 
 /// The role that a verb needs, and its request for the index `arm`, in JSON.
@@ -73,6 +75,10 @@ async fn every_key_refuses_every_wrong_caller() {
     let service = Service::new(registry, Limits::default());
     service.set_ready();
 
+    let caller = |attachment: Option<&str>| {
+        let attachment = attachment.map(ZBytes::from);
+        zenoh::caller(&identities, &zenoh::attached(attachment.as_ref()))
+    };
     let of_index = PointVerb::ALL.map(|(_, verb)| Verb::OfIndex(verb));
     let of_server = IndexVerb::ALL.map(|(_, verb)| Verb::OfServer(verb));
     for verb in of_index.into_iter().chain(of_server) {
@@ -91,14 +97,17 @@ async fn every_key_refuses_every_wrong_caller() {
             let answer = dispatch(&service, &call, verb, &request, 1 << 20).await;
             answer.map_err(|error| error.reason()).err()
         };
-        for (token, expected) in [
+        for (attachment, expected) in [
             (None, "NO_CREDENTIAL"),
-            (Some("x"), "WRONG_CREDENTIAL"),
-            (Some("expired"), "IDENTITY_EXPIRED"),
-            (Some("revoked"), "WRONG_CREDENTIAL"),
+            (Some("traceparent=00"), "NO_CREDENTIAL"),
+            (Some("admin"), "NO_CREDENTIAL"),
+            (Some("token="), "WRONG_CREDENTIAL"),
+            (Some("token=x"), "WRONG_CREDENTIAL"),
+            (Some("token=expired"), "IDENTITY_EXPIRED"),
+            (Some("token=revoked;traceparent=00"), "WRONG_CREDENTIAL"),
         ] {
-            let stranger = identities.caller(token.map(str::as_bytes), None);
-            assert_eq!(ask(stranger).await, Some(expected), "{}", verb.name());
+            let refused = ask(caller(attachment)).await;
+            assert_eq!(refused, Some(expected), "{} {attachment:?}", verb.name());
         }
         // A call that began before its identity was revoked.
         let refused = ask(revoked.clone()).await;
@@ -108,8 +117,7 @@ async fn every_key_refuses_every_wrong_caller() {
                 .into_iter()
                 .zip([Role::Read, Role::Write, Role::Admin, Role::Admin])
         {
-            let caller = identities.caller(Some(name.as_bytes()), None);
-            let refused = ask(caller).await;
+            let refused = ask(caller(Some(&format!("traceparent=00;token={name}")))).await;
             let is_of_server = matches!(verb, Verb::OfServer(IndexVerb::Server | IndexVerb::List));
             match () {
                 () if role < needed => assert_eq!(refused, Some("ROLE_TOO_LOW"), "{name}"),
