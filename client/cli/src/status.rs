@@ -30,8 +30,8 @@ impl Status {
             }
             Status::Usage => "the command line is wrong; nothing was sent",
             Status::Failed => {
-                "the command failed: the server refused a call, a file cannot be read or written,\n     \
-                 or a signal ended it"
+                "the command failed: the server refused a call, TLS refused a certificate, a file cannot\n     \
+                 be read or written, or a signal ended it"
             }
             Status::NoAnswer => {
                 "no server was reached, it did not answer in time, or it answered UNAVAILABLE"

@@ -113,7 +113,7 @@ fn a_wrong_certificate_is_named_by_its_option_and_ends_the_command() {
         (
             ["--ca", &forged, "--cert", &cert, "--key", &key],
             3,
-            ["handshake", "UnknownIssuer", "--ca"],
+            ["handshake", "invalid peer certificate", "--ca"],
         ),
     ] {
         // A retry would take this long.
