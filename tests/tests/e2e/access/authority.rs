@@ -60,7 +60,8 @@ impl Authority {
     pub(crate) fn token(&self, name: &str, role: &str, index: &str) -> String {
         let token = self.file(name, "token");
         let arguments = ["token", "create", name, "--role", role, "--index", index];
-        let to = ["--to", token.to_str().unwrap()];
+        let to = token.to_str().unwrap();
+        let to = ["--expires", "2999-12-31T23:59:59+01:00", "--to", to];
         let made = wayfold(&[&arguments[..], &to].concat());
         assert!(made.status.success(), "{}", made.stderr);
         let before = fs::read_to_string(self.file("identities", "toml")).unwrap_or_default();
