@@ -81,7 +81,10 @@ pub(crate) fn start(filter: &str, format: LogFormat) -> Result<(), LoggingError>
     Ok(())
 }
 
-/// At the level trace Zenoh writes whole messages, and a caller's token is a part of them.
+/// At the levels debug and trace, Zenoh writes its configuration and whole messages, and the client of NATS its address:
+/// passwords and tokens of callers are parts of them.
 fn has_no_secrets(lines: &Metadata<'_>) -> bool {
-    *lines.level() < Level::TRACE || !lines.target().starts_with("zenoh")
+    let library = lines.target();
+    *lines.level() < Level::DEBUG
+        || !(library.starts_with("zenoh") || library.starts_with("async_nats"))
 }

@@ -201,12 +201,20 @@ fn settings(config: &ZenohConfig) -> Result<Config, ZenohError> {
             } } },
         } },
     });
-    let over: Value = json5::from_str(&config.config).map_err(|error| wrong(error.to_string()))?;
+    let over: Value = json5::from_str(&config.config).map_err(|error| wrong(place(error)))?;
     if !over.is_object() {
         return Err(wrong("it is not an object: { … }".into()));
     }
     lay_over(&mut settings, over);
     Config::from_json5(&settings.to_string()).map_err(|error| wrong(error.to_string()))
+}
+
+/// The place of a syntax error. The message of JSON5 shows the line, which may have a password.
+fn place(error: json5::Error) -> String {
+    let json5::Error::Message { msg, location } = error;
+    location.map_or(msg, |at| {
+        format!("it is no JSON5 at line {}, column {}", at.line, at.column)
+    })
 }
 
 /// Overrides one value with another; objects are merged.
@@ -332,5 +340,10 @@ mod tests {
             let error = with(config).unwrap_err().to_string();
             assert!(error.starts_with("zenoh.config: "), "{config}: {error}");
         }
+        let auth =
+            "{ transport: { auth: { usrpwd: {\n user: 'u', password: 's3cretPW' oops } } } }";
+        let error = with(auth).unwrap_err().to_string();
+        assert!(error.contains("line 2, column "), "{error}");
+        assert!(!error.contains("s3cretPW"), "{error}");
     }
 }

@@ -4,6 +4,7 @@ pub(crate) mod authority;
 mod command_line;
 mod over_zenoh;
 mod pages;
+mod passwords;
 
 use std::{
     fs,

@@ -1,0 +1,46 @@
+//! The passwords in the settings of libraries stay out of their lines in the log.
+
+use std::{net::TcpListener, process::Command};
+
+use wayfold_tests::{Process, ServerProcess, Signal};
+
+use super::assert_secret;
+
+const PASSWORD: &str = "s3cretPW";
+
+/// A server that writes all lines that there are.
+fn talkative(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command
+        .args(["--grpc", "127.0.0.1:0", "--data", "memory"])
+        .args(arguments)
+        .env("WAYFOLD_LOG__FILTER", "trace,zenoh=trace,async_nats=trace");
+    command
+}
+
+#[test]
+fn a_password_for_zenoh_is_in_no_line() {
+    let auth = serde_json::json!({ "transport": { "auth": { "usrpwd": {
+        "user": "robot", "password": PASSWORD,
+    } } } });
+    let mut command = talkative(&["--zenoh", "tcp/127.0.0.1:0"]);
+    command.env("WAYFOLD_ZENOH__CONFIG", auth.to_string());
+    let server = ServerProcess::ready(Process::spawn(&mut command));
+    let log = server.stop(Signal::Terminate).stderr;
+    assert_secret(PASSWORD, &log);
+}
+
+#[test]
+fn a_password_for_nats_is_in_no_line() {
+    // The port is free again: nobody answers there.
+    let nobody = TcpListener::bind("127.0.0.1:0").unwrap().local_addr();
+    let nats = format!("nats://user:{PASSWORD}@{}", nobody.unwrap());
+    let mut command = talkative(&[]);
+    command
+        .env("WAYFOLD_CLUSTER__NATS", nats)
+        .env("WAYFOLD_CLUSTER__LISTEN", "127.0.0.1:0");
+    let mut server = Process::spawn(&mut command);
+    server.log_until("trying again");
+    let log = server.stop(Signal::Kill).stderr;
+    assert!(!log.contains(PASSWORD), "the password is in the log");
+}
