@@ -10,7 +10,10 @@ use super::{
     slow::{SlowCalls, Times},
     trace::trace_id,
 };
-use crate::{identity::Caller, service::Code};
+use crate::{
+    identity::Caller,
+    service::{Code, MAX_NAME_BYTES},
+};
 
 /// The end of a call.
 #[derive(Clone, Copy, PartialEq)]
@@ -195,11 +198,13 @@ pub(crate) trait Request {
     }
 }
 
-/// Records the index and the rows of a request in the current call's span.
+/// Records the index and the rows of a request in the current call's span. No check has bounded the name yet, so that it is
+/// cut at the longest one of an index.
 pub(crate) fn request(request: &impl Request) {
     let span = Span::current();
-    if !request.index().is_empty() {
-        span.record("index", request.index());
+    let index = request.index();
+    if !index.is_empty() {
+        span.record("index", &index[..index.floor_char_boundary(MAX_NAME_BYTES)]);
     }
     if let Some(rows) = request.rows() {
         span.record("rows", rows);

@@ -268,11 +268,14 @@ pub(super) fn describe(hosted: &Hosted, published: &Published) -> v1::Index {
     }
 }
 
+/// The longest name of an index.
+pub(crate) const MAX_NAME_BYTES: usize = 63;
+
 /// Names are `[a-z0-9][a-z0-9_-]{0,62}`.
 fn is_name(name: &str) -> bool {
     let word = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit();
     let rest = |byte: u8| word(byte) || byte == b'_' || byte == b'-';
-    name.len() <= 63 && name.bytes().next().is_some_and(word) && name.bytes().all(rest)
+    name.len() <= MAX_NAME_BYTES && name.bytes().next().is_some_and(word) && name.bytes().all(rest)
 }
 
 pub(super) fn check_name(name: &str, violations: &mut Violations) {

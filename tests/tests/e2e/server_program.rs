@@ -266,6 +266,24 @@ async fn a_slow_call_has_a_line_that_says_where_its_time_went() {
     assert!(waited > others, "{line}");
 }
 
+#[tokio::test]
+async fn the_line_of_a_call_has_the_index_no_longer_than_a_name_may_be() {
+    let server = server!("--log", "wayfold_server=debug");
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let request = v1::GetRequest {
+        // The cut would split a character.
+        index_name: format!("a{}", "ü".repeat(500_000)),
+        ids: vec![1],
+        ..Default::default()
+    };
+    stubs.points.get(request).await.unwrap_err();
+    let log = server.stop(Signal::Terminate).stderr;
+    let line = log.lines().find(|line| line.contains("PointService/Get"));
+    let line = line.unwrap();
+    assert!(line.contains("index=\"aüü"), "{}", line.len());
+    assert!(line.len() < 1_000, "{}", line.len());
+}
+
 #[test]
 fn a_data_directory_that_it_cannot_have_is_named_with_what_to_do() {
     let directory = tempfile::tempdir().unwrap();
