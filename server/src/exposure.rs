@@ -41,12 +41,14 @@ pub enum ExposedError {
     },
 }
 
-/// Refuses `exposed` addresses without TLS or identities. With `is_allowed`, they are a warning.
+/// Refuses `exposed` addresses without TLS or identities. With `is_allowed`, each is a warning in the log, which a filter may
+/// drop, and one of the returned texts.
 pub(crate) fn check(
     exposed: &[Exposed],
     has_identities: bool,
     is_allowed: bool,
-) -> Result<(), ExposedError> {
+) -> Result<Vec<String>, ExposedError> {
+    let mut warnings = Vec::new();
     for Exposed { at, has_tls } in exposed {
         let (missing, settings) = match (has_tls, has_identities) {
             (true, true) => continue,
@@ -68,19 +70,22 @@ pub(crate) fn check(
             at,
             missing, "insecure: everyone who reaches this address can read and change every index"
         );
+        warnings.push(format!(
+            "insecure, without {missing}: everyone who reaches {at} can read and change every index"
+        ));
     }
-    Ok(())
+    Ok(warnings)
 }
 
-/// Refuses an address for the other members of a cluster where anyone could speak for a member.
+/// Refuses an address for the other members of a cluster where anyone could speak for a member; the same as [`check`].
 pub(crate) fn check_members(
     address: SocketAddr,
     has_certificates: bool,
     has_identities: bool,
     is_allowed: bool,
-) -> Result<(), ExposedError> {
+) -> Result<Option<String>, ExposedError> {
     if has_certificates || (address.ip().is_loopback() && !has_identities) {
-        return Ok(());
+        return Ok(None);
     }
     let at = format!("cluster.listen: {address}");
     if !is_allowed {
@@ -90,7 +95,9 @@ pub(crate) fn check_members(
         at,
         "insecure: everyone who reaches this address acts for every identity"
     );
-    Ok(())
+    Ok(Some(format!(
+        "insecure: everyone who reaches {at} acts for every identity"
+    )))
 }
 
 /// True if a host is this machine, by its loopback interface.
@@ -138,7 +145,8 @@ mod tests {
                 ExposedError::Members { .. } => "members",
             });
             assert_eq!(found, missing);
-            check(&exposed, has_identities, true).unwrap();
+            let warnings = check(&exposed, has_identities, true).unwrap();
+            assert_eq!(warnings.len(), usize::from(missing.is_some()));
         }
     }
 
@@ -158,7 +166,8 @@ mod tests {
         ] {
             let checked = check_members(address, has_certificates, has_identities, false);
             assert_eq!(checked.is_ok(), is_safe, "{address}");
-            check_members(address, has_certificates, has_identities, true).unwrap();
+            let warning = check_members(address, has_certificates, has_identities, true);
+            assert_eq!(warning.unwrap().is_none(), is_safe, "{address}");
         }
     }
 }

@@ -52,4 +52,6 @@ pub(crate) struct Addresses {
     pub(crate) has_identities: bool,
     /// Zenoh's locators; empty if Zenoh is off.
     pub(crate) zenoh: Vec<String>,
+    /// A text for each address that strangers can use, which `--insecure` allows.
+    pub(crate) warnings: Vec<String>,
 }

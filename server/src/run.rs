@@ -72,7 +72,7 @@ pub(crate) async fn serve(
     let pages_at = pages.as_ref().map(TcpListener::local_addr).transpose()?;
     let members = bind_members(&config.cluster).await?;
     let members_at = members.as_ref().map(TcpListener::local_addr).transpose()?;
-    check_exposure(&config, address, (pages_at, members_at), tls.is_some())?;
+    let warnings = check_exposure(&config, address, (pages_at, members_at), tls.is_some())?;
     let member_tls = config.cluster.peer_ca().filter(|_| members.is_some());
     let member_tls = member_tls
         .map(|ca| Tls::of_members(&config.tls, ca))
@@ -114,6 +114,7 @@ pub(crate) async fn serve(
             Some(face) => face.locators().await,
             None => Vec::new(),
         },
+        warnings,
     };
     let _pages = pages.map(|listener| {
         let is_local = pages_at.is_some_and(|at| at.ip().is_loopback());
@@ -252,13 +253,14 @@ async fn serve_pages(listener: TcpListener, tls: Option<Tls>, pages: Pages) {
     }
 }
 
-/// Refuses to reach beyond this machine without TLS and identities, unless that is allowed.
+/// Refuses to reach beyond this machine without TLS and identities, unless that is allowed. Returns a warning for each
+/// address that does.
 fn check_exposure(
     config: &Config,
     address: SocketAddr,
     (pages, members): (Option<SocketAddr>, Option<SocketAddr>),
     has_tls: bool,
-) -> Result<(), ServerError> {
+) -> Result<Vec<String>, ServerError> {
     let mut exposed = zenoh::exposed(&config.zenoh)?;
     let listens = [("grpc.listen", Some(address)), ("http.listen", pages)];
     for (setting, address) in listens {
@@ -271,12 +273,14 @@ fn check_exposure(
     }
     let has_identities = config.access.identities().is_some();
     let is_allowed = config.access.insecure == ON;
-    exposure::check(&exposed, has_identities, is_allowed)?;
+    let mut warnings = exposure::check(&exposed, has_identities, is_allowed)?;
     if let Some(address) = members {
         let has_certificates = config.cluster.peer_ca().is_some();
-        exposure::check_members(address, has_certificates, has_identities, is_allowed)?;
+        let warning =
+            exposure::check_members(address, has_certificates, has_identities, is_allowed)?;
+        warnings.extend(warning);
     }
-    Ok(())
+    Ok(warnings)
 }
 
 /// Finishes the accepted calls for at most the grace time, then cuts the rest. `serving` ends once gRPC has stopped.

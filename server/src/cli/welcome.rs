@@ -54,6 +54,8 @@ fn text(addresses: &Addresses, directory: Option<&Path>, client: &str) -> String
             );
         }
     }
+    let warnings = addresses.warnings.iter();
+    let warnings: String = warnings.map(|warning| format!("{warning}\n")).collect();
     let storage = match directory {
         Some(directory) => format!("Indices are kept in {}.", directory.display()),
         None => {
@@ -76,7 +78,7 @@ fn text(addresses: &Addresses, directory: Option<&Path>, client: &str) -> String
     }
     format!(
         "listening on {scheme}://{address}\n\
-         {zenoh}{metrics}\
+         {zenoh}{metrics}{warnings}\
          \n\
          {storage} Next, in another terminal:\n\
          \x20 {client} create arm --space 'R3*SO3:0.15'\n\
@@ -110,6 +112,7 @@ mod tests {
             has_tls: false,
             has_identities: false,
             zenoh: zenoh.iter().map(ToString::to_string).collect(),
+            warnings: Vec::new(),
         }
     }
 

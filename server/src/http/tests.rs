@@ -83,6 +83,7 @@ fn router(service: &Service, identities: Identities) -> Router {
         has_tls: true,
         has_identities: false,
         zenoh: Vec::new(),
+        warnings: Vec::new(),
     });
     let pages = Pages {
         shared,

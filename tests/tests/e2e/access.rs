@@ -302,11 +302,18 @@ fn an_insecure_server_starts_and_says_so_each_time() {
     assert_eq!(refused.status.code(), Some(1), "{}", refused.stderr);
     let why = "grpc.listen: [::ffff:127.0.0.1]";
     assert!(refused.stderr.contains(why), "{}", refused.stderr);
-    for _ in 0..2 {
-        let all = [&arguments[..], &["--insecure"]].concat();
+    for filter in ["info", "off"] {
+        let all = [&arguments[..], &["--insecure", "--log", filter]].concat();
         let server = ServerProcess::ready(Process::start(program, &all));
-        let log = server.stop(Signal::Terminate).stderr;
-        assert!(log.contains("insecure: everyone who reaches"), "{log}");
-        assert!(log.contains("[::ffff:127.0.0.1]"), "{log}");
+        let ended = server.stop(Signal::Terminate);
+        let said = ended.stdout.join("\n");
+        let warning =
+            "insecure, without TLS and identities: everyone who reaches grpc.listen: [::ffff";
+        assert!(said.contains(warning), "{said}");
+        if filter == "info" {
+            let log = ended.stderr;
+            assert!(log.contains("insecure: everyone who reaches"), "{log}");
+            assert!(log.contains("[::ffff:127.0.0.1]"), "{log}");
+        }
     }
 }
