@@ -15,6 +15,7 @@ use self::channels::{Channels, Raw, refusal};
 use super::calls::IDENTITY;
 use crate::{
     config::TlsConfig,
+    observe::trace_id,
     service::{
         COPY, Call, CopyPart, CopyParts, CopyRequest, NotForwarded, STORED, StoredRequest,
         StoredResponse, Unanswered,
@@ -42,15 +43,7 @@ impl MemberClient {
         request: Bytes,
     ) -> Result<Bytes, NotForwarded> {
         let mut channel = self.channels.get(member).await?;
-        let mut headers = HeaderMap::new();
-        let unsent = |_| NotForwarded::Unsent;
-        if let Some(name) = call.caller.name() {
-            headers.insert(IDENTITY, HeaderValue::from_str(name).map_err(unsent)?);
-        }
-        if let Some(trace) = &call.trace {
-            headers.insert("traceparent", HeaderValue::from_str(trace).map_err(unsent)?);
-        }
-        let metadata = MetadataMap::from_headers(headers);
+        let metadata = MetadataMap::from_headers(headers(call)?);
         let mut request = Request::from_parts(metadata, Default::default(), request);
         if let Some(deadline) = call.deadline {
             request.set_timeout(deadline.saturating_duration_since(Instant::now()));
@@ -112,8 +105,61 @@ impl MemberClient {
     }
 }
 
+/// The headers of a forwarded call: the identity of its caller, and its trace unless that is malformed.
+fn headers(call: &Call) -> Result<HeaderMap, NotForwarded> {
+    let mut headers = HeaderMap::new();
+    if let Some(name) = call.caller.name() {
+        let name = HeaderValue::from_bytes(name.as_bytes());
+        headers.insert(IDENTITY, name.map_err(|_| NotForwarded::Unsent)?);
+    }
+    let trace = call.trace.as_deref().filter(|it| trace_id(it).is_some());
+    if let Some(Ok(trace)) = trace.map(HeaderValue::from_str) {
+        headers.insert("traceparent", trace);
+    }
+    Ok(headers)
+}
+
 fn unanswered(error: impl std::error::Error) -> Unanswered {
     Unanswered {
         what: error.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+    use crate::identity::Identities;
+
+    #[test]
+    fn a_name_beyond_ascii_and_a_malformed_trace_let_a_call_be_forwarded() {
+        const NAME: &str = "Zelle-ü";
+        const TRACE: &str = "00-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01";
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let entry = format!(
+            "[[identity]]\nname = \"{NAME}\"\nrole = \"read\"\nindexes = []\ncertificate = \"cell\"\n"
+        );
+        fs::write(file.path(), entry).unwrap();
+        let identities = Identities::open(Some(file.path())).unwrap();
+        for (trace, sent) in [
+            (TRACE, Some(TRACE)),
+            ("malformed", None),
+            ("00-\n", None),
+            (
+                "cc-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01-\n",
+                None,
+            ),
+        ] {
+            let call = Call {
+                caller: identities.forwarded(Some(NAME)),
+                trace: Some(trace.into()),
+                ..Call::default()
+            };
+            let headers = headers(&call).unwrap();
+            assert_eq!(headers[IDENTITY].as_bytes(), NAME.as_bytes());
+            let found = headers.get("traceparent").map(HeaderValue::as_bytes);
+            assert_eq!(found, sent.map(str::as_bytes), "{trace}");
+        }
     }
 }

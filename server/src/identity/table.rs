@@ -96,7 +96,7 @@ impl Table {
             let name = entry.name.clone();
             table
                 .add(entry)
-                .map_err(|problem| format!("identity \"{name}\": {problem}"))?;
+                .map_err(|problem| format!("identity {name:?}: {problem}"))?;
         }
         Ok(table)
     }
@@ -104,6 +104,10 @@ impl Table {
     fn add(&mut self, entry: Entry) -> Result<(), String> {
         if entry.name.is_empty() || self.entries.contains_key(&entry.name) {
             return Err("each needs a name of its own".into());
+        }
+        // A server of a cluster names the identity in a header, and log lines name it too.
+        if entry.name.contains(char::is_control) {
+            return Err("its name has a control character".into());
         }
         let expires = entry.expires.as_deref().map(instant).transpose()?;
         let identity = Arc::new(Identity {
@@ -299,6 +303,10 @@ mod tests {
         let entry = |rest: &str| format!("[[identity]]\nname = \"cell\"\n{rest}");
         for (text, part) in [
             (entry("role = \"root\""), "line 3"),
+            (
+                "[[identity]]\nname = \"a\\nb\"\nrole = \"read\"\nindexes = []\n".to_owned(),
+                "control character",
+            ),
             (
                 entry("role = \"read\"\ntoken = \"s3cret\""),
                 "unknown field `token`",
