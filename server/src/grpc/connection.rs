@@ -61,7 +61,7 @@ pub(crate) fn incoming(
             let open = connections.open(socket.peer_addr().ok(), own_cut.clone());
             let open = open.await;
             let connection = Connection {
-                socket: Tls::accept(tls.as_ref(), socket, Some(open.activity().client_names())),
+                socket: Tls::accept(tls.as_ref(), socket, Some(open.activity().client())),
                 open,
                 read_bytes: 0,
                 read_calls: 0,

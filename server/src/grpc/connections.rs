@@ -23,8 +23,11 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
-use super::tls::ClientNames;
-use crate::admission::{Admission, Flow};
+use super::tls::Client;
+use crate::{
+    admission::{Admission, Flow},
+    identity::ClientCertificate,
+};
 
 /// A connection keeps its place for this long after it was opened and after a call: its client may be about to call,
 /// and the end of an answer is about to leave.
@@ -62,7 +65,7 @@ struct State {
     is_stalled: AtomicBool,
     cut: CancellationToken,
     peer: Option<SocketAddr>,
-    certificate: ClientNames,
+    certificate: Client,
     flow: Arc<Flow>,
     unread: Mutex<Unread>,
 }
@@ -124,7 +127,7 @@ impl Connections {
             is_stalled: AtomicBool::new(false),
             cut,
             peer,
-            certificate: ClientNames::default(),
+            certificate: Client::default(),
             flow: self.admission.open(),
             unread: Mutex::new(Unread {
                 frames: 0,
@@ -259,13 +262,13 @@ impl Activity {
         self.state.peer
     }
 
-    /// The names in the verified certificate of its client, if it has one.
-    pub(super) fn certificate(&self) -> Option<&[String]> {
-        self.state.certificate.get().map(Vec::as_slice)
+    /// The verified certificate of its client, if it has one.
+    pub(super) fn certificate(&self) -> Option<&ClientCertificate> {
+        self.state.certificate.get()
     }
 
-    /// The place of these names.
-    pub(super) fn client_names(&self) -> ClientNames {
+    /// The place of the certificate.
+    pub(super) fn client(&self) -> Client {
         Arc::clone(&self.state.certificate)
     }
 

@@ -42,7 +42,7 @@ use member_service::MemberFace;
 use point_service::{PointFace, TolerantPointServer};
 use stream_knn::KnnStreams;
 pub use tls::TlsError;
-pub(crate) use tls::{ClientNames, Socket, Tls};
+pub(crate) use tls::{Client, Socket, Tls};
 
 use crate::{config::GrpcConfig, faces::Shared, lifecycle::PhaseWatch};
 

@@ -7,6 +7,7 @@ use std::{
     pin::Pin,
     sync::{Arc, OnceLock},
     task::{Context, Poll, ready},
+    time::{Duration, SystemTime},
 };
 
 use parking_lot::RwLock;
@@ -33,7 +34,7 @@ use x509_parser::{extensions::GeneralName, prelude::FromDer, prelude::X509Certif
 
 use crate::{
     config::TlsConfig,
-    identity::{LOOK_INTERVAL, Stamp},
+    identity::{ClientCertificate, LOOK_INTERVAL, Stamp},
 };
 
 /// The certificates cannot be used.
@@ -134,20 +135,16 @@ impl Tls {
         })
     }
 
-    /// A connection that begins with a handshake if there is TLS. `names`, if there is one, gets those of a client
-    /// certificate.
-    pub(crate) fn accept(
-        tls: Option<&Self>,
-        socket: TcpStream,
-        names: Option<ClientNames>,
-    ) -> Socket {
+    /// A connection that begins with a handshake if there is TLS. `client`, if there is one, gets the certificate of the
+    /// client.
+    pub(crate) fn accept(tls: Option<&Self>, socket: TcpStream, client: Option<Client>) -> Socket {
         let Some(tls) = tls else {
             return Either::Left(socket);
         };
         let handshake = tls.acceptor.read().accept(socket);
         Either::Right(TlsSocket {
             state: State::Shaking(Box::new(handshake)),
-            names,
+            client,
         })
     }
 
@@ -240,13 +237,13 @@ fn in_file<E: fmt::Display>(setting: &'static str, file: &Path) -> impl Fn(E) ->
 /// A connection, with TLS or without.
 pub(crate) type Socket = Either<TcpStream, TlsSocket>;
 
-/// The names in the verified certificate of a client, once the handshake is done; none without one.
-pub(crate) type ClientNames = Arc<OnceLock<Vec<String>>>;
+/// The verified certificate of a client, once the handshake is done; none without one.
+pub(crate) type Client = Arc<OnceLock<ClientCertificate>>;
 
 /// A connection with TLS, whose handshake takes place as it is first read or written.
 pub(crate) struct TlsSocket {
     state: State,
-    names: Option<ClientNames>,
+    client: Option<Client>,
 }
 
 enum State {
@@ -262,9 +259,10 @@ impl TlsSocket {
         if let State::Shaking(handshake) = &mut self.state {
             let stream = ready!(Pin::new(handshake).poll(context))?;
             let chain = stream.get_ref().1.peer_certificates();
-            if let (Some(certificate), Some(of)) = (chain.and_then(<[_]>::first), &self.names) {
+            let certificate = chain.and_then(<[_]>::first).and_then(|it| read(it));
+            if let (Some(certificate), Some(client)) = (certificate, &self.client) {
                 // A connection has one handshake.
-                let _ = of.set(names(certificate));
+                let _ = client.set(certificate);
             }
             self.state = State::Open(Box::new(stream));
         }
@@ -275,11 +273,10 @@ impl TlsSocket {
     }
 }
 
-/// The common names, DNS names and URIs of a certificate that was verified.
-fn names(certificate: &[u8]) -> Vec<String> {
-    let Ok((_, certificate)) = X509Certificate::from_der(certificate) else {
-        return Vec::new();
-    };
+/// Reads a certificate that was verified.
+fn read(certificate: &[u8]) -> Option<ClientCertificate> {
+    let (_, certificate) = X509Certificate::from_der(certificate).ok()?;
+    let expires = u64::try_from(certificate.validity().not_after.timestamp()).unwrap_or(0);
     let common = certificate.subject().iter_common_name();
     let common = common.filter_map(|name| name.as_str().ok());
     let alternative = certificate.subject_alternative_name().ok().flatten();
@@ -291,7 +288,10 @@ fn names(certificate: &[u8]) -> Vec<String> {
             GeneralName::DNSName(name) | GeneralName::URI(name) => Some(*name),
             _ => None,
         });
-    common.chain(others).map(str::to_owned).collect()
+    Some(ClientCertificate {
+        names: common.chain(others).map(str::to_owned).collect(),
+        expires: SystemTime::UNIX_EPOCH + Duration::from_secs(expires),
+    })
 }
 
 impl AsyncRead for TlsSocket {
@@ -335,5 +335,24 @@ impl AsyncWrite for TlsSocket {
             State::Shaking(_) => Poll::Ready(Ok(())),
             State::Open(stream) => Pin::new(stream).poll_shutdown(context),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rcgen::{CertificateParams, DnType, KeyPair, date_time_ymd};
+
+    use super::*;
+
+    #[test]
+    fn a_certificate_has_its_names_and_its_end() {
+        let mut params = CertificateParams::new(["cell.example".to_owned()]).unwrap();
+        params.distinguished_name.push(DnType::CommonName, "cell");
+        params.not_after = date_time_ymd(2027, 1, 31);
+        let certificate = params.self_signed(&KeyPair::generate().unwrap()).unwrap();
+        let certificate = read(certificate.der()).unwrap();
+        assert!(certificate.names.contains(&"cell".to_owned()));
+        assert!(certificate.names.contains(&"cell.example".to_owned()));
+        assert_eq!(certificate.expires, date_time_ymd(2027, 1, 31));
     }
 }

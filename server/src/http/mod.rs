@@ -32,7 +32,7 @@ use tokio::{net::TcpListener, task::spawn_blocking, time::timeout};
 
 use crate::{
     faces::{Addresses, Shared},
-    grpc::{ClientNames, Tls, token},
+    grpc::{Client, Tls, token},
     identity::{Caller, Identities, Role},
     lifecycle::{Phase, PhaseWatch},
     service::Error,
@@ -74,7 +74,7 @@ pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages)
 
 /// The names in the certificate of the client of a connection.
 #[derive(Clone)]
-struct Certificate(ClientNames);
+struct Certificate(Client);
 
 impl Connected<IncomingStream<'_, Secured>> for Certificate {
     fn connect_info(connection: IncomingStream<'_, Secured>) -> Self {
@@ -85,8 +85,8 @@ impl Connected<IncomingStream<'_, Secured>> for Certificate {
 /// The caller of a request.
 fn caller(identities: &Identities, request: &Parts) -> Caller {
     let certificate = request.extensions.get::<ConnectInfo<Certificate>>();
-    let names = certificate.and_then(|it| it.0.0.get()).map(Vec::as_slice);
-    identities.caller(token(&request.headers), names)
+    let certificate = certificate.and_then(|it| it.0.0.get());
+    identities.caller(token(&request.headers), certificate)
 }
 
 fn routes(pages: Pages, has_tls: bool) -> Router {
@@ -158,7 +158,7 @@ struct Secured {
 impl Listener for Secured {
     type Io = Bounded;
     /// The client by its certificate.
-    type Addr = ClientNames;
+    type Addr = Client;
 
     async fn accept(&mut self) -> (Self::Io, Self::Addr) {
         loop {
@@ -168,15 +168,15 @@ impl Listener for Secured {
                 continue;
             };
             let place = self.places.take().await;
-            let names = ClientNames::default();
-            let socket = Tls::accept(self.tls.as_ref(), socket, Some(Arc::clone(&names)));
-            return (Bounded::new(socket, place), names);
+            let client = Client::default();
+            let socket = Tls::accept(self.tls.as_ref(), socket, Some(Arc::clone(&client)));
+            return (Bounded::new(socket, place), client);
         }
     }
 
     fn local_addr(&self) -> io::Result<Self::Addr> {
         // The listener itself has no client.
-        Ok(ClientNames::default())
+        Ok(Client::default())
     }
 }
 

@@ -56,18 +56,30 @@ pub struct Identity {
     is_revoked: AtomicBool,
 }
 
+/// The verified certificate of a client.
+#[derive(Clone, Debug)]
+pub(crate) struct ClientCertificate {
+    /// Its common names, DNS names and URIs.
+    pub(crate) names: Vec<String>,
+    pub(crate) expires: SystemTime,
+}
+
 /// A call of an identity. It counts until it is dropped.
 #[derive(Debug)]
 pub struct Calling {
     identity: Arc<Identity>,
+    /// The end of the rights: that of the identity, or of the certificate if that is earlier.
+    expires: Option<SystemTime>,
     /// The quota of calls, if this one exceeds it.
     exceeds: Option<usize>,
 }
 
 impl Calling {
-    fn new(identity: &Arc<Identity>) -> Self {
+    fn new(identity: &Arc<Identity>, certificate: Option<&ClientCertificate>) -> Self {
         let before = identity.calls.fetch_add(1, Relaxed);
+        let ends = [identity.expires, certificate.map(|it| it.expires)];
         Self {
+            expires: ends.into_iter().flatten().min(),
             exceeds: identity.max_calls.filter(|most| before >= *most),
             identity: Arc::clone(identity),
         }
@@ -91,7 +103,7 @@ pub enum Stranger {
     NoCredential,
     /// No identity has the token or the certificate.
     WrongCredential,
-    /// The identity has expired.
+    /// The identity or the client certificate has expired.
     Expired,
     /// The identity was removed or changed after the call had begun.
     Revoked,
@@ -133,8 +145,8 @@ pub enum Caller {
 }
 
 impl Caller {
-    fn known(identity: &Arc<Identity>) -> Self {
-        Self::Known(Arc::new(Calling::new(identity)))
+    fn known(identity: &Arc<Identity>, certificate: Option<&ClientCertificate>) -> Self {
+        Self::Known(Arc::new(Calling::new(identity, certificate)))
     }
 
     fn identity(&self) -> Option<&Identity> {
@@ -156,7 +168,11 @@ impl Caller {
 
     /// Refuses a caller whose identity is missing, expired or revoked, or has too many calls under way.
     pub fn check(&self) -> Result<(), Stranger> {
-        let Calling { identity, exceeds } = match self {
+        let Calling {
+            identity,
+            expires,
+            exceeds,
+        } = match self {
             Caller::Anyone => return Ok(()),
             Caller::Unknown(stranger) => return Err(*stranger),
             Caller::Known(calling) => &**calling,
@@ -164,8 +180,8 @@ impl Caller {
         if identity.is_revoked.load(Relaxed) {
             return Err(Stranger::Revoked);
         }
-        match (identity.expires, exceeds) {
-            (Some(expires), _) if SystemTime::now() >= expires => Err(Stranger::Expired),
+        match (expires, exceeds) {
+            (Some(expires), _) if SystemTime::now() >= *expires => Err(Stranger::Expired),
             (_, Some(most)) => Err(Stranger::TooManyCalls(*most)),
             _ => Ok(()),
         }
@@ -240,7 +256,7 @@ impl fmt::Display for Stranger {
             Stranger::WrongCredential => {
                 f.write_str("no identity of this server has this token or client certificate")
             }
-            Stranger::Expired => f.write_str("the identity has expired: ask for another token"),
+            Stranger::Expired => f.write_str("the identity or its client certificate has expired: ask for another token or certificate"),
             Stranger::Revoked => f.write_str(
                 "the identity was removed or changed: call again with a credential that is valid now",
             ),

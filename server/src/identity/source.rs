@@ -12,7 +12,7 @@ use prometheus_client::metrics::gauge::Gauge;
 use tokio::time::interval;
 use tracing::{error, info};
 
-use super::{Caller, Stranger, TableError, table::Table};
+use super::{Caller, ClientCertificate, Stranger, TableError, table::Table};
 
 /// The interval at which files are looked at: a revoked identity has its rights for so long at most.
 pub(crate) const LOOK_INTERVAL: Duration = Duration::from_secs(1);
@@ -67,14 +67,18 @@ impl Identities {
         self.source.is_some()
     }
 
-    /// The caller with a token, a certificate for these names, or neither. The token counts if there are both.
-    pub(crate) fn caller(&self, token: Option<&[u8]>, certificate: Option<&[String]>) -> Caller {
+    /// The caller with a token, a certificate, or neither. The token counts if there are both.
+    pub(crate) fn caller(
+        &self,
+        token: Option<&[u8]>,
+        certificate: Option<&ClientCertificate>,
+    ) -> Caller {
         let Some(source) = &self.source else {
             return Caller::Anyone;
         };
         match (token, certificate) {
             (Some(token), _) => source.table.read().of_token(token),
-            (None, Some(names)) => source.table.read().of_certificate(names),
+            (None, Some(certificate)) => source.table.read().of_certificate(certificate),
             (None, None) => Caller::Unknown(Stranger::NoCredential),
         }
     }

@@ -14,7 +14,7 @@ use subtle::ConstantTimeEq;
 use thiserror::Error;
 use time::{OffsetDateTime, format_description::well_known::Rfc3339};
 
-use super::{Caller, Identity, Pattern, Role, Stranger};
+use super::{Caller, ClientCertificate, Identity, Pattern, Role, Stranger};
 
 /// The SHA-256 of a token, in words: comparing them takes a tenth of the time that its bytes take.
 type Digest = [u64; 4];
@@ -182,19 +182,26 @@ impl Table {
                 found = Some(identity);
             }
         }
-        found.map_or(Caller::Unknown(Stranger::WrongCredential), Caller::known)
+        found.map_or(Caller::Unknown(Stranger::WrongCredential), |it| {
+            Caller::known(it, None)
+        })
     }
 
     /// The caller of this name.
     pub(super) fn of_name(&self, name: &str) -> Caller {
         let found = self.entries.get(name).map(|(_, identity)| identity);
-        found.map_or(Caller::Unknown(Stranger::WrongCredential), Caller::known)
+        found.map_or(Caller::Unknown(Stranger::WrongCredential), |it| {
+            Caller::known(it, None)
+        })
     }
 
-    /// The caller whose verified client certificate is for any of these names.
-    pub(super) fn of_certificate(&self, names: &[String]) -> Caller {
-        let found = names.iter().find_map(|name| self.certificates.get(name));
-        found.map_or(Caller::Unknown(Stranger::WrongCredential), Caller::known)
+    /// The caller whose verified client certificate is for any of its names.
+    pub(super) fn of_certificate(&self, certificate: &ClientCertificate) -> Caller {
+        let names = &mut certificate.names.iter();
+        let found = names.find_map(|name| self.certificates.get(name));
+        found.map_or(Caller::Unknown(Stranger::WrongCredential), |it| {
+            Caller::known(it, Some(certificate))
+        })
     }
 }
 
@@ -243,6 +250,24 @@ mod tests {
         Table::parse(&text).unwrap()
     }
 
+    /// A certificate that ends so many hours from now.
+    fn certificate(names: &[&str], hours: i64) -> ClientCertificate {
+        let ends = OffsetDateTime::now_utc() + time::Duration::hours(hours);
+        ClientCertificate {
+            names: names.iter().map(ToString::to_string).collect(),
+            expires: ends.into(),
+        }
+    }
+
+    #[test]
+    fn the_rights_of_a_certificate_end_with_it() {
+        let text = "[[identity]]\nname = \"cell\"\nrole = \"read\"\nindexes = []\ncertificate = \"cell\"\n";
+        let table = Table::parse(text).unwrap();
+        let check = |hours| table.of_certificate(&certificate(&["cell"], hours)).check();
+        assert_eq!(check(1), Ok(()));
+        assert_eq!(check(-1), Err(Stranger::Expired));
+    }
+
     #[test]
     fn rights_end_at_the_role_the_pattern_and_the_expiry() {
         let table = table("write");
@@ -253,12 +278,11 @@ mod tests {
         assert!(matches!(admin, super::super::Denial::Role { .. }));
         let leg = caller.authorize(Role::Read, Some("leg")).unwrap_err();
         assert!(matches!(leg, super::super::Denial::Index { .. }));
-        let names = ["other".to_owned(), "gone.example".to_owned()];
-        let expired = table.of_certificate(&names).check();
-        assert_eq!(expired, Err(Stranger::Expired));
+        let expired = table.of_certificate(&certificate(&["other", "gone.example"], 1));
+        assert_eq!(expired.check(), Err(Stranger::Expired));
         for caller in [
             table.of_token(b"another"),
-            table.of_certificate(&names[..1]),
+            table.of_certificate(&certificate(&["other"], 1)),
         ] {
             assert_eq!(caller.check(), Err(Stranger::WrongCredential));
         }
