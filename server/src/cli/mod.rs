@@ -47,6 +47,9 @@ pub fn main() -> ExitCode {
         Err(error) => return fail(&*error, USAGE_STATUS),
     };
     pages::use_small_pages();
+    // Data and snapshots hold the points of all indices: only the user of the server reads the files that it makes.
+    #[cfg(target_os = "linux")]
+    rustix::process::umask(rustix::fs::Mode::RWXG | rustix::fs::Mode::RWXO);
     match flags.command {
         Some(Command::Repair { dry_run }) => return repair::run(&config, dry_run),
         Some(Command::Reseed { index, uid }) => {

@@ -30,6 +30,23 @@ async fn insert(stubs: &mut Stubs, states: &mut States) {
     stubs.insert(request).await;
 }
 
+/// Only the user of the server reads a directory and all that is in it.
+#[cfg(target_os = "linux")]
+fn assert_private(path: &Path) {
+    use std::os::unix::fs::PermissionsExt;
+    // A file of the store may be gone by now.
+    let Ok(found) = fs::metadata(path) else {
+        return;
+    };
+    let mode = found.permissions().mode();
+    assert_eq!(mode & 0o077, 0, "{}: {mode:o}", path.display());
+    if found.is_dir() {
+        for file in fs::read_dir(path).unwrap() {
+            assert_private(&file.unwrap().path());
+        }
+    }
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn snapshots_are_taken_kept_and_restored() {
     let directory = tempfile::tempdir().unwrap();
@@ -47,6 +64,10 @@ async fn snapshots_are_taken_kept_and_restored() {
         let line = written.last().unwrap();
         let (_, file) = line.split_once("file=").unwrap();
         newest = file.split_whitespace().next().unwrap().to_owned();
+    }
+    #[cfg(target_os = "linux")]
+    for directory in [&data, &snapshots] {
+        assert_private(directory);
     }
     let content = Content::read(&stubs, "arm").await.unwrap();
     let uri = server.uri().to_owned();
