@@ -190,6 +190,6 @@ def an_identity_of_some_indices_has_no_figures(page, programs, pictures):
             expect(page.locator("#indices tbody tr")).to_have_count(1)
             expect(page.locator('[data-index="leg"] [data-label="points"]')).to_have_text("1")
             expect(page.locator('[data-index="leg"] [data-label="calls/s"]')).to_contain_text("–")
-            expect(page.locator(".tile", has_text="Calls a second")).to_contain_text("figures need an identity of all indices")
-            expect(page.locator("#calls-empty")).to_contain_text("figures need an identity of all indices")
+            expect(page.locator(".tile", has_text="Calls a second")).to_contain_text("figures need an identity that may read /metrics")
+            expect(page.locator("#calls-empty")).to_contain_text("figures need an identity that may read /metrics")
             picture(page, pictures, "no-figures")

@@ -34,7 +34,7 @@ function update(sample) {
 }
 
 // An identity of only some indices reads this text in place of figures.
-const NO_FIGURES = "figures need an identity of all indices";
+const NO_FIGURES = "figures need an identity that may read /metrics";
 
 function tilesOf({ server, indices, hasFigures }) {
   const points = indices.reduce((sum, index) => sum + Number(index.points), 0);
