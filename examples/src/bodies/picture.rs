@@ -15,25 +15,15 @@ use super::{
 };
 use crate::planning::{
     comparison::Comparison,
-    drawing::{self, Area, DARK, DrawingError, FONT_SIZES, PALE, TREES, letters, walk, write},
+    drawing::{
+        self, Area, DARK, DrawingError, FONT_SIZES, PALE, TREES, WORKERS, letters, walk, write,
+    },
     error::PlanningError,
     panels, path,
 };
 
 /// The number of states along the path at which the bodies are drawn.
 const STATES: usize = 22;
-
-/// A colour for each body.
-const BODY_COLORS: [RGBColor; BODIES] = [
-    RGBColor(214, 72, 66),
-    RGBColor(231, 145, 39),
-    RGBColor(199, 172, 28),
-    RGBColor(86, 157, 62),
-    RGBColor(30, 150, 140),
-    RGBColor(48, 122, 196),
-    RGBColor(118, 86, 186),
-    RGBColor(196, 76, 150),
-];
 
 /// Draws the room with the path of all bodies, the trees from above and from the side, and the panels of figures.
 pub fn draw(
@@ -154,7 +144,7 @@ fn solids(room: &Room, shown: &[Vec<f64>], view: &View) -> Vec<Face<(RGBColor, f
     for (at, state) in states.iter().enumerate() {
         let share = at as f64 / last;
         let is_end = at == 0 || at + 1 == states.len();
-        for (pose, ink) in scene::poses(state).iter().zip(BODY_COLORS) {
+        for (pose, ink) in scene::poses(state).iter().zip(WORKERS) {
             let opacity = if is_end { 1.0 } else { 0.35 + 0.3 * share };
             let color = (faded(ink, 0.35 + 0.65 * share), opacity);
             for (part, shape) in scene::parts(0.0) {
