@@ -100,13 +100,16 @@ impl Registry {
         }
     }
 
+    /// True while the journal cannot be reached: records of others do not arrive.
+    pub fn is_cut_off(&self) -> bool {
+        !self.host.log.journal.is_reachable()
+    }
+
     /// True if mutations that add points are accepted now: the store has not failed, the journal can be reached, and
     /// memory and disk are below their watermarks.
     pub fn accepts_growth(&self) -> bool {
         let log = &self.host.log;
-        self.failure().is_none()
-            && log.journal.is_reachable()
-            && self.host.watermarks.admit(0).is_ok()
+        self.failure().is_none() && !self.is_cut_off() && self.host.watermarks.admit(0).is_ok()
     }
 
     /// The error of a log that has stopped accepting writes.

@@ -21,8 +21,12 @@ const MESSAGE_BYTES: usize = 256 * 1024;
 /// Approximate bytes of a mutation without its points and removed ids.
 const MUTATION_BYTES: usize = 128;
 
-/// The time between two looks at the rights of a watch that waits.
-const RIGHTS_INTERVAL: Duration = Duration::from_secs(1);
+/// The time between two looks at the rights of a watch that waits, and at the journal.
+const LOOK_INTERVAL: Duration = Duration::from_secs(1);
+
+/// The looks after which a watch ends because the server cannot reach the journal: its client goes on at another server.
+/// Connections to NATS that break are made again within less.
+const MAX_CUT_OFF_LOOKS: u32 = 5;
 
 /// A running watch. It pins no revision and holds the mutations of one message at most: the log keeps the rest, for as
 /// long as it retains them.
@@ -223,16 +227,27 @@ impl Watch {
     async fn wait(&self) -> Result<(), Error> {
         let reached = self.hosted.reached(self.after + 1);
         let mut reached = pin!(self.call.bound("while watching", reached));
+        let mut cut_off = 0;
         let reached = loop {
             let waited = tokio::select! {
                 // Without this branch a call that waits for a mutation would delay the shutdown forever.
                 () = self.service.stopping() => return self.service.accept(&self.call, Role::Read, None),
-                waited = timeout(RIGHTS_INTERVAL, &mut reached) => waited,
+                waited = timeout(LOOK_INTERVAL, &mut reached) => waited,
             };
             match waited {
                 Ok(reached) => break reached?,
                 // An idle watch ends with its identity too.
                 Err(_) => self.service.accept(&self.call, Role::Read, None)?,
+            }
+            cut_off = match self.service.registry()?.is_cut_off() {
+                true => cut_off + 1,
+                false => 0,
+            };
+            if cut_off >= MAX_CUT_OFF_LOOKS {
+                let error = LogError::Unreachable {
+                    what: "its connection is lost".into(),
+                };
+                return Err(registry_error(self.hosted.name(), error.into()));
             }
         };
         reached.map_err(|error| registry_error(self.hosted.name(), error))?;
