@@ -8,7 +8,7 @@ import re
 from support import running
 
 ROOT = pathlib.Path(__file__).parent.parent.parent
-# The least distance in CIELAB between two categories. Two of 2.3 are just told apart side by side.
+# The least distance in CIELAB between two categories. At 2.3 the eye just tells two colours apart.
 LEAST_DISTANCE = 20
 # WCAG 2, AA.
 LEAST_CONTRAST = 4.5

@@ -250,7 +250,7 @@ mod tests {
         Table::parse(&text).unwrap()
     }
 
-    /// A certificate that ends so many hours from now.
+    /// A certificate that ends `hours` from now.
     fn certificate(names: &[&str], hours: i64) -> ClientCertificate {
         let ends = OffsetDateTime::now_utc() + time::Duration::hours(hours);
         ClientCertificate {

@@ -36,8 +36,8 @@ pub(crate) struct Times {
     /// The wait for turns to compute.
     pub(crate) queued: Duration,
     pub(crate) computed: Duration,
-    /// The time until the answer was made. The rest, beside `queued` and `computed`, was spent on waits for the log,
-    /// the disk or a revision.
+    /// The time until the answer was made. It contains `queued`, `computed`, and the waits for the log, the disk or a
+    /// revision.
     pub(crate) answered: Duration,
 }
 

@@ -17,8 +17,8 @@ use crate::{
 const SERVERS: usize = 3;
 const POINTS: u64 = 20;
 
-/// Stops and starts one server after the other under a client, no call of which fails. With `replaces` each one starts on an
-/// empty directory.
+/// Stops and starts the servers in turn while a client calls; no call fails. With `replaces`, each server starts on an empty
+/// directory.
 async fn roll(replaces: bool) {
     let cluster = Cluster::empty();
     let mut servers: Vec<_> = (0..SERVERS).map(|number| cluster.start(number)).collect();

@@ -32,9 +32,9 @@ fn a_password_for_zenoh_is_in_no_line() {
 
 #[test]
 fn a_password_for_nats_is_in_no_line() {
-    // The port is free again: nobody answers there.
-    let nobody = TcpListener::bind("127.0.0.1:0").unwrap().local_addr();
-    let nats = format!("nats://user:{PASSWORD}@{}", nobody.unwrap());
+    // The listener is dropped at once: no server answers at its port.
+    let closed = TcpListener::bind("127.0.0.1:0").unwrap().local_addr();
+    let nats = format!("nats://user:{PASSWORD}@{}", closed.unwrap());
     let mut command = talkative(&[]);
     command
         .env("WAYFOLD_CLUSTER__NATS", nats)

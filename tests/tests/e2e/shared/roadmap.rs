@@ -21,7 +21,7 @@ const INSERTS: usize = 300;
 const RADIUS: f64 = 3.0;
 const K: usize = 8;
 
-/// The neighbours that each point was told of, by its insert and meanwhile.
+/// The neighbours of each point: those that its insert found, and those of `meanwhile`.
 type Edges = BTreeMap<u64, Vec<Neighbor>>;
 
 /// Inserts points from four threads; two of the threads share an index. Returns the neighbours of each point.

@@ -131,6 +131,6 @@ pub(super) fn no_edge_between_processes_is_missed(way: Way) {
     pairs.sort_unstable();
     pairs.dedup();
     assert_eq!(pairs.len(), points * (points - 1) / 2);
-    // Each pair once: the earlier point of two is never told of the later one.
+    // Each pair comes once: the later point of two gets the earlier one.
     assert_eq!(once, pairs.len());
 }
