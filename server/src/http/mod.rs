@@ -72,7 +72,7 @@ pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages)
     axum::serve(secured, routes).await
 }
 
-/// The names in the certificate of the client of a connection.
+/// The certificate of the client of a connection.
 #[derive(Clone)]
 struct Certificate(Client);
 

@@ -24,8 +24,8 @@ const MUTATION_BYTES: usize = 128;
 /// The time between two looks at the rights of a watch that waits, and at the journal.
 const LOOK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// The looks after which a watch ends because the server cannot reach the journal: its client goes on at another server.
-/// Connections to NATS that break are made again within less.
+/// A watch ends after this number of looks at a journal that cannot be reached: its client goes on at another server. The
+/// client of NATS connects again sooner than that if it can.
 const MAX_CUT_OFF_LOOKS: u32 = 5;
 
 /// A running watch. It pins no revision and holds the mutations of one message at most: the log keeps the rest, for as
