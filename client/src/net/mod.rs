@@ -5,6 +5,7 @@
 //! that were seen. The other files are what travels.
 
 pub(crate) mod client;
+mod columns;
 pub(crate) mod connections;
 mod credentials;
 mod handle;

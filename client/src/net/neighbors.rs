@@ -4,19 +4,18 @@ use bytes::Bytes;
 use wayfold_index::Neighbor;
 use wayfold_proto::v1;
 
-use crate::{Error, Include, Revision, States, net::points::extend, net::revision::RowRevisions};
+use crate::{
+    Error, Include, Revision, States,
+    net::{columns::Columns, revision::RowRevisions},
+};
 
 /// The neighbours of each state of a request, nearest first; at equal distances by id.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Neighbors {
     /// The end of each state's neighbours in the columns.
     ends: Vec<usize>,
-    ids: Vec<u64>,
     distances: Vec<f64>,
-    states: Option<States>,
-    tags: Option<Vec<u64>>,
-    stored: Option<Vec<u64>>,
-    payloads: Option<Vec<Bytes>>,
+    columns: Columns,
     read_at: RowRevisions,
 }
 
@@ -104,13 +103,14 @@ impl Neighbors {
     pub fn row(&self, i: usize) -> Row<'_> {
         let start = if i == 0 { 0 } else { self.ends[i - 1] };
         let range = start..self.ends[i];
+        let columns = &self.columns;
         Row {
-            ids: &self.ids[range.clone()],
+            ids: &columns.ids[range.clone()],
             distances: &self.distances[range.clone()],
-            tags: self.tags.as_ref().map(|tags| &tags[range.clone()]),
-            revisions: self.stored.as_ref().map(|stored| &stored[range.clone()]),
-            payloads: self.payloads.as_ref().map(|payloads| &payloads[range]),
-            states: self.states.as_ref(),
+            tags: columns.tags.as_ref().map(|tags| &tags[range.clone()]),
+            revisions: columns.stored.as_ref().map(|stored| &stored[range.clone()]),
+            payloads: columns.payloads.as_ref().map(|payloads| &payloads[range]),
+            states: columns.states.as_ref(),
             start,
         }
     }
@@ -163,45 +163,28 @@ impl Neighbors {
         if message.ids.len() != found || message.distances.len() != found {
             return Err(wrong("counts, ids and distances disagree"));
         }
-        let states = match include.states {
-            true => Some(
-                States::from_message(message.states, found, width)
-                    .ok_or_else(|| wrong("not a state for each id"))?,
-            ),
-            false => None,
+        let points = v1::Points {
+            ids: message.ids,
+            states: message.states,
+            tags: message.tags,
+            revisions: message.revisions,
+            payloads: message.payloads,
         };
-        let (tags, stored, payloads) = (message.tags, message.revisions, message.payloads);
-        if include.tags && tags.len() != found
-            || include.revisions && stored.len() != found
-            || include.payloads && payloads.len() != found
-        {
-            return Err(wrong("not a tag, revision or payload for each id"));
-        }
         Ok(Neighbors {
             read_at: RowRevisions::one(ends.len(), revision),
             ends,
-            ids: message.ids,
             distances: message.distances,
-            states,
-            tags: include.tags.then_some(tags),
-            stored: include.revisions.then_some(stored),
-            payloads: include.payloads.then_some(payloads),
+            columns: Columns::from_message(call, points, width, include)?,
         })
     }
 
     /// Appends the answer to later rows of the same request.
     pub(crate) fn append(&mut self, other: Neighbors) {
-        let before = self.ids.len();
+        let before = self.distances.len();
         self.ends
             .extend(other.ends.into_iter().map(|end| before + end));
-        self.ids.extend(other.ids);
         self.distances.extend(other.distances);
-        if let (Some(states), Some(others)) = (&mut self.states, other.states) {
-            states.append(others);
-        }
-        extend(&mut self.tags, other.tags);
-        extend(&mut self.stored, other.stored);
-        extend(&mut self.payloads, other.payloads);
+        self.columns.append(other.columns);
         self.read_at.append(other.read_at);
     }
 }

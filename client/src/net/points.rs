@@ -3,16 +3,15 @@
 use bytes::Bytes;
 use wayfold_proto::v1;
 
-use crate::{Error, FromState, Include, Revision, States, net::revision::RowRevisions};
+use crate::{
+    Error, FromState, Include, Revision, States,
+    net::{columns::Columns, revision::RowRevisions},
+};
 
 /// Stored points, in the order of a get's ids, or in that of all ids.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Points {
-    ids: Vec<u64>,
-    states: Option<States>,
-    tags: Option<Vec<u64>>,
-    stored: Option<Vec<u64>>,
-    payloads: Option<Vec<Bytes>>,
+    columns: Columns,
     read_at: RowRevisions,
 }
 
@@ -41,12 +40,12 @@ impl Point<'_> {
 impl Points {
     /// The number of points.
     pub fn len(&self) -> usize {
-        self.ids.len()
+        self.columns.ids.len()
     }
 
     /// True if there are none.
     pub fn is_empty(&self) -> bool {
-        self.ids.is_empty()
+        self.columns.ids.is_empty()
     }
 
     /// Point `i`.
@@ -54,12 +53,13 @@ impl Points {
     /// # Panics
     /// If there is no such point.
     pub fn point(&self, i: usize) -> Point<'_> {
+        let columns = &self.columns;
         Point {
-            id: self.ids[i],
-            state: self.states.as_ref().map_or(&[], |states| states.row(i)),
-            tag: self.tags.as_ref().map_or(0, |tags| tags[i]),
-            revision: self.stored.as_ref().map_or(0, |stored| stored[i]),
-            payload: self.payloads.as_ref().map(|payloads| &payloads[i]),
+            id: columns.ids[i],
+            state: columns.states.as_ref().map_or(&[], |states| states.row(i)),
+            tag: columns.tags.as_ref().map_or(0, |tags| tags[i]),
+            revision: columns.stored.as_ref().map_or(0, |stored| stored[i]),
+            payload: columns.payloads.as_ref().map(|payloads| &payloads[i]),
         }
     }
 
@@ -70,12 +70,12 @@ impl Points {
 
     /// The ids.
     pub fn ids(&self) -> &[u64] {
-        &self.ids
+        &self.columns.ids
     }
 
     /// The states in canonical form, if included.
     pub fn states(&self) -> Option<&States> {
-        self.states.as_ref()
+        self.columns.states.as_ref()
     }
 
     /// The revision that was read; the oldest one if the request was divided among several calls.
@@ -91,52 +91,16 @@ impl Points {
         width: usize,
         include: Include,
     ) -> Result<Points, Error> {
-        let wrong = |problem: &str| Error::Protocol {
-            call,
-            problem: problem.to_owned(),
-        };
-        let message = message.unwrap_or_default();
-        let found = message.ids.len();
-        let states = match include.states {
-            true => Some(
-                States::from_message(message.states, found, width)
-                    .ok_or_else(|| wrong("not a state for each id"))?,
-            ),
-            false => None,
-        };
-        let (tags, stored, payloads) = (message.tags, message.revisions, message.payloads);
-        if include.tags && tags.len() != found
-            || include.revisions && stored.len() != found
-            || include.payloads && payloads.len() != found
-        {
-            return Err(wrong("not a tag, revision or payload for each id"));
-        }
+        let columns = Columns::from_message(call, message.unwrap_or_default(), width, include)?;
         Ok(Points {
-            ids: message.ids,
-            states,
-            tags: include.tags.then_some(tags),
-            stored: include.revisions.then_some(stored),
-            payloads: include.payloads.then_some(payloads),
-            read_at: RowRevisions::one(found, revision),
+            read_at: RowRevisions::one(columns.ids.len(), revision),
+            columns,
         })
     }
 
     /// Appends the answer to later ids of the same request.
     pub(crate) fn append(&mut self, other: Points) {
-        self.ids.extend(other.ids);
-        if let (Some(states), Some(others)) = (&mut self.states, other.states) {
-            states.append(others);
-        }
-        extend(&mut self.tags, other.tags);
-        extend(&mut self.stored, other.stored);
-        extend(&mut self.payloads, other.payloads);
+        self.columns.append(other.columns);
         self.read_at.append(other.read_at);
-    }
-}
-
-/// Appends a column that both answers have.
-pub(crate) fn extend<T>(column: &mut Option<Vec<T>>, other: Option<Vec<T>>) {
-    if let (Some(column), Some(other)) = (column, other) {
-        column.extend(other);
     }
 }
