@@ -44,6 +44,11 @@ def digits(value):
     return f"{value:,.0f}" if value >= 9.95 else f"{value:.1f}" if value >= 1 else f"{value:.2f}" if value >= 0.1 else f"{value:.2g}"
 
 
+def tenths(value):
+    """The whole number, or one with a tenth below ten."""
+    return f"{value:,.0f}" if value >= 9.95 else f"{value:.1f}"
+
+
 def ratio(value):
     if value is None:
         return "–"

@@ -14,7 +14,10 @@ use zenoh::{Config, Session};
 use crate::{Process, ServerProcess, echo};
 
 /// The environment variable with the role of a started process; unset in the measuring process.
-const ROLE: &str = "MEASURING_ROLE";
+pub const ROLE: &str = "MEASURING_ROLE";
+
+/// The role of the server.
+pub const SERVER: &str = "server";
 
 /// The role of this process, if the measuring process has started it.
 pub fn role() -> Option<String> {
@@ -33,7 +36,7 @@ where
     // All contestants have the server's allocator and its pages.
     wayfold_server::use_small_pages();
     match role().as_deref() {
-        Some("server") => return wayfold_server::main(),
+        Some(SERVER) => return wayfold_server::main(),
         Some("echo") => return echo::main(),
         _ => {}
     }
@@ -57,7 +60,7 @@ where
 /// # Panics
 /// If it does not come up.
 pub fn server(data: &str) -> ServerProcess {
-    start("server", &["--grpc", "127.0.0.1:0", "--data", data])
+    start(SERVER, &["--grpc", "127.0.0.1:0", "--data", data])
 }
 
 /// Starts this program as a server that also speaks Zenoh, at [`ServerProcess::zenoh`].
@@ -66,7 +69,7 @@ pub fn server(data: &str) -> ServerProcess {
 /// If it does not come up.
 pub fn server_over_zenoh(data: &str) -> ServerProcess {
     let listen = ["--grpc", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0"];
-    start("server", &[&listen[..], &["--data", data]].concat())
+    start(SERVER, &[&listen[..], &["--data", data]].concat())
 }
 
 /// A Zenoh session whose only peer is at the locator.

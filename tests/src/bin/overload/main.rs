@@ -1,9 +1,9 @@
 //! Measures a server under more load than it can bear, and beside clients that hold what they can.
 //!
-//!     cargo run --release -p wayfold-tests --bin overload -- --server PATH [SCENARIO...] [--seconds 8]
+//!     cargo run --release -p wayfold-tests --bin overload -- [SCENARIO...] [--seconds 8] [--server PATH]
 //!         [--server-core 0] [--client-core 1] [--points 50000] [--set grpc.max_calls=64] [--json FILE]
 //!
-//! It starts the server program, of this version or another, in memory, and fills an index of SE(3) (`R3*SO3:0.15`).
+//! It starts the server in memory, its own or the program of another version, and fills an index of SE(3) (`R3*SO3:0.15`).
 //! The server has one core, all callers share another. Every answer of the server is counted, errors too.
 //!
 //! Calls on a schedule count from the time at which they were due, and so do those of the callers beside a load. A call
@@ -48,9 +48,9 @@ struct Arguments {
     /// The scenarios; all if none is given.
     #[arg(value_enum)]
     scenarios: Vec<Scenario>,
-    /// The server's program.
+    /// The program of another server; without it, this program is the server too.
     #[arg(long, value_parser = server::program)]
-    server: PathBuf,
+    server: Option<PathBuf>,
     /// The core of the server.
     #[arg(long, default_value_t = 0)]
     server_core: usize,

@@ -41,13 +41,16 @@ const ROWS: usize = 1_000;
 /// The longest time for which the work of a phase may go on after it.
 const SETTLE: Duration = Duration::from_secs(20);
 
-/// Pins this process to the core that its first argument names, and runs the program that its other arguments name.
+/// Pins this process to the core that its first argument names, and runs the server that its other arguments name.
 pub(crate) fn become_server() -> ExitCode {
     let mut arguments = std::env::args().skip(1);
     let core = arguments.next().and_then(|core| core.parse().ok());
     crate::pin::to_core(core.expect("a core"));
     let program = arguments.next().expect("a program");
-    let error = Command::new(&program).args(arguments).exec();
+    let error = Command::new(&program)
+        .env(measuring::ROLE, measuring::SERVER)
+        .args(arguments)
+        .exec();
     eprintln!("error: {program}: {error}");
     ExitCode::FAILURE
 }
@@ -69,9 +72,11 @@ impl Server {
     /// Starts it with these settings, below those of the arguments.
     pub(crate) fn start_with(arguments: &Arguments, settings: &[(&str, &str)]) -> Self {
         let mut command = measuring::command(PINNED);
+        let own = command.get_program().to_owned();
+        let server = arguments.server.as_ref();
         command
             .arg(arguments.server_core.to_string())
-            .arg(&arguments.server)
+            .arg(server.map_or(own, |path| path.clone().into()))
             .args(["--grpc", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0"])
             .args(["--data", "memory"]);
         let given = arguments.set.iter().map(|(key, value)| (&**key, &**value));

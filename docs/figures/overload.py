@@ -1,0 +1,90 @@
+"""The tables of a server under more load than it can bear."""
+
+from saved import FIGURES, of, read, table, tenths
+
+RATES = ["2x", "4x"]
+UNREAD = {"16 StreamKnn of 128": "16 unread `StreamKnn` of 128 answers", "250 Knn": "250 unread `Knn`"}
+
+
+def compact(raw):
+    """The figures of the table, of those that the program wrote."""
+    mib = lambda scenario, when: raw[scenario][when]["resident memory, MiB"]
+    goodput = {rows: raw[f"goodput, Knn of {rows} rows"] for rows in (200, 1)}
+    phases = [f"{rate} {callers}" for rate in RATES for callers in ("patient", "500 ms")]
+    health = lambda rows: [goodput[rows][phase]["health p99, ms"] for phase in phases]
+    peak = {f"{callers}, {rows} rows": [goodput[rows][f"{rate} {callers}"]["of the peak"] for rate in RATES]
+            for rows in goodput for callers in ("patient", "500 ms")}
+    heavy = raw["heavy, others"]
+    refused = raw["silent, 17 connections with 256 headers each: others"]["during"]
+    return {
+        "of_the_peak": peak,
+        "accepted_p99_ms": [goodput[200][f"{rate} patient"]["accepted p99, ms"] for rate in RATES],
+        "health_p99_ms": {f"{rows} rows": [min(health(rows)), max(health(rows))] for rows in goodput},
+        "beside_p99_ms": [heavy[part]["bystander p99, ms"] for part in ("during", "before")],
+        "burst_refused": raw["burst, 64 workers once a second"]["burst"]["refused"],
+        "half_sent_mib": [mib("half-sent, memory", when) for when in ("before", "peak", "10 s after")],
+        "unread_mib": [mib(f"unread, {name}: memory", "peak") for name in UNREAD],
+        "headers_refused": [refused["bystander refused or lost"], refused["bystander calls"]],
+        "left": {"processor_s": raw["left, 600 queries of 5,000 rows over Zenoh"]["left"]["processor time after the client left, s"],
+                 "mib": mib("left, memory", "peak")},
+    }
+
+
+def compact_soak(raw):
+    memory, got = raw["soak, memory"], raw["soak, load and index"]["soak"]
+    quarters = ("first quarter", "second quarter", "third quarter", "last quarter")
+    return {
+        "of_the_peak": got["of the peak"], "health_p99_ms": got["health p99, ms"],
+        "mib": [memory[quarter]["resident memory, median, MiB"] for quarter in quarters],
+        "wrong_points": got["points too few or too many"] + got["points lost or changed"],
+        "wrong_searches": got["searches unlike brute force"],
+    }
+
+
+def numbers(values):
+    return ", ".join(map(tenths, values))
+
+
+def ms(values, between=", "):
+    """The different times, in the unit of the greatest."""
+    unit, scale = (" s", 1e3) if max(values) >= 1e3 else (" ms", 1)
+    return between.join(dict.fromkeys(tenths(value / scale) for value in values)) + unit
+
+
+def column(got):
+    parts = lambda *names: "; ".join(", ".join(f"{value:.2f}" for value in got["of_the_peak"][name]) for name in names)
+    accepted, (refused, calls) = got["accepted_p99_ms"], got["headers_refused"]
+    return {
+        "answered in time over the peak, 200 rows: twice, four times the peak by patient callers": parts("patient, 200 rows"),
+        "the same with deadlines of 500 ms": parts("500 ms, 200 rows"),
+        "the same for one row, patient; with deadlines": parts("patient, 1 rows", "500 ms, 1 rows"),
+        "p99 of accepted calls, 200 rows, patient: twice, four times the peak": f"{numbers(accepted)} ms" if accepted else "–",
+        "p99 of health, 200 rows; one row": "; ".join(ms(got["health_p99_ms"][rows], " to ") for rows in ("200 rows", "1 rows")),
+        "one caller's p99 beside 250 `Knn` of 10,000 neighbours × 4 on another connection; alone":
+            "; ".join(ms([one]) for one in got["beside_p99_ms"]),
+        "64 workers at once every second, 60 % of the capacity: refused": f"{got['burst_refused']:,.0f}",
+        "unfinished inserts: memory before, at most, 10 s after, MiB": numbers(got["half_sent_mib"]),
+        f"{'; '.join(UNREAD.values())}, at most, MiB": "; ".join(map(tenths, got["unread_mib"])),
+        "17 connections with 256 headers each: a caller is refused": f"{refused:,.0f}" + (f" of {calls:,.0f}" if calls else ""),
+        "600 queries over Zenoh of a caller that left: processor time; memory at most, MiB":
+            f"{got['left']['processor_s']:.1f} s; {tenths(got['left']['mib'])}",
+    }
+
+
+def overload():
+    """A column for each saved run, the newest last."""
+    names = [*sorted(path.stem for path in FIGURES.glob("overload-*.json")), "overload"]
+    columns = [column(of(name)) for name in names]
+    header = ["what", *("{processor}, at {commit}".format(**read(name)) for name in names)]
+    return table(names, header, [[what, *(one[what] for one in columns)] for what in columns[0]])
+
+
+def soak():
+    got = of("soak")
+    rows = [["answered in time over the peak", f"{got['of_the_peak']:.2f}"], ["p99 of health", ms([got["health_p99_ms"]])]]
+    rows += [["the median of the memory in each quarter, MiB", numbers(got["mib"])]]
+    rows += [["points lost or changed; searches unlike brute force", f"{got['wrong_points']:.0f}; {got['wrong_searches']:.0f}"]]
+    return table(["soak"], ["a soak of ten minutes", "figure"], rows)
+
+
+OVERLOAD = {"overload": overload, "soak": soak}
