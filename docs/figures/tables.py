@@ -4,6 +4,7 @@ from statistics import median
 
 from cpp import CPP
 from overload import OVERLOAD
+from paper import PAPER
 from saved import FIGURES, Missing, digits, of, ratio, read, table
 from server import SERVER
 
@@ -291,5 +292,5 @@ TABLES = {
     "tree-checks": tree_checks, "ompl-python": python_share,
     "memory": lambda: digits(of("index")["SE3"]["50000"]["uniform"]["memory"]["wayfold-rest"]) + " bytes",
     "roadmap-two": roadmap_two, "roadmap-wait": roadmap_wait,
-    **CPP, **OVERLOAD, **SERVER,
+    **CPP, **OVERLOAD, **PAPER, **SERVER,
 }
