@@ -2,6 +2,7 @@
 
 from statistics import median
 
+from clients import CLIENTS
 from cpp import CPP
 from overload import OVERLOAD
 from paper import PAPER
@@ -292,5 +293,5 @@ TABLES = {
     "tree-checks": tree_checks, "ompl-python": python_share,
     "memory": lambda: digits(of("index")["SE3"]["50000"]["uniform"]["memory"]["wayfold-rest"]) + " bytes",
     "roadmap-two": roadmap_two, "roadmap-wait": roadmap_wait,
-    **CPP, **OVERLOAD, **PAPER, **SERVER,
+    **CLIENTS, **CPP, **OVERLOAD, **PAPER, **SERVER,
 }
