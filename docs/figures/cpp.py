@@ -65,4 +65,11 @@ def calls():
     return table(["cpp"], ["what", "aim", "measured"], rows)
 
 
-CPP = {"cpp-planners": planners, "cpp-searches": searches, "cpp-calls": calls}
+def shared():
+    got = of("shared-prm")
+    rates = (f"{got[name]:.0f} vertices a second" for name in ("one", "two"))
+    row = [f"`SharedPRM`, SE3, {got['seconds']:.0f} s", *rates, "≥ 1.7", spread(got, 1.7)]
+    return table(["shared-prm"], ["roadmap", "one process", "two processes", "aim", "two / one"], [row])
+
+
+CPP = {"cpp-shared": shared, "cpp-planners": planners, "cpp-searches": searches, "cpp-calls": calls}

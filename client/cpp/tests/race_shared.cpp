@@ -1,6 +1,6 @@
 // The vertices a second of a shared roadmap, grown by one process and by two, where collision checks dominate. The last
 // column is the ratio that the processor time of the processes allows if nothing else uses their cores:
-// race_shared URI [RUNS [SECONDS]]; client/cpp/race_shared runs it.
+// race_shared URI [RUNS [SECONDS]] [--json FILE]; client/cpp/race_shared runs it.
 #include "process.hpp"
 
 #include <algorithm>
@@ -134,7 +134,12 @@ double median(std::vector<double> values) {
 
 int main(int count, char **arguments) {
     ompl::msg::setLogLevel(ompl::msg::LOG_NONE);
-    const std::vector<std::string> words(arguments + 1, arguments + count);
+    std::vector<std::string> words(arguments + 1, arguments + count);
+    std::string file;
+    if (words.size() > 2 && words[words.size() - 2] == "--json") {
+        file = words.back();
+        words.resize(words.size() - 2);
+    }
     CHECK(!words.empty());
     if (words.size() == 5 && words[1] == "grow") {
         grow(words[0], words[2], std::stoul(words[3]), std::stod(words[4]));
@@ -161,4 +166,11 @@ int main(int count, char **arguments) {
                 runs);
     std::printf("| SharedPRM, SE3, %.0f s | %.0f vertices/s | %.0f vertices/s | %.2f | %.2f to %.2f | %.2f |\n", seconds,
                 median(one), median(two), median(ratios), *least, *most, median(costs));
+    if (!file.empty()) {
+        std::ofstream json(file);
+        json << "{\"rounds\": " << runs << ", \"seconds\": " << seconds << ", \"one\": " << median(one)
+             << ", \"two\": " << median(two) << ", \"ratio\": " << median(ratios) << ", \"least\": " << *least
+             << ", \"most\": " << *most << ", \"on_a_core_for_each\": " << median(costs) << "}\n";
+        CHECK(json.flush());
+    }
 }
