@@ -27,6 +27,7 @@ mod run;
 mod snapshots;
 mod status;
 mod verbs;
+mod wrong_text;
 mod zenoh;
 
 pub use cli::main;

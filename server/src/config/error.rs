@@ -20,7 +20,7 @@ pub enum ConfigError {
     Syntax {
         /// The file.
         origin: String,
-        /// The problem and its line.
+        /// The problem and its place, without the line, which may hold a secret.
         problem: String,
     },
     /// The setting does not exist.
@@ -44,7 +44,7 @@ pub enum ConfigError {
         key: String,
         /// The type of the setting.
         expected: &'static str,
-        /// The value that was set.
+        /// The value that was set, or the type of one that may hold a secret.
         found: String,
     },
     /// The value has the right type but is out of range.

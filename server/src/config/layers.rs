@@ -11,6 +11,7 @@ use config::{File, FileFormat, Source, Value, ValueKind};
 use wayfold_index::ForestOptions;
 
 use super::{Config, ConfigError, DEFAULTS, OFF, ON, nearest::nearest};
+use crate::wrong_text;
 
 const PREFIX: &str = "WAYFOLD_";
 const SEPARATOR: &str = "__";
@@ -74,7 +75,13 @@ fn toml(origin: &str, text: &str) -> Result<Settings, ConfigError> {
         .collect()
         .map_err(|problem| ConfigError::Syntax {
             origin: origin.to_owned(),
-            problem: problem.to_string(),
+            problem: match &problem {
+                config::ConfigError::FileParse { cause, .. } => match cause.downcast_ref() {
+                    Some(error) => wrong_text::toml(error, text),
+                    None => cause.to_string(),
+                },
+                other => other.to_string(),
+            },
         })?;
     let mut settings = Settings::new();
     for (key, value) in table {
@@ -183,7 +190,7 @@ fn overlay(
 }
 
 fn check(origin: &str, key: &str, default: &Value, value: &Value) -> Result<(), ConfigError> {
-    let expected = match (&default.kind, &value.kind) {
+    let (expected, found) = match (&default.kind, &value.kind) {
         (ValueKind::I64(_), ValueKind::I64(number)) => {
             let least = i64::from(!MAY_BE_ZERO.contains(&key));
             let most = match key {
@@ -221,17 +228,19 @@ fn check(origin: &str, key: &str, default: &Value, value: &Value) -> Result<(), 
             }
             return Ok(());
         }
-        (ValueKind::I64(_), _) => "an integer",
-        _ => "a string",
+        (ValueKind::I64(_), ValueKind::String(text)) => ("an integer", format!("\"{text}\"")),
+        (ValueKind::I64(_), other) => ("an integer", other.to_string()),
+        // Texts may hold secrets, also in a value of another type.
+        (_, ValueKind::Array(_)) => ("a string", "an array".to_owned()),
+        (_, ValueKind::Table(_)) => ("a string", "a table".to_owned()),
+        (_, ValueKind::Boolean(_)) => ("a string", "a boolean".to_owned()),
+        _ => ("a string", "a number".to_owned()),
     };
     Err(ConfigError::Type {
         origin: origin.to_owned(),
         key: key.to_owned(),
         expected,
-        found: match &value.kind {
-            ValueKind::String(text) => format!("\"{text}\""),
-            other => other.to_string(),
-        },
+        found,
     })
 }
 

@@ -15,6 +15,7 @@ use thiserror::Error;
 use time::{OffsetDateTime, format_description::well_known::Rfc3339};
 
 use super::{Caller, ClientCertificate, Identity, Pattern, Role, Stranger};
+use crate::wrong_text;
 
 /// The SHA-256 of a token, in words: comparing them takes a tenth of the time that its bytes take.
 type Digest = [u64; 4];
@@ -85,12 +86,7 @@ impl Table {
     }
 
     fn parse(text: &str) -> Result<Self, String> {
-        // The message of a syntax error shows the line, which may hold a secret that was put there by mistake.
-        let parsed: File = toml::from_str(text).map_err(|error| {
-            let before = error.span().and_then(|span| text.get(..span.start));
-            let line = before.map_or(1, |before| before.matches('\n').count() + 1);
-            format!("line {line}: {}", error.message())
-        })?;
+        let parsed: File = toml::from_str(text).map_err(|error| wrong_text::toml(&error, text))?;
         let mut table = Self::default();
         for entry in parsed.identities {
             let name = entry.name.clone();
@@ -334,6 +330,19 @@ mod tests {
             (
                 entry("role = \"read\"\ntoken = \"s3cret\""),
                 "unknown field `token`",
+            ),
+            (entry("token_sha256 = \"a\"s3cret"), "line 3, column 19: "),
+            (
+                entry("role = \"s3cret\""),
+                "line 3, column 8: unknown variant, expected one of `read`",
+            ),
+            (
+                entry("max_calls = \"s3cret\""),
+                "line 3, column 13: invalid type, expected usize",
+            ),
+            (
+                entry("role = \"read\"\nindexes = \"s3cret, expected \""),
+                "invalid type, expected a sequence",
             ),
             (
                 entry("role = \"read\"\nindexes = []"),

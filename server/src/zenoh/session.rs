@@ -9,6 +9,7 @@ use zenoh::{Config, Session, config::EndPoint};
 use crate::{
     config::ZenohConfig,
     exposure::{Exposed, is_local},
+    wrong_text,
 };
 
 /// Time after which a peer that does not read its answers is disconnected, in microseconds.
@@ -206,7 +207,10 @@ fn settings(config: &ZenohConfig) -> Result<Config, ZenohError> {
         return Err(wrong("it is not an object: { … }".into()));
     }
     lay_over(&mut settings, over);
-    Config::from_json5(&settings.to_string()).map_err(|error| wrong(error.to_string()))
+    Config::from_json5(&settings.to_string()).map_err(|error| {
+        let problem = wrong_text::without_value(&error.to_string());
+        wrong(problem.unwrap_or_else(|| "Zenoh does not take one of its values".into()))
+    })
 }
 
 /// The place of a syntax error. The message of JSON5 shows the line, which may have a password.
@@ -345,5 +349,14 @@ mod tests {
         let error = with(auth).unwrap_err().to_string();
         assert!(error.contains("line 2, column "), "{error}");
         assert!(!error.contains("s3cretPW"), "{error}");
+        for wrong in [
+            "{ transport: { auth: { usrpwd: 's3cretPW' } } }",
+            "{ transport: { auth: { usrpwd: { user: 'u', password: ['s3cretPW'] } } } }",
+            "{ mode: 's3cretPW' }",
+            "{ connect: { endpoints: ['s3cretPW'] } }",
+        ] {
+            let error = with(wrong).unwrap_err().to_string();
+            assert!(!error.contains("s3cretPW"), "{error}");
+        }
     }
 }

@@ -219,3 +219,53 @@ fn a_file_that_cannot_be_read_is_named() {
         "{error}"
     );
 }
+
+#[test]
+fn a_secret_in_a_wrong_line_is_not_shown() {
+    for (text, problem) in [
+        (
+            "[cluster]\nnats = \"nats://me:\"s3cret\"@one\"",
+            "line 2, column 20: ",
+        ),
+        (
+            "[cluster]\nname = 'a'\npassword s3cret",
+            "line 3, column 10: ",
+        ),
+        ("nats = 's3cret", "line 1, column 15: "),
+        (
+            "[cluster]\nnats = ['nats://me:s3cret@one']",
+            "`cluster.nats` takes a string, not an array",
+        ),
+        (
+            "[cluster]\nnats = { password = 's3cret' }",
+            "`cluster.nats.password`",
+        ),
+        (
+            "[cluster]\ncredentials = [['s3cret']]",
+            "a string, not an array",
+        ),
+        (
+            "[zenoh]\nconfig = [{ password = 's3cret' }]",
+            "a string, not an array",
+        ),
+        ("[zenoh]\nconfig = 5318008", "a string, not a number"),
+    ] {
+        let message = load_file(text).unwrap_err().to_string();
+        assert!(message.contains("wayfold.toml"), "{message}");
+        assert!(message.contains(problem), "{message}");
+        assert!(!message.contains("s3cret"), "{message}");
+        assert!(!message.contains("5318008"), "{message}");
+    }
+}
+
+#[test]
+fn a_secret_in_the_environment_or_a_flag_is_not_shown() {
+    const SECRET: &str = "nats://me:s3cret@one";
+    for name in ["WAYFOLD_CLUSTER__NAST", "WAYFOLD_CLUSTER_NATS"] {
+        let message = load_variable(name, SECRET).unwrap_err().to_string();
+        assert!(!message.contains("s3cret"), "{message}");
+    }
+    let flags = [("cluster.nast", SECRET.to_owned())];
+    let error = Config::load(None, &BTreeMap::new(), &flags).unwrap_err();
+    assert!(!error.to_string().contains("s3cret"), "{error}");
+}
