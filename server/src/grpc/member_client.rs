@@ -15,7 +15,7 @@ use self::channels::{Channels, Raw, refusal};
 use super::calls::IDENTITY;
 use crate::{
     config::TlsConfig,
-    observe::trace_id,
+    observe::trace_ids,
     service::{
         COPY, Call, CopyPart, CopyParts, CopyRequest, NotForwarded, STORED, StoredRequest,
         StoredResponse, Unanswered,
@@ -112,7 +112,7 @@ fn headers(call: &Call) -> Result<HeaderMap, NotForwarded> {
         let name = HeaderValue::from_bytes(name.as_bytes());
         headers.insert(IDENTITY, name.map_err(|_| NotForwarded::Unsent)?);
     }
-    let trace = call.trace.as_deref().filter(|it| trace_id(it).is_some());
+    let trace = call.trace.as_deref().filter(|it| trace_ids(it).is_some());
     if let Some(Ok(trace)) = trace.map(HeaderValue::from_str) {
         headers.insert("traceparent", trace);
     }

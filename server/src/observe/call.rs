@@ -8,7 +8,7 @@ use wayfold_proto::v1;
 use super::{
     metrics::{Ended, IndexLabel, Metrics},
     slow::{SlowCalls, Times},
-    trace::trace_id,
+    trace::trace_ids,
 };
 use crate::{
     identity::Caller,
@@ -97,7 +97,7 @@ pub(crate) struct CallRecord {
 
 impl CallRecord {
     /// A call of `verb` on a face that arrived at `started`. Log lines name it `rpc`, such as `PointService/Knn`, and have
-    /// its caller and the trace of its `traceparent`.
+    /// its caller, and the trace and the parent of its `traceparent`.
     pub(crate) fn begin(
         rpc: impl Into<String>,
         (face, verb): (&'static str, &'static str),
@@ -106,6 +106,7 @@ impl CallRecord {
         (caller, traceparent): (&Caller, Option<&str>),
     ) -> Self {
         let rpc = rpc.into();
+        let ids = traceparent.and_then(trace_ids);
         Self {
             metrics: metrics.clone(),
             face,
@@ -116,7 +117,8 @@ impl CallRecord {
                 rpc,
                 // A field that is recorded later costs a call more than one that is known here.
                 identity = caller.name(),
-                trace = traceparent.and_then(trace_id),
+                trace = ids.map(|(trace, _)| trace),
+                parent = ids.map(|(_, parent)| parent),
                 index = field::Empty,
                 rows = field::Empty
             ),

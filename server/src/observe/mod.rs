@@ -11,4 +11,4 @@ pub(crate) use logging::start;
 pub use logging::{LogFormat, LoggingError};
 pub(crate) use metrics::Metrics;
 pub(crate) use slow::{SlowCalls, Times};
-pub(crate) use trace::trace_id;
+pub(crate) use trace::trace_ids;

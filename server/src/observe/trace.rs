@@ -1,7 +1,8 @@
 //! The trace context of a call, after W3C Trace Context, level 1.
 
-/// The trace id of a `traceparent`, `00-TRACE-PARENT-FLAGS`; None if it is malformed, or not for tracing.
-pub(crate) fn trace_id(traceparent: &str) -> Option<&str> {
+/// The id of the trace and that of the caller's span in a `traceparent`, `00-TRACE-PARENT-FLAGS`; None if it is malformed,
+/// or not for tracing.
+pub(crate) fn trace_ids(traceparent: &str) -> Option<(&str, &str)> {
     let mut parts = traceparent.split('-');
     let version = parts.next().filter(|it| is_hex(it, 2) && *it != "ff")?;
     let trace = parts.next().filter(|it| is_hex(it, 32))?;
@@ -10,7 +11,7 @@ pub(crate) fn trace_id(traceparent: &str) -> Option<&str> {
     // Later versions may append parts, and the first one has none.
     let is_whole = version != "00" || parts.next().is_none();
     let is_zero = |id: &str| id.bytes().all(|digit| digit == b'0');
-    (is_whole && !is_zero(trace) && !is_zero(parent)).then_some(trace)
+    (is_whole && !is_zero(trace) && !is_zero(parent)).then_some((trace, parent))
 }
 
 fn is_hex(text: &str, digits: usize) -> bool {
@@ -24,7 +25,7 @@ mod tests {
 
     /// The examples of the recommendation, section 3.2, and what it calls invalid.
     #[test]
-    fn the_trace_id_is_that_of_the_recommendation() {
+    fn the_ids_are_those_of_the_recommendation() {
         const TRACE: &str = "4bf92f3577b34da6a3ce929d0e0e4736";
         let parent = "00f067aa0ba902b7";
         for valid in [
@@ -32,7 +33,7 @@ mod tests {
             format!("00-{TRACE}-{parent}-00"),
             format!("cc-{TRACE}-{parent}-01-what-the-future-will-be-like"),
         ] {
-            assert_eq!(trace_id(&valid), Some(TRACE), "{valid}");
+            assert_eq!(trace_ids(&valid), Some((TRACE, parent)), "{valid}");
         }
         let zeros = "0".repeat(32);
         for invalid in [
@@ -44,7 +45,7 @@ mod tests {
             format!("00-{}-{parent}-01", TRACE.to_uppercase()),
             format!("00-{TRACE}-{parent}"),
         ] {
-            assert_eq!(trace_id(&invalid), None, "{invalid}");
+            assert_eq!(trace_ids(&invalid), None, "{invalid}");
         }
     }
 }

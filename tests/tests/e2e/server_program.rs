@@ -255,6 +255,7 @@ async fn a_slow_call_has_a_line_that_says_where_its_time_went() {
     assert_eq!(line["span"]["rpc"], "PointService/Get", "{line}");
     assert_eq!(line["span"]["index"], "line", "{line}");
     assert_eq!(line["span"]["trace"], TRACE, "{line}");
+    assert_eq!(line["span"]["parent"], "00f067aa0ba902b7", "{line}");
     assert!(line["fields"]["peer"].is_string(), "{line}");
     let ms = |field: &str| line["fields"][field].as_u64().unwrap();
     let (total, waited) = (ms("total_ms"), ms("waiting_ms"));
