@@ -1,6 +1,6 @@
 //! A level of a forest.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Instant};
 
 use super::{growing::Growing, packed::Packed};
 use crate::{Point, Points, TreeReport, lanes::Isa, traversal::Traversal};
@@ -11,18 +11,18 @@ pub(super) type PointsById<'a> = Box<dyn Iterator<Item = Point> + Send + 'a>;
 /// One level, shared by count between the forest, its snapshots and the running merges.
 #[derive(Debug)]
 pub(super) enum Level {
-    /// The result of a merge, or the points of a large mutation.
-    Packed(Box<Packed>),
-    /// A growing tree that was full.
-    Grown(Arc<Growing>),
+    /// The result of a merge, or the points of a large mutation, and the time when the level was made.
+    Packed(Box<Packed>, Instant),
+    /// A growing tree that was full, and the time when it was.
+    Grown(Arc<Growing>, Instant),
 }
 
 /// The same expression for either kind.
 macro_rules! for_either {
     ($level:expr, $held:ident => $result:expr) => {
         match $level {
-            Level::Packed($held) => $result,
-            Level::Grown($held) => $result,
+            Level::Packed($held, _) => $result,
+            Level::Grown($held, _) => $result,
         }
     };
 }
@@ -41,9 +41,15 @@ impl Level {
     /// True if a merge has built its tree.
     pub(super) fn is_built(&self) -> bool {
         match self {
-            Level::Packed(packed) => packed.is_built(),
-            Level::Grown(_) => false,
+            Level::Packed(packed, _) => packed.is_built(),
+            Level::Grown(..) => false,
         }
+    }
+
+    /// The time since which its points wait for a merge; None if it is built.
+    pub(super) fn unmerged_since(&self) -> Option<Instant> {
+        let (Level::Packed(_, made) | Level::Grown(_, made)) = self;
+        (!self.is_built()).then_some(*made)
     }
 
     pub(super) fn get(&self, slot: usize) -> Point {

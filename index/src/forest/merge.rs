@@ -1,6 +1,6 @@
 //! Merges of levels: the forest's owner begins and finishes one, and any thread runs it.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Instant};
 
 use super::{level::Level, packed::Packed};
 use crate::{Points, Space};
@@ -46,7 +46,7 @@ impl Merge {
         }
         let level = (!points.is_empty()).then(|| {
             let packed = Packed::built(self.space, &points, self.leaf_rows);
-            Level::Packed(Box::new(packed))
+            Level::Packed(Box::new(packed), Instant::now())
         });
         Merged {
             token: self.token,

@@ -21,9 +21,12 @@ mod snapshot;
 mod tombstones;
 mod validate;
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicU64, Ordering},
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Instant,
 };
 
 use crate::{
@@ -264,7 +267,7 @@ impl Forest {
         if rows.len() > (self.options.growing_rows / LARGE_MUTATION_DIVISOR).max(1) {
             let space = Arc::clone(&self.head.space);
             let packed = Packed::unbuilt(space, rows);
-            self.add_level(Level::Packed(Box::new(packed)));
+            self.add_level(Level::Packed(Box::new(packed), Instant::now()));
             return;
         }
         for point in rows.iter() {
@@ -280,7 +283,7 @@ impl Forest {
     fn seal(&mut self) {
         let empty = Arc::new(self.head.growing.renewed());
         let grown = std::mem::replace(&mut self.head.growing, empty);
-        self.add_level(Level::Grown(grown));
+        self.add_level(Level::Grown(grown, Instant::now()));
     }
 
     fn add_level(&mut self, level: Level) {

@@ -1,6 +1,6 @@
 //! A frozen revision of a forest.
 
-use std::{iter::Peekable, sync::Arc};
+use std::{iter::Peekable, sync::Arc, time::Instant};
 
 use super::{growing::Growing, level::Level};
 use crate::{
@@ -129,6 +129,12 @@ impl Snapshot {
     pub fn unmerged(&self) -> usize {
         let unbuilt = self.levels.iter().filter(|level| !level.is_built());
         unbuilt.map(|level| level.rows() - level.dead()).sum()
+    }
+
+    /// The time since which the first of these points wait for their merge; None if there are none.
+    pub fn unmerged_since(&self) -> Option<Instant> {
+        let waiting = self.levels.iter().filter_map(|it| it.unmerged_since());
+        waiting.min()
     }
 
     /// An estimate of the bytes that the snapshot keeps alive.

@@ -150,14 +150,20 @@ fn grown_trees_are_packed_when_writes_pause() {
     let grown = forest.memory_bytes();
     assert!(forest.begin_merge().is_none());
     assert_eq!(forest.snapshot().unmerged(), 0);
+    assert_eq!(forest.snapshot().unmerged_since(), None);
     forest.pause();
     let merge = forest.begin_merge().unwrap();
     assert_eq!(forest.snapshot().unmerged(), rows.len());
+    let since = forest.snapshot().unmerged_since();
+    assert!(since.is_some());
     forest.apply(6001, &Points::new(7), &[5]).unwrap();
     assert_eq!(forest.snapshot().unmerged(), rows.len() - 1);
     insert(&mut forest, 5, &rows[4]);
+    // It waits until the merge is swapped in.
+    assert_eq!(forest.snapshot().unmerged_since(), since);
     forest.finish_merge(merge.run());
     assert_eq!(forest.snapshot().unmerged(), 0);
+    assert_eq!(forest.snapshot().unmerged_since(), None);
     assert!(forest.begin_merge().is_none());
     let stored = rows.len() * 8 * (forest.space().coordinates() + 3);
     assert!(forest.memory_bytes() < grown);

@@ -35,7 +35,7 @@ type Index = [(&'static str, Arc<str>); 1];
 type OfIndices = (&'static str, &'static str, Vec<(Index, u64)>);
 
 /// The gauges of an index, in the order of its figures.
-const OF_INDEX: [(&str, &str); 14] = [
+const OF_INDEX: [(&str, &str); 15] = [
     ("index_points", "The points of an index"),
     ("index_revision", "The newest readable revision of an index"),
     ("index_memory_bytes", "About the memory of an index"),
@@ -43,6 +43,10 @@ const OF_INDEX: [(&str, &str); 14] = [
     (
         "index_unmerged_points",
         "The points of trees that wait for a merge, or are being merged",
+    ),
+    (
+        "index_merge_lag_seconds",
+        "The time for which the first of these points have waited; 0 if there are none",
     ),
     (
         "index_records_in_flight",
@@ -195,6 +199,10 @@ impl State {
                 published.snapshot.memory_bytes() as u64,
                 published.snapshot.levels() as u64,
                 published.snapshot.unmerged() as u64,
+                published
+                    .snapshot
+                    .unmerged_since()
+                    .map_or(0, |since| since.elapsed().as_secs()),
                 hosted.records_in_flight() as u64,
                 published.view.sessions().len() as u64,
                 hosted.batches_under_way() as u64,

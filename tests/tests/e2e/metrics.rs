@@ -113,6 +113,7 @@ async fn the_counts_are_those_of_the_clients() {
         ("wayfold_index_sessions{index=\"arm\"}".into(), 1),
         ("wayfold_index_batches{index=\"arm\"}".into(), 0),
         ("wayfold_index_unmerged_points{index=\"arm\"}".into(), 0),
+        ("wayfold_index_merge_lag_seconds{index=\"arm\"}".into(), 0),
         ("wayfold_merges{state=\"running\"}".into(), 0),
         ("wayfold_zenoh_links".into(), 1),
         ("wayfold_index_followers{index=\"arm\"}".into(), 1),
