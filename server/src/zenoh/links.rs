@@ -1,24 +1,61 @@
-//! The links of the face, as a metric.
+//! The links of the face: their metrics, and their end.
 
 use std::fmt;
 
 use prometheus_client::{
     collector::Collector,
     encoding::{DescriptorEncoder, EncodeMetric},
-    metrics::gauge::ConstGauge,
+    metrics::{counter::ConstCounter, gauge::ConstGauge},
 };
-use zenoh::{Session, Wait};
+use serde_json::json;
+use tracing::warn;
+use zenoh::{Session, Wait, internal::runtime::Runtime};
 
-/// Counts the routers and peers that a session is linked with, at each look.
+/// A session and its runtime, which it does not close: dropping this closes both.
+pub(super) struct OpenSession {
+    pub(super) session: Session,
+    pub(super) runtime: Runtime,
+}
+
+impl Drop for OpenSession {
+    fn drop(&mut self) {
+        if self.runtime.is_closed() {
+            return;
+        }
+        // An open session panics if the runtime under it closes.
+        let closed = self.session.close().wait();
+        if let Err(error) = closed.and_then(|()| self.runtime.close().wait()) {
+            warn!(%error, "the links of Zenoh did not close well");
+        }
+    }
+}
+
+/// Measures the links of a session at each look.
 #[derive(Debug)]
-pub(super) struct Links(pub(super) Session);
+pub(super) struct Links {
+    pub(super) session: Session,
+    pub(super) runtime: Runtime,
+}
 
 impl Collector for Links {
     fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> fmt::Result {
-        let count = self.0.info().transports().wait().count();
+        let count = self.session.info().transports().wait().count();
         let gauge = ConstGauge::new(count as u64);
         let help = "The routers, peers and clients that Zenoh is linked with";
         let metric = encoder.encode_descriptor("zenoh_links", help, None, gauge.metric_type())?;
-        gauge.encode(metric)
+        gauge.encode(metric)?;
+        let dropped = ConstCounter::new(dropped(&self.runtime));
+        let help = "The messages that Zenoh dropped because their link was full";
+        let kind = dropped.metric_type();
+        let metric = encoder.encode_descriptor("zenoh_dropped", help, None, kind)?;
+        dropped.encode(metric)
     }
+}
+
+/// The messages that were dropped because their link was full, of closed links too.
+fn dropped(runtime: &Runtime) -> u64 {
+    // Zenoh adds its counts to this form only.
+    let mut state = json!({ "sessions": [] });
+    runtime.stats().merge_stats(&mut state);
+    state["stats"]["tx_n_dropped"].as_u64().unwrap_or_default()
 }

@@ -36,7 +36,7 @@ use crate::{config::ZenohConfig, faces::Shared};
 use feed::Announcer;
 use flows::Flows;
 use inline::Inline;
-use links::Links;
+use links::{Links, OpenSession};
 use peers::ServerWatch;
 use queries::Queries;
 
@@ -55,6 +55,7 @@ pub(crate) fn max_senders(config: &ZenohConfig) -> usize {
 /// The open face.
 pub(crate) struct ZenohFace {
     session: Session,
+    open: OpenSession,
     /// None before a server of a cluster serves.
     queryable: Option<Queryable<()>>,
     queries: Arc<Queries>,
@@ -77,8 +78,11 @@ impl ZenohFace {
             return Ok(None);
         }
         check_prefix(&config.prefix)?;
-        let (session, connects_to) = session::open(config).await?;
-        shared.metrics.add(Links(session.clone()));
+        let (session, open, connects_to) = session::open(config).await?;
+        shared.metrics.add(Links {
+            session: session.clone(),
+            runtime: open.runtime.clone(),
+        });
         let queries = Arc::new(Queries {
             flows: Flows::new(shared.admission.clone()),
             shared,
@@ -106,6 +110,7 @@ impl ZenohFace {
         });
         let face = Self {
             session,
+            open,
             queryable,
             queries,
             in_cluster,
@@ -166,6 +171,9 @@ impl ZenohFace {
         undeclare(self.queryable).await;
         if let Err(error) = self.session.close().await {
             warn!(%error, "the Zenoh session did not close well");
+        }
+        if let Err(error) = self.open.runtime.close().await {
+            warn!(%error, "the links of Zenoh did not close well");
         }
     }
 }

@@ -4,8 +4,11 @@ use std::{io, net::TcpListener};
 
 use serde_json::{Value, json};
 use thiserror::Error;
-use zenoh::{Config, Session, config::EndPoint};
+use zenoh::{
+    Config, Session, config::EndPoint, internal::runtime::RuntimeBuilder, key_expr::OwnedKeyExpr,
+};
 
+use super::links::OpenSession;
 use crate::{
     config::ZenohConfig,
     exposure::{Exposed, is_local},
@@ -87,15 +90,17 @@ impl ZenohError {
     }
 }
 
-/// Opens the session; returns it with the endpoints that it connects to, if any.
-pub(super) async fn open(config: &ZenohConfig) -> Result<(Session, Option<String>), ZenohError> {
+/// Opens the session; returns it with the guard that closes it, and the endpoints that it connects to, if any.
+pub(super) async fn open(
+    config: &ZenohConfig,
+) -> Result<(Session, OpenSession, Option<String>), ZenohError> {
     check_listen(&config.listen)?;
     let settings = settings(config)?;
     let connects_to = settings.get_json("connect/endpoints").ok();
     let connects_to = connects_to.filter(|endpoints| !matches!(&**endpoints, "[]" | "null" | "{}"));
     // Tried before: a session that fails to open may still hold the address for a moment.
     let is_in_use = is_in_use(&config.listen);
-    let session = zenoh::open(settings).await.map_err(|error| {
+    let (session, open) = start(settings).await.map_err(|error| {
         let listen = config.listen.clone();
         let problem = without_places(&error.to_string());
         match is_in_use {
@@ -103,7 +108,28 @@ pub(super) async fn open(config: &ZenohConfig) -> Result<(Session, Option<String
             false => ZenohError::Open { listen, problem },
         }
     })?;
-    Ok((session, connects_to))
+    Ok((session, open, connects_to))
+}
+
+/// Does the work of `zenoh::open`, which hides the runtime.
+async fn start(settings: Config) -> Result<(Session, OpenSession), zenoh::Error> {
+    let keys = |setting| -> Vec<OwnedKeyExpr> {
+        let keys = settings.get_json(setting).unwrap_or_default();
+        serde_json::from_str(&keys).unwrap_or_default()
+    };
+    let subscribers = keys("aggregation/subscribers");
+    let publishers = keys("aggregation/publishers");
+    let runtime = RuntimeBuilder::new(settings).build().await?;
+    let session = zenoh::session::init(runtime.clone().into())
+        .aggregated_subscribers(subscribers)
+        .aggregated_publishers(publishers)
+        .await?;
+    let mut open = OpenSession {
+        session: session.clone(),
+        runtime,
+    };
+    open.runtime.start().await?;
+    Ok((session, open))
 }
 
 /// True if another program listens at this address. Zenoh reports the cause of a failure only as text.
