@@ -1,6 +1,9 @@
 //! The order of a stop, and the count of dropped messages.
 
-use std::sync::{Mutex, mpsc};
+use std::{
+    sync::{Mutex, mpsc},
+    time::Duration,
+};
 
 use tokio::sync::oneshot;
 use zenoh::{Config, Wait, qos::CongestionControl};
@@ -88,15 +91,19 @@ async fn messages_to_a_subscriber_that_does_not_read_are_counted_as_dropped() {
         let put = move || publisher.put(vec![0; 60_000]).wait().unwrap();
         tokio::task::spawn_blocking(put)
     };
-    // The subscription has reached the face once a message arrives.
-    while received.is_empty() {
-        put().await.unwrap();
-    }
-    received.recv().await.unwrap();
-    assert_eq!(dropped(&metrics), 0);
-    while dropped(&metrics) < 2 {
-        put().await.unwrap();
-    }
+    let dropping = async {
+        // The subscription has reached the face once a message arrives.
+        while received.is_empty() {
+            put().await.unwrap();
+        }
+        received.recv().await.unwrap();
+        assert_eq!(dropped(&metrics), 0);
+        while dropped(&metrics) < 2 {
+            put().await.unwrap();
+        }
+    };
+    let dropping = tokio::time::timeout(Duration::from_secs(60), dropping);
+    dropping.await.expect("Zenoh drops messages");
     let count = dropped(&metrics);
     drop(open);
     slow.undeclare().await.unwrap();
