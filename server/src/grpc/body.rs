@@ -95,6 +95,8 @@ impl CallBody {
         if made.is_none() && response.body().is_end_stream() {
             return response;
         }
+        // It counts from now on: a connection without room to send does not ask for it.
+        let made = made.map(|made| made.map(|frame| place.count(frame)));
         response.map(|inner| {
             Body::new(Self {
                 inner,
@@ -108,7 +110,7 @@ impl CallBody {
         })
     }
 
-    /// The next frame, made in a turn if the answer is a stream.
+    /// The next frame, counted; made in a turn if the answer is a stream.
     fn poll_made(&mut self, context: &mut Context<'_>) -> Poll<Option<AnswerFrame>> {
         if let Some(made) = self.made.take() {
             return Poll::Ready(Some(made));
@@ -121,7 +123,12 @@ impl CallBody {
         }));
         match polled {
             Ok(Poll::Pending) => Poll::Pending,
-            Ok(Poll::Ready(Ok(made))) => Poll::Ready(made),
+            Ok(Poll::Ready(Ok(made))) => Poll::Ready(made.map(|made| {
+                made.map(|frame| match &self.place {
+                    Some(place) => place.count(frame),
+                    None => frame,
+                })
+            })),
             // It waited for its first turn for too long.
             Ok(Poll::Ready(Err(overloaded))) => self.end(status::overloaded(overloaded).into()),
             Err(_panic) => self.end(refusals::panicked(self.record.rpc()).into()),
@@ -171,10 +178,6 @@ impl HttpBody for CallBody {
                 this.end(refusals::deadline_exceeded().into())
             }
             Poll::Ready(Some(Ok(frame))) => {
-                let frame = match &this.place {
-                    Some(place) => place.count(frame),
-                    None => frame,
-                };
                 if let Some(code) = frame.trailers_ref().and_then(code_in) {
                     this.ended(code);
                 }

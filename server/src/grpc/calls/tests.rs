@@ -1,6 +1,8 @@
-//! Calls that panic.
+//! Calls that panic, and the bytes of answers.
 
+use bytes::Bytes;
 use futures_util::stream;
+use http_body_util::Full;
 use tonic::Code;
 use tonic_types::StatusExt;
 
@@ -87,4 +89,21 @@ async fn a_stream_that_panics_ends_as_a_bug_and_frees_its_place_and_turn() {
         assert_eq!(status.code(), Code::Internal);
         assert!(under_way.is_empty());
     }
+}
+
+/// A client that reads nothing leaves the first frame where it is: the connection asks for it once there is room to send.
+#[tokio::test]
+async fn an_answer_is_counted_from_the_time_it_is_made() {
+    // More than a flow may hold.
+    const BYTES: usize = 1 << 28;
+    let (shared, under_way) = (shared(), TaskTracker::new());
+    let has_room = || shared.admission.admin().hold().has_room();
+    assert!(has_room());
+    let answer = call(&shared, &under_way, || {
+        Response::new(Body::new(Full::new(Bytes::from(vec![0; BYTES]))))
+    });
+    let answer = answer.await;
+    assert!(!has_room());
+    drop(answer);
+    assert!(has_room());
 }
