@@ -48,8 +48,11 @@ def building():
     what = {"rrt": "a random tree (ask for the nearest, insert)", "insert": "one insert after the other, merges included"}
     what |= {"build": "building at once", "memory": "memory, states included"}
     units = {"rrt": "ms", "insert": "ns a point", "build": "ns a point", "memory": "bytes a point"}
-    wanted = [("rrt", "SE3", GNAT)] + [("rrt", space, GROWING) for space in ("SE2", "R3", "R6", "SO2^6")]
-    wanted += [("insert", "SE3", GNAT), ("insert", "R6", GROWING), ("insert", "R3", GROWING), ("memory", "R3", GROWING)]
+    wanted = [("rrt", space, GNAT) for space in ("SE3", "SE3-SUM")]
+    wanted += [("rrt", space, GROWING) for space in ("SE2", "SO3", "R3", "R6", "SO2^6")]
+    wanted += [("rrt", space, SCAN) for space in ("SE3^2", "SE3^4")]
+    wanted += [("insert", space, GNAT) for space in ("SE3", "SE3-SUM")]
+    wanted += [("insert", space, GROWING) for space in ("SE2", "SO3", "R6", "R3")] + [("memory", "R3", GROWING)]
     wanted += [(op, space, peer) for op in ("build", "memory") for space, peer in (("SE3", GNAT), ("R6", KIDDO), ("R3", KIDDO))]
     rows = []
     for op, space, peer in wanted:
@@ -87,9 +90,12 @@ def processors():
     names = processor_names()
     cases = [("SE3", GNAT), ("SE3-SUM", GNAT), ("SE2", STATIC), ("SO3", KIDDO), ("R3", KIDDO), ("R6", KIDDO), ("R12", STATIC)]
     cases += [("SE3^2", SCAN), ("SE3^4", SCAN), ("SE3^8", SCAN), ("R30", SCAN)]
-    of_case = lambda name, space, peers: [against(of(name), (space, "50000"), op, "wayfold", peers) for op in ("knn1", "knn10")]
-    rows = [[METRICS[space], peers, *(" / ".join(map(ratio, of_case(name, space, peers))) for name in names)] for space, peers in cases]
-    return table(names, ["growing, one / ten neighbours", "against", *(read(name)["processor"] for name in names)], rows)
+    growing = {STATIC: GROWING, KIDDO: GROWING}
+    ops = [("knn1", {}), ("knn10", {}), ("rrt", growing), ("insert", growing)]
+    cell = lambda *case: " / ".join(ratio(against(of(case[0]), (case[1], "50000"), op, "wayfold", to.get(case[2], case[2]))) for op, to in ops)
+    rows = [[METRICS[space], peers, *(cell(name, space, peers) for name in names)] for space, peers in cases]
+    head = ["growing: one / ten neighbours / random tree / one insert", "against"]
+    return table(names, head + [read(name)["processor"] for name in names], rows)
 
 
 def readme_speed():
