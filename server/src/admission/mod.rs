@@ -138,12 +138,12 @@ impl Admission {
         (self.all.held() as u64, self.all.max() as u64)
     }
 
-    /// The numbers of calls that were refused so far, by reason.
-    pub(crate) fn refused(&self) -> [(&'static str, u64); 3] {
+    /// The numbers of calls that were refused so far, by reason; `excess` calls exceeded the quotas of identities.
+    pub(crate) fn refused(&self, excess: u64) -> [(&'static str, u64); 3] {
         [
             ("OVERLOADED", self.turns.refused()),
             ("TOO_MANY_BYTES", self.all.refused()),
-            ("TOO_MANY_CALLS", self.excess.load(Relaxed)),
+            ("TOO_MANY_CALLS", excess + self.excess.load(Relaxed)),
         ]
     }
 

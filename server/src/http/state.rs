@@ -138,7 +138,8 @@ impl State {
         let help =
             "The bytes of requests, calls and unread answers, and the most that they may hold";
         gauges(encoder, "in_flight", help, Some(&Unit::Bytes), &bytes)?;
-        let refused = self.shared.admission.refused();
+        let excess = self.shared.identities.excess();
+        let refused = self.shared.admission.refused(excess);
         let refused = refused.map(|(reason, count)| ([("reason", reason)], count));
         let help = "Calls that were refused because the server was busy, by reason";
         counters(encoder, "refused_calls", help, &refused)

@@ -166,6 +166,11 @@ impl Caller {
         self.identity()?.max_indexes
     }
 
+    /// True for a call beyond the quota of its identity.
+    fn is_excess(&self) -> bool {
+        matches!(self, Caller::Known(calling) if calling.exceeds.is_some())
+    }
+
     /// Refuses a caller whose identity is missing, expired or revoked, or has too many calls under way.
     pub fn check(&self) -> Result<(), Stranger> {
         let Calling {

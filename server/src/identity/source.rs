@@ -3,7 +3,10 @@
 use std::{
     fs, io,
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering::Relaxed},
+    },
     time::{Duration, SystemTime},
 };
 
@@ -30,6 +33,8 @@ struct Source {
     /// The state of the file before it was first read: a change since then shows.
     first: Stamp,
     table: RwLock<Table>,
+    /// The calls that exceeded the quota of their identity.
+    excess: AtomicU64,
 }
 
 /// A state of a file, by which a change shows.
@@ -58,6 +63,7 @@ impl Identities {
                 file: file.to_owned(),
                 first,
                 table: RwLock::new(table),
+                excess: AtomicU64::new(0),
             })),
         })
     }
@@ -76,18 +82,25 @@ impl Identities {
         let Some(source) = &self.source else {
             return Caller::Anyone;
         };
-        match (token, certificate) {
+        let caller = match (token, certificate) {
             (Some(token), _) => source.table.read().of_token(token),
             (None, Some(certificate)) => source.table.read().of_certificate(certificate),
             (None, None) => Caller::Unknown(Stranger::NoCredential),
-        }
+        };
+        source.count(caller)
+    }
+
+    /// The number of calls that exceeded the quota of their identity so far.
+    pub(crate) fn excess(&self) -> u64 {
+        let source = self.source.as_ref();
+        source.map_or(0, |source| source.excess.load(Relaxed))
     }
 
     /// The caller of a call that another server of the cluster forwards, by the name of its identity. Without one the
     /// server itself calls.
     pub(crate) fn forwarded(&self, name: Option<&str>) -> Caller {
         match (&self.source, name) {
-            (Some(source), Some(name)) => source.table.read().of_name(name),
+            (Some(source), Some(name)) => source.count(source.table.read().of_name(name)),
             (None, _) | (_, None) => Caller::Anyone,
         }
     }
@@ -111,6 +124,14 @@ impl Identities {
 }
 
 impl Source {
+    /// Counts a call beyond the quota of its identity.
+    fn count(&self, caller: Caller) -> Caller {
+        if caller.is_excess() {
+            self.excess.fetch_add(1, Relaxed);
+        }
+        caller
+    }
+
     fn read_again(&self) -> Result<(), TableError> {
         let read = Table::read(&self.file);
         let table = read.inspect_err(|error| error!(%error, "the identities stay as they were"))?;

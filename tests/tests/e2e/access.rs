@@ -12,6 +12,7 @@ use std::{
         Arc,
         atomic::{AtomicBool, Ordering::Relaxed},
     },
+    time::Duration,
 };
 
 use tokio::net::TcpStream;
@@ -20,7 +21,7 @@ use tokio_rustls::{
     rustls::{ClientConfig, RootCertStore, pki_types::CertificateDer},
 };
 use wayfold::{Client, Code, Credentials, RetryPolicy, Space};
-use wayfold_tests::{Process, ServerProcess, Signal};
+use wayfold_tests::{Process, ServerProcess, Signal, page};
 
 use authority::Authority;
 
@@ -154,7 +155,7 @@ async fn a_certificate_or_a_token_is_an_identity_and_nothing_else_is() {
     let entry = "[[identity]]\nname = \"planner\"\nrole = \"read\"\nindexes = [\"arm\"]\n\
                  certificate = \"planner.example\"\n";
     let before = fs::read_to_string(&identities).unwrap();
-    fs::write(&identities, before + entry).unwrap();
+    fs::write(&identities, before.clone() + entry).unwrap();
     // The most that the server and its libraries write.
     let mut command = authority.command();
     command.env("WAYFOLD_LOG__FILTER", "trace,zenoh=trace");
@@ -180,6 +181,20 @@ async fn a_certificate_or_a_token_is_an_identity_and_nothing_else_is() {
     let refused = seen.insert([[2.0]]).await.unwrap_err();
     assert_eq!(refused.code(), Code::PermissionDenied);
     assert_eq!(refused.reason(), Some("ROLE_TOO_LOW"));
+    client.create_index("leg", &space).await.unwrap();
+    let refused = planner.index("leg").await.unwrap_err();
+    assert_eq!(refused.reason(), Some("INDEX_NOT_ALLOWED"));
+    // The connection of a certificate whose identity is removed stays open.
+    fs::write(&identities, before).unwrap();
+    let refused = async {
+        loop {
+            if let Err(refused) = seen.info().await {
+                break refused;
+            }
+        }
+    };
+    let refused = tokio::time::timeout(Duration::from_secs(60), refused).await;
+    assert_eq!(refused.unwrap().reason(), Some("WRONG_CREDENTIAL"));
     for (credentials, reason) in [
         (with("nobody.example"), "WRONG_CREDENTIAL"),
         (authority.credentials(), "NO_CREDENTIAL"),
@@ -234,13 +249,17 @@ async fn an_identity_has_its_quotas() {
     let identities = authority.file("identities", "toml");
     let entries = fs::read_to_string(&identities).unwrap();
     fs::write(&identities, entries + "max_calls = 2\nmax_indexes = 2\n").unwrap();
-    let server = ServerProcess::ready(Process::spawn(&mut authority.command()));
+    let mut command = authority.command();
+    command.args(["--http", "127.0.0.1:0", "--zenoh", "off"]);
+    let mut server = ServerProcess::ready(Process::spawn(&mut command));
+    let pages = server.pages();
     let connect = async |token: &str| {
         let builder = Client::builder().retry(RetryPolicy::never());
         let credentials = authority.credentials().token(token);
         let client = builder.credentials(credentials).connect(server.uri());
         client.await.unwrap()
     };
+    let bearer = format!("Authorization: Bearer {admin}\r\n");
     let (admin, cell) = (connect(&admin).await, connect(&cell).await);
     let space: Space = "R1".parse().unwrap();
     // The quota counts the indices that match the patterns of the cell, also those of the admin.
@@ -263,6 +282,9 @@ async fn an_identity_has_its_quotas() {
     let refused = index.info().await.unwrap_err();
     assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");
     assert_eq!(refused.reason(), Some("TOO_MANY_CALLS"));
+    let (_, metrics) = page(&pages, "/metrics", &bearer);
+    let counted = "wayfold_refused_calls_total{reason=\"TOO_MANY_CALLS\"} 1\n";
+    assert!(metrics.contains(counted), "{metrics}");
     admin
         .index("cell-2")
         .await
