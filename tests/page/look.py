@@ -21,6 +21,7 @@ import overlay_steps
 import parallel_steps
 import probe_steps
 import projection_steps
+import report_steps
 import route_steps
 import sampling_steps
 import time_steps
@@ -112,6 +113,7 @@ STEPS = [
     parallel_steps.lines_are_sampled_and_follow_the_slider,
     color_steps.colors_are_told_apart,
     color_steps.any_run_of_tag_bits_gives_the_colour,
+    report_steps.the_report_of_a_load_is_one_page,
     route_steps.the_skip_link_leaves_the_address,
     route_steps.a_followed_link_keeps_the_focus_in_the_content,
     route_steps.an_unknown_address_says_so,

@@ -14,3 +14,5 @@ pub(crate) use dispatch::dispatch;
 pub(crate) use message::Named;
 pub(crate) use request::Request;
 pub(crate) use verb::Target;
+#[cfg(test)]
+pub(crate) use verb::{IndexVerb, PointVerb};

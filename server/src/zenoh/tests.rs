@@ -1,31 +1,50 @@
-//! The order of a stop, and the count of dropped messages.
+//! The order of a stop, the count of dropped messages, and the check of tokens.
 
 use std::{
+    fs,
     sync::{Mutex, mpsc},
     time::Duration,
 };
 
+use sha2::{Digest, Sha256};
 use tokio::sync::oneshot;
-use zenoh::{Config, Wait, qos::CongestionControl};
+use zenoh::{Config, Wait, qos::CongestionControl, query::ReplyError};
 
 use super::*;
-use crate::{observe::Metrics, service::Service};
+use crate::{
+    identity::Identities,
+    log::MemoryLog,
+    observe::Metrics,
+    registry::{Registry, RegistryOptions},
+    service::{Limits, Service},
+    verbs::{IndexVerb, PointVerb},
+};
 
-/// The refusal of a query.
-async fn refusal(robot: &Session) -> String {
-    let query = robot.get("wayfold/v1/list");
+/// The first reply to a query.
+async fn ask(
+    robot: &Session,
+    key: &str,
+    attachment: Option<&str>,
+) -> Result<zenoh::sample::Sample, ReplyError> {
+    let query = robot.get(key).attachment(attachment.map(str::to_owned));
     let replies = query.timeout(Duration::from_secs(60)).await.unwrap();
-    let reply = replies.recv_async().await.unwrap();
-    let refusal = reply.into_result().unwrap_err();
+    replies.recv_async().await.unwrap().into_result()
+}
+
+fn text(refusal: &ReplyError) -> String {
     String::from_utf8(refusal.payload().to_bytes().into_owned()).unwrap()
 }
 
+/// The refusal of a query.
+async fn refusal(robot: &Session) -> String {
+    text(&ask(robot, "wayfold/v1/list", None).await.unwrap_err())
+}
+
 /// A face, a client that is linked with it, and the metrics of the face.
-async fn face_and_robot() -> (ZenohFace, Session, Metrics) {
+async fn face_and_robot(service: Service, identities: Identities) -> (ZenohFace, Session, Metrics) {
     let mut settings = crate::config::Config::default();
     settings.zenoh.listen = "tcp/127.0.0.1:0".into();
-    let service = Service::starting(Default::default());
-    let shared = Shared::new(&settings, service, Default::default());
+    let shared = Shared::new(&settings, service, identities);
     let metrics = shared.metrics.clone();
     let face = ZenohFace::open(&settings.zenoh, shared, false)
         .await
@@ -43,7 +62,8 @@ async fn face_and_robot() -> (ZenohFace, Session, Metrics) {
 /// then. Without the queryable the client would get no reply.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_client_that_asks_while_the_links_are_still_open_is_refused() {
-    let (face, robot, _) = face_and_robot().await;
+    let (face, robot, _) =
+        face_and_robot(Service::starting(Default::default()), Identities::default()).await;
     let refused = refusal(&robot).await;
     assert!(refused.contains("STARTING"), "{refused}");
 
@@ -73,7 +93,8 @@ fn dropped(metrics: &Metrics) -> u64 {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn messages_to_a_subscriber_that_does_not_read_are_counted_as_dropped() {
     const KEY: &str = "wayfold/v1/arm/events";
-    let (face, robot, metrics) = face_and_robot().await;
+    let (face, robot, metrics) =
+        face_and_robot(Service::starting(Default::default()), Identities::default()).await;
     let publisher = face.session.declare_publisher(KEY);
     let publisher = publisher.congestion_control(CongestionControl::Drop);
     let publisher = Arc::new(publisher.await.unwrap());
@@ -110,5 +131,38 @@ async fn messages_to_a_subscriber_that_does_not_read_are_counted_as_dropped() {
     robot.close().await.unwrap();
     assert!(dropped(&metrics) >= count);
     drop(publisher);
+    face.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_key_refuses_a_query_without_a_right_token() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let digest = Sha256::digest("secret");
+    let digest: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+    let robot = "[[identity]]\nname = \"robot\"\nrole = \"admin\"\nindexes = [\"*\"]\n";
+    fs::write(file.path(), format!("{robot}token_sha256 = \"{digest}\"\n")).unwrap();
+    let identities = Identities::open(Some(file.path())).unwrap();
+    let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
+    let service = Service::new(registry, Limits::default());
+    service.set_ready();
+    let (face, robot, _) = face_and_robot(service, identities).await;
+    let of_index = PointVerb::ALL.map(|(verb, _)| format!("arm/{verb}"));
+    let of_server = IndexVerb::ALL.map(|(verb, _)| verb.to_owned());
+    let wildcards = ["**", "*/info", "arm/*"].map(str::to_owned);
+    for key in of_index.into_iter().chain(of_server).chain(wildcards) {
+        let key = format!("wayfold/v1/{key}");
+        for (attachment, expected) in [
+            (None, "NO_CREDENTIAL"),
+            (Some("secret"), "NO_CREDENTIAL"),
+            (Some("token=other"), "WRONG_CREDENTIAL"),
+        ] {
+            let refused = text(&ask(&robot, &key, attachment).await.unwrap_err());
+            assert!(refused.contains(expected), "{key} {attachment:?} {refused}");
+        }
+    }
+    for key in ["wayfold/v1/list", "wayfold/v1/**"] {
+        ask(&robot, key, Some("token=secret")).await.unwrap();
+    }
+    robot.close().await.unwrap();
     face.stop().await;
 }
