@@ -127,7 +127,7 @@ pub(super) struct Flags {
     /// Zenoh locator to listen on, or off [default: tcp/127.0.0.1:7448]
     #[arg(long, value_name = "LOCATOR")]
     zenoh: Option<String>,
-    /// Address of /metrics and of probes, or off [default: 127.0.0.1:8080]
+    /// Address of the page and /metrics, or off [default: 127.0.0.1:8080]
     #[arg(long, value_name = "ADDR")]
     http: Option<String>,
     /// Directory of the indices, or memory [default: ./wayfold-data]

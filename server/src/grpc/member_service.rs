@@ -20,7 +20,7 @@ use tonic_prost::ProstCodec;
 
 use super::status::{Answer, Messages, from_error, respond};
 use crate::service::{
-    COPY, Copy, CopyPart, CopyRequest, Copying, SERVICE, STORED, Service, StoredRequest,
+    COPY, CopyPart, CopyRequest, Copying, IndexCopy, SERVICE, STORED, Service, StoredRequest,
     StoredResponse,
 };
 
@@ -95,7 +95,7 @@ impl ServerStreamingService<CopyRequest> for MemberFace {
 }
 
 /// The next part, made when the member has room for it.
-async fn next(mut copy: Box<Copy>) -> Option<(Result<CopyPart, Status>, Box<Copy>)> {
+async fn next(mut copy: Box<IndexCopy>) -> Option<(Result<CopyPart, Status>, Box<IndexCopy>)> {
     let part = copy.next().await?;
     Some((part.map_err(|error| from_error(&error)), copy))
 }

@@ -56,7 +56,7 @@ struct PointsRequest {
 
 impl PointsRequest {
     fn read(index: String, query: &str) -> Result<Self, Error> {
-        let mut asked = Self {
+        let mut request = Self {
             index,
             max: DEFAULT_MAX,
             follow: false,
@@ -75,7 +75,7 @@ impl PointsRequest {
             };
             match name {
                 "max" => {
-                    asked.max = value
+                    request.max = value
                         .parse()
                         .ok()
                         .filter(|max| *max > 0)
@@ -86,15 +86,15 @@ impl PointsRequest {
                         .parse()
                         .map_err(|_| malformed("neither true nor false"))?;
                     match name {
-                        "follow" => asked.follow = value,
-                        _ => asked.edges = value,
+                        "follow" => request.follow = value,
+                        _ => request.edges = value,
                     }
                 }
                 "after" => {
                     let (uid, number) = value
                         .split_once(':')
                         .ok_or_else(|| malformed("no revision, UID:NUMBER"))?;
-                    asked.after = Some(v1::Revision {
+                    request.after = Some(v1::Revision {
                         uid: uid.into(),
                         number: number
                             .parse()
@@ -103,7 +103,7 @@ impl PointsRequest {
                 }
                 "share" => {
                     let share = value.parse().ok().and_then(Share::from_fraction);
-                    asked.share = share.ok_or_else(|| malformed("no number from 0 to 1"))?;
+                    request.share = share.ok_or_else(|| malformed("no number from 0 to 1"))?;
                 }
                 _ => {
                     let text = "there are max, follow, edges, after and share";
@@ -111,7 +111,7 @@ impl PointsRequest {
                 }
             }
         }
-        Ok(asked)
+        Ok(request)
     }
 }
 
@@ -127,14 +127,14 @@ pub(super) async fn points(
         Err(status) => return refusal(&status),
     };
     match PointsRequest::read(index, query.as_deref().unwrap_or_default()) {
-        Ok(asked) => streams::answer(call, PointStream::new(asked)).await,
+        Ok(request) => streams::answer(call, PointStream::new(request)).await,
         Err(error) => refusal(&status::from_error(&error)),
     }
 }
 
 /// A running stream.
 struct PointStream {
-    asked: PointsRequest,
+    request: PointsRequest,
     source: Source,
     share: Share,
     /// The bytes of an edge in a payload; None if edges are not sent.
@@ -181,14 +181,14 @@ impl FrameSource for PointStream {
 }
 
 impl PointStream {
-    fn new(asked: PointsRequest) -> Self {
+    fn new(request: PointsRequest) -> Self {
         Self {
-            source: match asked.after.clone() {
+            source: match request.after.clone() {
                 Some(after) => Source::After(after),
                 None => Source::All,
             },
-            share: asked.share,
-            asked,
+            share: request.share,
+            request,
             edge_bytes: None,
             reached: 0,
         }
@@ -196,11 +196,11 @@ impl PointStream {
 
     /// Learns how the payloads hold edges.
     async fn describe(&mut self, call: &mut StreamCall) -> Result<(), Status> {
-        if !self.asked.edges {
+        if !self.request.edges {
             return Ok(());
         }
         let request = v1::GetIndexRequest {
-            index_name: self.asked.index.clone(),
+            index_name: self.request.index.clone(),
         };
         let service = call.api.shared.service.clone();
         let Admitted { call, turns, .. } = &mut call.admitted;
@@ -226,7 +226,7 @@ impl PointStream {
 
     async fn scan(&mut self, call: &mut StreamCall) -> Result<Source, Status> {
         let request = v1::ScanRequest {
-            index_name: self.asked.index.clone(),
+            index_name: self.request.index.clone(),
             include: Some(self.include()),
             ..Default::default()
         };
@@ -242,7 +242,7 @@ impl PointStream {
         after: v1::Revision,
     ) -> Result<Source, Status> {
         let request = v1::WatchRequest {
-            index_name: self.asked.index.clone(),
+            index_name: self.request.index.clone(),
             after_revision: Some(after),
             include: Some(self.include()),
             ..Default::default()
@@ -266,7 +266,7 @@ impl PointStream {
             let revision = revision.unwrap_or_default();
             self.reached = revision.number;
             frames.push(&json!({ "kind": "at", "revision": self.reached }), &[]);
-            let source = match self.asked.follow {
+            let source = match self.request.follow {
                 true => self.watch(call, revision).await?,
                 false => Source::End,
             };
@@ -276,7 +276,7 @@ impl PointStream {
         let read = match revision {
             Some(revision) => revision,
             None => {
-                self.share = Share::of(self.asked.max, part.point_count);
+                self.share = Share::of(self.request.max, part.point_count);
                 let read = part.revision.unwrap_or_default();
                 let head = json!({
                     "kind": "begin", "uid": read.uid, "revision": read.number, "oldest": scan.window_start(),

@@ -18,7 +18,7 @@ pub(super) const MAX_COPIES: usize = 2;
 const PART_BYTES: usize = 256 * 1024;
 
 /// A copy that is given to another member, part by part. It pins its revision until it ends, is dropped, or its time is up.
-pub struct Copy {
+pub struct IndexCopy {
     start: Option<CopyStart>,
     snapshot: Snapshot,
     /// The operations that are yet to be sent.
@@ -29,7 +29,7 @@ pub struct Copy {
 /// The answer to a member that asks for a copy.
 pub enum Copying {
     /// The copy.
-    Copy(Box<Copy>),
+    Copy(Box<IndexCopy>),
     /// The reason why there is none.
     None(CopyKind),
 }
@@ -93,7 +93,7 @@ impl Service {
             operations: operations.len() as u64,
             is_compared: digest.is_some(),
         };
-        Ok(Copying::Copy(Box::new(Copy {
+        Ok(Copying::Copy(Box::new(IndexCopy {
             start: Some(start),
             snapshot: Snapshot::of(self.limits(), Call::default(), hosted, published),
             operations: operations.into_iter(),
@@ -102,7 +102,7 @@ impl Service {
     }
 }
 
-impl Copy {
+impl IndexCopy {
     /// The next part; None after the last or an error.
     pub(crate) async fn next(&mut self) -> Option<Result<CopyPart, Error>> {
         let kind = if let Some(start) = self.start.take() {

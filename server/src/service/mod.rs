@@ -77,7 +77,7 @@ use crate::{
 pub use call::Call;
 pub use catalog_watch::CatalogWatch;
 pub use code::Code;
-pub(crate) use copy::{Copy, Copying};
+pub(crate) use copy::{Copying, IndexCopy};
 pub use error::{Error, Unavailability, Violation};
 pub use forward::{NotForwarded, Owners};
 pub(crate) use indexes::MAX_NAME_BYTES;

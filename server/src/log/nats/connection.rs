@@ -220,9 +220,9 @@ pub(super) async fn within<T>(
 }
 
 /// Asks NATS for a stream or a bucket for up to [`START_TIME`]: servers of NATS that have just started elect a leader first.
-pub(super) async fn patiently<T, E: std::error::Error, Asked: Future<Output = Result<T, E>>>(
+pub(super) async fn patiently<T, E: std::error::Error, Attempt: Future<Output = Result<T, E>>>(
     what: &str,
-    ask: impl Fn() -> Asked,
+    ask: impl Fn() -> Attempt,
 ) -> Result<T, NatsError> {
     let (until, mut attempts) = (Instant::now() + START_TIME, interval(START_INTERVAL));
     attempts.set_missed_tick_behavior(MissedTickBehavior::Delay);

@@ -197,7 +197,7 @@ impl Task {
                         }),
                     };
                 }
-                // Nobody has received it: the stream has no leader now.
+                // No server has received it: the stream has no leader now.
                 PublishErrorKind::StreamNotFound => {
                     attempts.tick().await;
                 }
