@@ -54,7 +54,6 @@ pub(crate) fn max_senders(config: &ZenohConfig) -> usize {
 
 /// The open face.
 pub(crate) struct ZenohFace {
-    session: Session,
     open: OpenSession,
     /// None before a server of a cluster serves.
     queryable: Option<Queryable<()>>,
@@ -78,7 +77,8 @@ impl ZenohFace {
             return Ok(None);
         }
         check_prefix(&config.prefix)?;
-        let (session, open, connects_to) = session::open(config).await?;
+        let (open, connects_to) = session::open(config).await?;
+        let session = open.session.clone();
         shared.metrics.add(Links {
             session: session.clone(),
             runtime: open.runtime.clone(),
@@ -109,7 +109,6 @@ impl ZenohFace {
             AbortOnDropHandle::new(tokio::spawn(reporting))
         });
         let face = Self {
-            session,
             open,
             queryable,
             queries,
@@ -125,7 +124,7 @@ impl ZenohFace {
 
     /// Its locators: `tcp/127.0.0.1:7448`.
     pub(crate) async fn locators(&self) -> Vec<String> {
-        let locators = self.session.info().locators().await;
+        let locators = self.open.session.info().locators().await;
         locators.iter().map(ToString::to_string).collect()
     }
 
@@ -137,11 +136,11 @@ impl ZenohFace {
     /// Begins to announce the indices, and to publish their mutations if `publishes`; the service must have them.
     pub(crate) async fn announce(&mut self, publishes: bool) -> Result<(), ZenohError> {
         if self.queryable.is_none() {
-            self.queryable = Some(take_queries(&self.session, &self.queries).await?);
+            self.queryable = Some(take_queries(&self.open.session, &self.queries).await?);
         }
         let announcer = Announcer {
             service: self.queries.shared.service.clone(),
-            session: self.session.clone(),
+            session: self.open.session.clone(),
             prefix: self.queries.prefix.clone(),
             stopping: self.queries.stopping.clone(),
             publishes,
@@ -152,7 +151,7 @@ impl ZenohFace {
 
     /// Refuses new queries, answers accepted ones, leaves callers a moment to read the answers, and closes the session.
     pub(crate) async fn stop(self) {
-        let session = self.session.clone();
+        let session = self.open.session.clone();
         self.stop_after(linger(&session)).await;
     }
 
@@ -169,7 +168,7 @@ impl ZenohFace {
         // The queryable refuses those who ask meanwhile: without it they would get no reply.
         lingered.await;
         undeclare(self.queryable).await;
-        if let Err(error) = self.session.close().await {
+        if let Err(error) = self.open.session.close().await {
             warn!(%error, "the Zenoh session did not close well");
         }
         if let Err(error) = self.open.runtime.close().await {

@@ -4,9 +4,7 @@ use std::{io, net::TcpListener};
 
 use serde_json::{Value, json};
 use thiserror::Error;
-use zenoh::{
-    Config, Session, config::EndPoint, internal::runtime::RuntimeBuilder, key_expr::OwnedKeyExpr,
-};
+use zenoh::{Config, config::EndPoint, internal::runtime::RuntimeBuilder, key_expr::OwnedKeyExpr};
 
 use super::links::OpenSession;
 use crate::{
@@ -90,17 +88,17 @@ impl ZenohError {
     }
 }
 
-/// Opens the session; returns it with the guard that closes it, and the endpoints that it connects to, if any.
+/// Opens the session; returns it with the endpoints that it connects to, if any.
 pub(super) async fn open(
     config: &ZenohConfig,
-) -> Result<(Session, OpenSession, Option<String>), ZenohError> {
+) -> Result<(OpenSession, Option<String>), ZenohError> {
     check_listen(&config.listen)?;
     let settings = settings(config)?;
     let connects_to = settings.get_json("connect/endpoints").ok();
     let connects_to = connects_to.filter(|endpoints| !matches!(&**endpoints, "[]" | "null" | "{}"));
     // Tried before: a session that fails to open may still hold the address for a moment.
     let is_in_use = is_in_use(&config.listen);
-    let (session, open) = start(settings).await.map_err(|error| {
+    let open = start(settings).await.map_err(|error| {
         let listen = config.listen.clone();
         let problem = without_places(&error.to_string());
         match is_in_use {
@@ -108,11 +106,11 @@ pub(super) async fn open(
             false => ZenohError::Open { listen, problem },
         }
     })?;
-    Ok((session, open, connects_to))
+    Ok((open, connects_to))
 }
 
 /// Does the work of `zenoh::open`, which hides the runtime.
-async fn start(settings: Config) -> Result<(Session, OpenSession), zenoh::Error> {
+async fn start(settings: Config) -> Result<OpenSession, zenoh::Error> {
     let keys = |setting| -> Vec<OwnedKeyExpr> {
         let keys = settings.get_json(setting).unwrap_or_default();
         serde_json::from_str(&keys).unwrap_or_default()
@@ -124,12 +122,9 @@ async fn start(settings: Config) -> Result<(Session, OpenSession), zenoh::Error>
         .aggregated_subscribers(subscribers)
         .aggregated_publishers(publishers)
         .await?;
-    let mut open = OpenSession {
-        session: session.clone(),
-        runtime,
-    };
+    let mut open = OpenSession { session, runtime };
     open.runtime.start().await?;
-    Ok((session, open))
+    Ok(open)
 }
 
 /// True if another program listens at this address. Zenoh reports the cause of a failure only as text.

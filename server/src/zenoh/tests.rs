@@ -95,7 +95,7 @@ async fn messages_to_a_subscriber_that_does_not_read_are_counted_as_dropped() {
     const KEY: &str = "wayfold/v1/arm/events";
     let (face, robot, metrics) =
         face_and_robot(Service::starting(Default::default()), Identities::default()).await;
-    let publisher = face.session.declare_publisher(KEY);
+    let publisher = face.open.session.declare_publisher(KEY);
     let publisher = publisher.congestion_control(CongestionControl::Drop);
     let publisher = Arc::new(publisher.await.unwrap());
     // Zenoh calls it on the thread that reads the link, and so reads no more until `open` is dropped.
