@@ -194,7 +194,10 @@ async fn a_certificate_or_a_token_is_an_identity_and_nothing_else_is() {
         }
     };
     let refused = tokio::time::timeout(Duration::from_secs(60), refused).await;
-    assert_eq!(refused.unwrap().reason(), Some("WRONG_CREDENTIAL"));
+    // A call that was under way is told that its identity was revoked.
+    assert_eq!(refused.unwrap().code(), Code::Unauthenticated);
+    let refused = seen.info().await.unwrap_err();
+    assert_eq!(refused.reason(), Some("WRONG_CREDENTIAL"));
     for (credentials, reason) in [
         (with("nobody.example"), "WRONG_CREDENTIAL"),
         (authority.credentials(), "NO_CREDENTIAL"),
