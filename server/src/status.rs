@@ -315,6 +315,12 @@ impl Status {
                 return None;
             }
             Error::Denied {
+                why: Denial::Metrics { identity },
+            } => {
+                self.set("identity", identity);
+                return None;
+            }
+            Error::Denied {
                 why: Denial::Unknown(Stranger::TooManyCalls(most)),
             } => self.quota("max_calls", *most as u64),
             Error::Denied {

@@ -50,15 +50,24 @@ pub(crate) struct Admission {
     all: Arc<ByteBudget>,
     /// The most bytes of one flow.
     share: usize,
-    /// The calls that were refused because too many were under way.
-    excess: Arc<AtomicU64>,
+    others: Arc<OtherRefusals>,
     /// The flow of administration, whose bytes are its own: no load takes them.
     admin: Arc<Flow>,
+}
+
+/// The calls that were refused for other reasons than turns and bytes.
+#[derive(Debug, Default)]
+struct OtherRefusals {
+    /// Those of which too many were under way.
+    excess: AtomicU64,
+    /// Those whose requests did not arrive in time.
+    slow: AtomicU64,
 }
 
 /// The calls that share turns and bytes.
 #[derive(Debug)]
 pub(crate) struct Flow {
+    others: Arc<OtherRefusals>,
     turns: Arc<Turns>,
     number: FlowNumber,
     all: Arc<ByteBudget>,
@@ -87,12 +96,14 @@ impl Admission {
         let share = (config.max_bytes / SHARES).max(one_call);
         let all = Arc::new(ByteBudget::new(config.max_bytes.max(one_call)));
         let reserve = Arc::new(ByteBudget::new(all.max()));
+        let others = Arc::<OtherRefusals>::default();
+        let admin = Flow::new(Arc::clone(&turns), reserve, share, Arc::clone(&others));
         Self {
-            admin: Arc::new(Flow::new(Arc::clone(&turns), reserve, share)),
+            admin: Arc::new(admin),
             turns,
             all,
             share,
-            excess: Arc::default(),
+            others,
         }
     }
 
@@ -102,6 +113,7 @@ impl Admission {
             Arc::clone(&self.turns),
             Arc::clone(&self.all),
             self.share,
+            Arc::clone(&self.others),
         ))
     }
 
@@ -130,7 +142,7 @@ impl Admission {
 
     /// Counts a call that is refused because too many are under way.
     pub(crate) fn count_excess(&self) {
-        self.excess.fetch_add(1, Relaxed);
+        self.others.excess.fetch_add(1, Relaxed);
     }
 
     /// The bytes that are held, and the most.
@@ -139,11 +151,12 @@ impl Admission {
     }
 
     /// The numbers of calls that were refused so far, by reason; `excess` calls exceeded the quotas of identities.
-    pub(crate) fn refused(&self, excess: u64) -> [(&'static str, u64); 3] {
+    pub(crate) fn refused(&self, excess: u64) -> [(&'static str, u64); 4] {
         [
             ("OVERLOADED", self.turns.refused()),
             ("TOO_MANY_BYTES", self.all.refused()),
-            ("TOO_MANY_CALLS", excess + self.excess.load(Relaxed)),
+            ("TOO_MANY_CALLS", excess + self.others.excess.load(Relaxed)),
+            ("TOO_SLOW", self.others.slow.load(Relaxed)),
         ]
     }
 
@@ -154,8 +167,14 @@ impl Admission {
 }
 
 impl Flow {
-    fn new(turns: Arc<Turns>, all: Arc<ByteBudget>, share: usize) -> Self {
+    fn new(
+        turns: Arc<Turns>,
+        all: Arc<ByteBudget>,
+        share: usize,
+        others: Arc<OtherRefusals>,
+    ) -> Self {
         Self {
+            others,
             number: turns.open(),
             turns,
             all,
@@ -169,6 +188,11 @@ impl Flow {
     /// The number of calls that have come.
     pub(crate) fn calls(&self) -> u64 {
         self.calls.load(Relaxed)
+    }
+
+    /// Counts a call whose request did not arrive in time.
+    pub(crate) fn count_slow(&self) {
+        self.others.slow.fetch_add(1, Relaxed);
     }
 
     /// Notes that everything its client has sent is read.

@@ -34,8 +34,8 @@ use crate::{
     config::GrpcConfig,
     faces::Shared,
     identity::{Caller, Denial, Stranger},
-    observe::{self, CallRecord, Ending, Peer, Times},
-    service::{Call, Error},
+    observe::{self, CallRecord, Ending, Times},
+    service::{Call, Error, Peer},
     status,
 };
 
@@ -183,16 +183,22 @@ where
         // same header and answers CANCELLED when it ends. Ours must never be the later one.
         let arrived = Instant::now();
         let peer = activity.as_ref().and_then(Activity::peer);
-        let caller = settings.caller(request.headers(), activity.as_ref());
-        let trace = traceparent(request.headers());
+        let mut call = Call {
+            caller: settings.caller(request.headers(), activity.as_ref()),
+            peer: peer.map(Peer::Address),
+            trace: traceparent(request.headers()).map(Arc::from),
+            is_forwarded: settings.callers == Callers::Members,
+            ..Call::default()
+        };
         let verb = (settings.face(), verb(rpc));
-        let origin = (&caller, trace);
-        let mut record = CallRecord::begin(rpc, verb, arrived, &settings.shared.metrics, origin)
-            .of_peer(peer.map(Peer::Address));
+        let mut record = CallRecord::begin(rpc, verb, arrived, &settings.shared.metrics, &call);
         let held = Arc::new(flow.hold());
         let is_stream = has_stream_of_answers(rpc) || has_stream_of_requests(rpc);
         // The service checks the caller too; here a stranger is refused before it sends its request.
-        let deadline = match (caller.check(), deadline::read(request.headers(), arrived)) {
+        let deadline = match (
+            call.caller.check(),
+            deadline::read(request.headers(), arrived),
+        ) {
             (Err(why), _) => {
                 let why = Denial::Unknown(why);
                 Err(status::from_error(&Error::Denied { why }))
@@ -202,14 +208,15 @@ where
             (_, Ok(None)) if !is_stream => Ok(arrived.checked_add(settings.default_timeout)),
             (_, Ok(deadline)) => Ok(deadline),
         };
-        let deadline = match deadline {
-            Ok(deadline) => deadline,
+        match deadline {
+            Ok(deadline) => call.deadline = deadline,
             Err(status) => {
                 record.end(Ending::Failed(status.code));
                 let refusal = Status::from(status).into_http();
                 return Box::pin(std::future::ready(Ok(refusal)));
             }
-        };
+        }
+        let deadline = call.deadline;
         let place = Place {
             activity,
             _active: active,
@@ -221,13 +228,7 @@ where
             limits: settings.requests.clone(),
             held,
             arrived,
-            call: Call {
-                deadline,
-                caller,
-                trace: trace.map(Arc::from),
-                is_forwarded: settings.callers == Callers::Members,
-                index: Arc::clone(record.index()),
-            },
+            call,
             is_stream: has_stream_of_requests(rpc),
         };
         let is_answer_stream = has_stream_of_answers(rpc);

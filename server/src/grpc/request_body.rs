@@ -128,6 +128,7 @@ impl HttpBody for RequestBody {
                 }
             }
             Poll::Pending if this.is_late(context) => {
+                this.held.flow().count_slow();
                 let status = refusals::too_slow(this.limits.time);
                 return Poll::Ready(Some(Err(status.into())));
             }

@@ -21,7 +21,7 @@ use tokio::sync::Semaphore;
 use tracing::Instrument;
 use wayfold_proto::v1;
 
-use super::{Pages, caller, streams::MAX_STREAMS};
+use super::{Pages, streams::MAX_STREAMS};
 use crate::{
     admission::{CALL_BYTES, CallTurns, Flow, HeldBytes},
     faces::{Addresses, Shared},
@@ -79,22 +79,23 @@ impl Api {
         is_stream: bool,
     ) -> Result<Admitted, Box<Status>> {
         let arrived = Instant::now();
-        let caller = caller(&self.shared.identities, request);
-        let trace = request.headers.get("traceparent");
-        let trace = trace.and_then(|it| it.to_str().ok());
+        let mut call = super::call(&self.shared.identities, request);
+        if !is_stream {
+            call.deadline = arrived.checked_add(MAX_TIME);
+        }
         let mut record = CallRecord::begin(
             format!("Http/{verb}"),
             ("http", verb),
             arrived,
             &self.shared.metrics,
-            (&caller, trace),
+            &call,
         );
         let held = self.flow.hold();
         let mut turns = match is_stream {
             true => self.flow.turns_of_stream(),
             false => self.flow.turns(),
         };
-        let refused = match caller.check() {
+        let refused = match call.caller.check() {
             Err(why) => Some(status::from_error(&Error::Denied {
                 why: Denial::Unknown(why),
             })),
@@ -105,16 +106,6 @@ impl Api {
             record.end(Ending::Failed(status.code));
             return Err(status.into());
         }
-        let call = Call {
-            deadline: match is_stream {
-                true => None,
-                false => arrived.checked_add(MAX_TIME),
-            },
-            caller,
-            trace: trace.map(Arc::from),
-            is_forwarded: false,
-            index: Arc::clone(record.index()),
-        };
         Ok(Admitted {
             call,
             record,

@@ -14,7 +14,7 @@ mod points;
 mod state;
 mod streams;
 
-use std::{fmt, future::pending, io, sync::Arc, time::Duration};
+use std::{fmt, future::pending, io, net::SocketAddr, sync::Arc, time::Duration};
 
 use axum::{
     Router,
@@ -33,9 +33,9 @@ use tokio::{net::TcpListener, task::spawn_blocking, time::timeout};
 use crate::{
     faces::{Addresses, Shared},
     grpc::{Client, Tls, token},
-    identity::{Caller, Identities, Role},
+    identity::Identities,
     lifecycle::{Phase, PhaseWatch},
-    service::Error,
+    service::{Call, Error, Peer, Service},
     status,
 };
 use api::{Api, refusal};
@@ -68,25 +68,34 @@ pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages)
         tls,
         places: Places::new(MAX_CONNECTIONS),
     };
-    let routes = routes.into_make_service_with_connect_info::<Certificate>();
+    let routes = routes.into_make_service_with_connect_info::<Connection>();
     axum::serve(secured, routes).await
 }
 
-/// The certificate of the client of a connection.
-#[derive(Clone)]
-struct Certificate(Client);
+/// The other end of a connection, and the certificate of the client once it has shown one.
+#[derive(Clone, Debug)]
+struct Connection {
+    peer: SocketAddr,
+    client: Client,
+}
 
-impl Connected<IncomingStream<'_, Secured>> for Certificate {
+impl Connected<IncomingStream<'_, Secured>> for Connection {
     fn connect_info(connection: IncomingStream<'_, Secured>) -> Self {
-        Self(Arc::clone(connection.remote_addr()))
+        connection.remote_addr().clone()
     }
 }
 
-/// The caller of a request.
-fn caller(identities: &Identities, request: &Parts) -> Caller {
-    let certificate = request.extensions.get::<ConnectInfo<Certificate>>();
-    let certificate = certificate.and_then(|it| it.0.0.get());
-    identities.caller(token(&request.headers), certificate)
+/// The context of the call that a request makes, without a deadline.
+fn call(identities: &Identities, request: &Parts) -> Call {
+    let connection = request.extensions.get::<ConnectInfo<Connection>>();
+    let certificate = connection.and_then(|it| it.0.client.get());
+    let trace = request.headers.get("traceparent");
+    Call {
+        caller: identities.caller(token(&request.headers), certificate),
+        peer: connection.map(|it| Peer::Address(it.0.peer)),
+        trace: trace.and_then(|it| it.to_str().ok()).map(Arc::from),
+        ..Call::default()
+    }
 }
 
 fn routes(pages: Pages, has_tls: bool) -> Router {
@@ -110,16 +119,12 @@ fn routes(pages: Pages, has_tls: bool) -> Router {
 }
 
 async fn metrics(Of(pages): Of<Arc<Pages>>, request: Parts) -> Response {
-    let caller = caller(&pages.shared.identities, &request);
-    if let Err(why) = caller.authorize(Role::Read, None) {
-        return refusal(&status::from_error(&Error::Denied { why }));
-    }
-    if !caller.oversees() {
-        let why =
-            "the metrics name all indices: the identity needs metrics = true, or the pattern *\n";
-        return (StatusCode::FORBIDDEN, why).into_response();
-    }
-    match metrics_text(&pages.shared).await {
+    let call = call(&pages.shared.identities, &request);
+    let text = match Service::authorize_metrics(&call) {
+        Ok(()) => metrics_text(&pages.shared).await,
+        Err(denied) => Err(denied),
+    };
+    match text {
         Ok(text) => ([(header::CONTENT_TYPE, OPEN_METRICS)], text).into_response(),
         Err(error) => refusal(&status::from_error(&error)),
     }
@@ -157,12 +162,11 @@ struct Secured {
 
 impl Listener for Secured {
     type Io = Bounded;
-    /// The client by its certificate.
-    type Addr = Client;
+    type Addr = Connection;
 
     async fn accept(&mut self) -> (Self::Io, Self::Addr) {
         loop {
-            let Ok((socket, _)) = self.listener.accept().await else {
+            let Ok((socket, peer)) = self.listener.accept().await else {
                 // The listener fails while the process has no file descriptors left.
                 let _ = timeout(ACCEPT_RETRY_PAUSE, pending::<()>()).await;
                 continue;
@@ -170,13 +174,16 @@ impl Listener for Secured {
             let place = self.places.take().await;
             let client = Client::default();
             let socket = Tls::accept(self.tls.as_ref(), socket, Some(Arc::clone(&client)));
-            return (Bounded::new(socket, place), client);
+            return (Bounded::new(socket, place), Connection { peer, client });
         }
     }
 
     fn local_addr(&self) -> io::Result<Self::Addr> {
         // The listener itself has no client.
-        Ok(Client::default())
+        Ok(Connection {
+            peer: self.listener.local_addr()?,
+            client: Client::default(),
+        })
     }
 }
 

@@ -79,13 +79,13 @@ impl FrameSource for Overview {
         let shared = call.api.shared.clone();
         let Admitted { call, turns, .. } = &mut call.admitted;
         let listed = streams::in_turn(turns, list(&shared.service, call)).await?;
-        let metrics = match call.caller.oversees() {
-            true => Some(
+        let metrics = match Service::authorize_metrics(call) {
+            Ok(()) => Some(
                 metrics_text(&shared)
                     .await
                     .map_err(|it| status::from_error(&it))?,
             ),
-            false => None,
+            Err(_) => None,
         };
         let mut frames = Frames::default();
         let head = json!({ "kind": "overview", "list": listed, "metrics": metrics });

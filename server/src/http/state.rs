@@ -139,9 +139,12 @@ impl State {
             "The bytes of requests, calls and unread answers, and the most that they may hold";
         gauges(encoder, "in_flight", help, Some(&Unit::Bytes), &bytes)?;
         let excess = self.shared.identities.excess();
-        let refused = self.shared.admission.refused(excess);
-        let refused = refused.map(|(reason, count)| ([("reason", reason)], count));
-        let help = "Calls that were refused because the server was busy, by reason";
+        let busy = self.shared.admission.refused(excess);
+        let refused = busy.into_iter().chain(self.shared.service.refused_growth());
+        let refused: Vec<_> = refused
+            .map(|(reason, count)| ([("reason", reason)], count))
+            .collect();
+        let help = "Calls that were refused because the server was busy or full, by reason";
         counters(encoder, "refused_calls", help, &refused)
     }
 

@@ -130,6 +130,11 @@ pub enum Denial {
         /// The index.
         index: String,
     },
+    /// The identity may not read the metrics.
+    Metrics {
+        /// The identity.
+        identity: String,
+    },
 }
 
 /// The caller of a call.
@@ -213,13 +218,19 @@ impl Caller {
         }
     }
 
-    /// True if the caller may read the metrics, which name all indices: its identity has that right, or the pattern of all
-    /// indices.
-    pub(crate) fn oversees(&self) -> bool {
-        let Some(identity) = self.identity() else {
-            return matches!(self, Caller::Anyone);
-        };
-        identity.reads_metrics || identity.indexes.iter().any(|it| it.0 == "*")
+    /// Refuses a caller whose identity has neither the right to read the metrics nor the pattern of all indices.
+    pub(crate) fn oversee(&self) -> Result<(), Denial> {
+        self.check().map_err(Denial::Unknown)?;
+        match self.identity() {
+            Some(identity)
+                if !identity.reads_metrics && identity.indexes.iter().all(|it| it.0 != "*") =>
+            {
+                Err(Denial::Metrics {
+                    identity: identity.name.clone(),
+                })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// True if the caller has rights on an index of this name.
@@ -289,6 +300,10 @@ impl fmt::Display for Denial {
                     "the identity \"{identity}\" has no rights on the index \"{index}\""
                 )
             }
+            Denial::Metrics { identity } => write!(
+                f,
+                "the metrics name all indices: the identity \"{identity}\" needs metrics = true, or the pattern *"
+            ),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The span of a call, its log line at the end, and the fields of its request.
 
-use std::{fmt, net::SocketAddr, time::Instant};
+use std::{fmt, sync::Arc, time::Instant};
 
 use tracing::{Span, debug, field, info_span, warn};
 use wayfold_proto::v1;
@@ -10,10 +10,7 @@ use super::{
     slow::{SlowCalls, Times},
     trace::trace_ids,
 };
-use crate::{
-    identity::Caller,
-    service::{Code, MAX_NAME_BYTES},
-};
+use crate::service::{Call, Code, MAX_NAME_BYTES, Peer};
 
 /// The end of a call.
 #[derive(Clone, Copy, PartialEq)]
@@ -62,24 +59,6 @@ impl fmt::Debug for Ending {
     }
 }
 
-/// The other end of a call.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Peer {
-    /// A client of gRPC.
-    Address(SocketAddr),
-    /// A session of Zenoh, by its id. Only a query that names its source has it.
-    Session(u128),
-}
-
-impl fmt::Display for Peer {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Address(address) => address.fmt(f),
-            Self::Session(id) => write!(f, "{id:x}"),
-        }
-    }
-}
-
 /// A call from its arrival to the last byte of its answer. Its end is written when it is dropped: at `debug`, or at
 /// `warn` when the fault is the server's.
 pub(crate) struct CallRecord {
@@ -97,26 +76,26 @@ pub(crate) struct CallRecord {
 
 impl CallRecord {
     /// A call of `verb` on a face that arrived at `started`. Log lines name it `rpc`, such as `PointService/Knn`, and have
-    /// its caller, and the trace and the parent of its `traceparent`.
+    /// its caller, its peer, and the trace and the parent of its `traceparent`.
     pub(crate) fn begin(
         rpc: impl Into<String>,
         (face, verb): (&'static str, &'static str),
         started: Instant,
         metrics: &Metrics,
-        (caller, traceparent): (&Caller, Option<&str>),
+        call: &Call,
     ) -> Self {
         let rpc = rpc.into();
-        let ids = traceparent.and_then(trace_ids);
+        let ids = call.trace.as_deref().and_then(trace_ids);
         Self {
             metrics: metrics.clone(),
             face,
             verb,
-            index: IndexLabel::default(),
+            index: Arc::clone(&call.index),
             span: info_span!(
                 "call",
                 rpc,
                 // A field that is recorded later costs a call more than one that is known here.
-                identity = caller.name(),
+                identity = call.caller.name(),
                 trace = ids.map(|(trace, _)| trace),
                 parent = ids.map(|(_, parent)| parent),
                 index = field::Empty,
@@ -125,20 +104,9 @@ impl CallRecord {
             rpc,
             started,
             ending: Ending::Left,
-            peer: None,
+            peer: call.peer,
             times: None,
         }
-    }
-
-    /// The same call, made by this peer.
-    pub(crate) fn of_peer(mut self, peer: Option<Peer>) -> Self {
-        self.peer = peer;
-        self
-    }
-
-    /// Gets the label of the index, once the service has found it.
-    pub(crate) fn index(&self) -> &IndexLabel {
-        &self.index
     }
 
     /// The name of the called method.

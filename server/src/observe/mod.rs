@@ -6,7 +6,7 @@ mod metrics;
 mod slow;
 mod trace;
 
-pub(crate) use call::{CallRecord, Ending, Peer, Request, request};
+pub(crate) use call::{CallRecord, Ending, Request, request};
 pub(crate) use logging::start;
 pub use logging::{LogFormat, LoggingError};
 pub(crate) use metrics::Metrics;

@@ -8,7 +8,7 @@ use std::{
 use parking_lot::Mutex;
 use tracing::{Span, field, warn};
 
-use super::Peer;
+use crate::service::Peer;
 
 /// The least time between two lines: a server on which all calls are slow writes one for many.
 const INTERVAL: Duration = Duration::from_secs(1);

@@ -130,10 +130,12 @@ struct Host {
 impl Registry {
     /// The levels of memory and disk now, by name.
     pub(crate) fn levels(&self) -> Vec<(&'static str, Level)> {
-        let Watermarks { memory, disk } = &self.host.watermarks;
-        let memory = memory.iter().filter_map(|it| Some(("memory", it.now()?)));
-        let disk = disk.iter().filter_map(|it| Some(("disk", it.now()?)));
-        memory.chain(disk).collect()
+        self.host.watermarks.levels()
+    }
+
+    /// The numbers of calls that the watermarks refused so far, by reason.
+    pub(crate) fn refused(&self) -> Vec<(&'static str, u64)> {
+        self.host.watermarks.refused()
     }
 
     /// An empty registry over `log`, without watermarks. [`Registry::replay`] fills it.

@@ -1,7 +1,9 @@
 //! The context of a call, and time slices by which a long call shares its thread.
 
 use std::{
+    fmt,
     future::Future,
+    net::SocketAddr,
     sync::{Arc, OnceLock},
     time::{Duration, Instant},
 };
@@ -15,6 +17,24 @@ use crate::{
 /// The time that a call computes before it yields.
 const MAX_STEP_TIME: Duration = Duration::from_micros(500);
 
+/// The other end of a call.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Peer {
+    /// The address of a connection.
+    Address(SocketAddr),
+    /// The id of a session. Only a query that names its source has it.
+    Session(u128),
+}
+
+impl fmt::Display for Peer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Address(address) => address.fmt(f),
+            Self::Session(id) => write!(f, "{id:x}"),
+        }
+    }
+}
+
 /// The context of one call.
 #[derive(Clone, Debug, Default)]
 pub struct Call {
@@ -22,6 +42,8 @@ pub struct Call {
     pub deadline: Option<Instant>,
     /// The caller.
     pub caller: Caller,
+    /// The other end of the call, if the face knows it.
+    pub peer: Option<Peer>,
     /// Its place in a trace, after W3C Trace Context.
     pub trace: Option<Arc<str>>,
     /// True if another server of the cluster forwarded it. It is not forwarded again.

@@ -1,10 +1,7 @@
 //! The kind and the reason of each error, for programs to match on.
 
 use super::{Error, Unavailability};
-use crate::{
-    identity::{Denial, Stranger},
-    watermark::Resource,
-};
+use crate::identity::{Denial, Stranger};
 
 /// The kinds of failure a caller can tell apart: the eleven codes of the contract, named as gRPC names them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -107,7 +104,9 @@ impl Error {
             Error::Denied { why } => match why {
                 Denial::Unknown(Stranger::TooManyCalls(_)) => Code::ResourceExhausted,
                 Denial::Unknown(_) => Code::Unauthenticated,
-                Denial::Role { .. } | Denial::Index { .. } => Code::PermissionDenied,
+                Denial::Role { .. } | Denial::Index { .. } | Denial::Metrics { .. } => {
+                    Code::PermissionDenied
+                }
             },
             Error::DeadlineExceeded { .. } => Code::DeadlineExceeded,
             Error::Forwarded { status } => Code::of_number(status.code),
@@ -133,10 +132,7 @@ impl Error {
             Error::UidMismatch { .. } => "UID_MISMATCH",
             Error::RevisionConflict { .. } => "REVISION_CONFLICT",
             Error::LimitExceeded { .. } => "LIMIT_EXCEEDED",
-            Error::Full { full } => match full.resource {
-                Resource::Memory => "MEMORY_FULL",
-                Resource::Disk => "DISK_FULL",
-            },
+            Error::Full { full } => full.resource.reason(),
             Error::QuotaExceeded { .. } => "QUOTA_EXCEEDED",
             Error::NotLoaded { .. } => "NOT_LOADED",
             Error::IdsExhausted { .. } => "IDS_EXHAUSTED",
@@ -155,6 +151,7 @@ impl Error {
                 Denial::Unknown(Stranger::TooManyCalls(_)) => "TOO_MANY_CALLS",
                 Denial::Role { .. } => "ROLE_TOO_LOW",
                 Denial::Index { .. } => "INDEX_NOT_ALLOWED",
+                Denial::Metrics { .. } => "METRICS_NOT_ALLOWED",
             },
             Error::DeadlineExceeded { .. } => "DEADLINE_EXCEEDED",
             Error::Forwarded { .. } => "FORWARDED",

@@ -74,7 +74,7 @@ use crate::{
     registry::{Listed, Part, Registry},
     watermark::Level,
 };
-pub use call::Call;
+pub use call::{Call, Peer};
 pub use catalog_watch::CatalogWatch;
 pub use code::Code;
 pub(crate) use copy::{Copying, IndexCopy};
@@ -194,6 +194,13 @@ impl Service {
             .unwrap_or_default()
     }
 
+    /// The numbers of calls that the watermarks refused so far, by reason.
+    pub(crate) fn refused_growth(&self) -> Vec<(&'static str, u64)> {
+        let registry = self.inner.registry.get();
+        let refused = registry.map(|registry| registry.refused());
+        refused.unwrap_or_default()
+    }
+
     /// The merges that run now.
     pub(crate) fn merges(&self) -> u64 {
         let registry = self.inner.registry.get();
@@ -233,13 +240,24 @@ impl Service {
     /// Accepts a call that needs `role` on an index, or refuses it; the first thing that every verb does. The rights
     /// count before the existence of the index: a stranger does not learn of it.
     fn accept(&self, call: &Call, role: Role, index: Option<&str>) -> Result<(), Error> {
-        call.caller
-            .authorize(role, index)
-            .map_err(|why| Error::Denied { why })?;
+        Self::authorize(call, role, index)?;
         if let Some(why) = self.unavailability() {
             return Err(Error::Unavailable { why });
         }
         call.check("before the call began")
+    }
+
+    /// Refuses a call whose caller lacks `role` on the index; without an index, on any.
+    fn authorize(call: &Call, role: Role, index: Option<&str>) -> Result<(), Error> {
+        let rights = call.caller.authorize(role, index);
+        rights.map_err(|why| Error::Denied { why })
+    }
+
+    /// Refuses a call that may not read the metrics, which name all indices.
+    pub(crate) fn authorize_metrics(call: &Call) -> Result<(), Error> {
+        Self::authorize(call, Role::Read, None)?;
+        let rights = call.caller.oversee();
+        rights.map_err(|why| Error::Denied { why })
     }
 
     /// The registry; every accepted call has one.

@@ -125,8 +125,7 @@ impl Restoring {
     /// Takes the next part. After an error every part is refused.
     pub async fn add(&mut self, request: v1::RestoreIndexRequest) -> Result<(), Error> {
         let name = self.name(request.name)?;
-        let rights = self.call.caller.authorize(Role::Admin, Some(&name));
-        rights.map_err(|why| Error::Denied { why })?;
+        Service::authorize(&self.call, Role::Admin, Some(&name))?;
         let Some(part) = request.part else {
             return Err(refused("REQUIRED", "a message without a part".into()));
         };

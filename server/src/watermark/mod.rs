@@ -8,7 +8,10 @@ mod memory;
 
 use std::{
     fmt, io,
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering::Relaxed},
+    },
     time::{Duration, Instant},
 };
 
@@ -35,6 +38,14 @@ pub enum Resource {
 }
 
 impl Resource {
+    /// Its name in texts and metrics.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Memory => "memory",
+            Self::Disk => "disk",
+        }
+    }
+
     /// The setting of its high watermark.
     pub fn setting(self) -> &'static str {
         match self {
@@ -42,14 +53,19 @@ impl Resource {
             Self::Disk => "disk.min_free_bytes",
         }
     }
+
+    /// The reason of a refusal, in UPPER_SNAKE_CASE.
+    pub(crate) fn reason(self) -> &'static str {
+        match self {
+            Self::Memory => "MEMORY_FULL",
+            Self::Disk => "DISK_FULL",
+        }
+    }
 }
 
 impl fmt::Display for Resource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Memory => "memory",
-            Self::Disk => "disk",
-        })
+        f.write_str(self.name())
     }
 }
 
@@ -94,6 +110,8 @@ pub struct Watermark {
     probe: Box<Probe>,
     interval: Duration,
     state: Mutex<State>,
+    /// The calls that were refused for it.
+    refused: AtomicU64,
 }
 
 #[derive(Default)]
@@ -115,6 +133,7 @@ impl Watermark {
             probe: Box::new(probe),
             interval: INTERVAL,
             state: Mutex::default(),
+            refused: AtomicU64::new(0),
         }
     }
 
@@ -223,9 +242,35 @@ pub struct Watermarks {
 }
 
 impl Watermarks {
-    /// Takes in about `bytes` more, or refuses them.
+    fn all(&self) -> impl Iterator<Item = &Arc<Watermark>> {
+        [&self.memory, &self.disk].into_iter().flatten()
+    }
+
+    /// Takes in about `bytes` more of a call, or refuses and counts it.
     pub fn admit(&self, bytes: u64) -> Result<(), Full> {
-        let mut watermarks = [&self.memory, &self.disk].into_iter().flatten();
-        watermarks.try_for_each(|it| it.admit(bytes))
+        self.all().try_for_each(|it| {
+            let admitted = it.admit(bytes);
+            if admitted.is_err() {
+                it.refused.fetch_add(1, Relaxed);
+            }
+            admitted
+        })
+    }
+
+    /// True if a call that grows the server is admitted now.
+    pub(crate) fn accept_growth(&self) -> bool {
+        self.all().all(|it| it.admit(0).is_ok())
+    }
+
+    /// The measurements of the resources that can be measured, by name.
+    pub(crate) fn levels(&self) -> Vec<(&'static str, Level)> {
+        let named = |it: &Arc<Watermark>| Some((it.resource.name(), it.now()?));
+        self.all().filter_map(named).collect()
+    }
+
+    /// The numbers of calls that were refused so far, by reason.
+    pub(crate) fn refused(&self) -> Vec<(&'static str, u64)> {
+        let counted = |it: &Arc<Watermark>| (it.resource.reason(), it.refused.load(Relaxed));
+        self.all().map(counted).collect()
     }
 }

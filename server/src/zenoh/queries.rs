@@ -30,8 +30,8 @@ use crate::{
     admission::{CALL_BYTES, CallTurns, HeldBytes},
     faces::Shared,
     identity::{Caller, Denial, Identities},
-    observe::{CallRecord, Ending, Peer, Times},
-    service::{Call, Error, Unavailability},
+    observe::{CallRecord, Ending, Times},
+    service::{Call, Error, Peer, Unavailability},
     status::{self, Status},
     verbs::{Form, Request, Target, dispatch},
 };
@@ -176,21 +176,19 @@ impl Queries {
             Err(_) => "other",
         };
         let attached = attached(query.attachment());
-        let caller = caller(&self.shared.identities, &attached);
+        let call = Call {
+            caller: caller(&self.shared.identities, &attached),
+            peer: source(&query),
+            trace: attached.get("traceparent").map(Arc::from),
+            ..Call::default()
+        };
         let mut record = CallRecord::begin(
             format!("Zenoh/{rpc}"),
             ("zenoh", rpc),
             arrived,
             &self.shared.metrics,
-            (&caller, attached.get("traceparent")),
-        )
-        .of_peer(source(&query));
-        let call = Call {
-            caller,
-            trace: attached.get("traceparent").map(Arc::from),
-            index: Arc::clone(record.index()),
-            ..Call::default()
-        };
+            &call,
+        );
         let span = record.span().clone();
         let asked = async {
             if !held.has_room() {

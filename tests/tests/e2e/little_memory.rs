@@ -8,6 +8,8 @@ use tonic::{Code, Status};
 use wayfold_proto::v1::{InsertRequest, ListIndexesRequest};
 use wayfold_tests::{Process, Refusal, ServerProcess, Signal, States, Stubs, row_states};
 
+use crate::metrics::figures;
+
 const MIB: u64 = 1024 * 1024;
 const LIMIT: u64 = 128 * MIB;
 const WIDTH: usize = 32;
@@ -18,7 +20,7 @@ const MAX_WAIT: Duration = Duration::from_secs(60);
 fn serve(data: &Path, limit: u64) -> ServerProcess {
     let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
     command
-        .args(["--grpc", "127.0.0.1:0", "--data"])
+        .args(["--grpc", "127.0.0.1:0", "--http", "127.0.0.1:0", "--data"])
         .arg(data)
         .env("WAYFOLD_MEMORY__LIMIT_BYTES", limit.to_string());
     ServerProcess::ready(Process::spawn(&mut command))
@@ -53,14 +55,15 @@ impl Inserts {
 #[tokio::test]
 async fn a_full_server_refuses_inserts_and_serves_what_it_can_after_a_start() {
     let directory = tempfile::tempdir().unwrap();
-    let server = serve(directory.path(), LIMIT);
+    let mut server = serve(directory.path(), LIMIT);
+    let pages = server.pages();
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create("arm", &format!("R{WIDTH}")).await;
     let mut inserts = Inserts {
         stubs: stubs.clone(),
         rows: States::new(format!("R{WIDTH}").parse().unwrap(), 1).rows(ROWS),
     };
-    let (mut stored, mut peak) = (0, 0);
+    let (mut stored, mut peak, mut all_refused) = (0, 0, 0.0);
     // A refusal may end once points are moved to the disk; this many in a row say that memory is full.
     let mut refused = 0;
     while refused < 50 {
@@ -71,12 +74,15 @@ async fn a_full_server_refuses_inserts_and_serves_what_it_can_after_a_start() {
                 let expected = (Code::ResourceExhausted, "MEMORY_FULL");
                 assert_eq!((refusal.code, &*refusal.reason), expected, "{status:?}");
                 refused += 1;
+                all_refused += 1.0;
             }
         }
         peak = peak.max(used(&server));
     }
     println!("{stored} points, peak {} MiB", peak / MIB);
     assert!(peak < LIMIT, "{peak}");
+    let counted = "wayfold_refused_calls_total{reason=\"MEMORY_FULL\"}";
+    assert_eq!(figures(&pages)[counted], all_refused);
     assert_eq!(stubs.describe("arm").await.point_count, stored);
     let finished = server.stop(Signal::Kill);
     assert!(!finished.stderr.contains("ERROR"), "{}", finished.stderr);

@@ -5,11 +5,16 @@ use std::{
     fs,
     io::{Read, Write},
     net::TcpStream,
+    process::Command,
 };
 
-use tonic::Code;
+use futures_util::stream;
+use tonic::{Code, Request, client::Grpc, codegen::http::uri::PathAndQuery, transport::Endpoint};
+use tonic_prost::ProstCodec;
 use wayfold_proto::v1;
-use wayfold_tests::{ServerProcess, Signal, Stubs, measuring, page, row_states, server};
+use wayfold_tests::{
+    Process, Refusal, ServerProcess, Signal, Stubs, measuring, page, row_states, server,
+};
 
 const KNNS: u64 = 37;
 const INSERTS: u64 = 5;
@@ -166,6 +171,33 @@ async fn the_counts_are_those_of_the_clients() {
         let bytes = figures[&format!("wayfold_disk_bytes{{part=\"{part}\"}}")];
         assert!(bytes > 0.0, "{part}");
     }
+}
+
+#[tokio::test]
+async fn a_request_that_does_not_arrive_in_time_is_counted() {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command.args([
+        "--data",
+        "memory",
+        "--grpc",
+        "127.0.0.1:0",
+        "--zenoh",
+        "off",
+    ]);
+    command.args(["--http", "127.0.0.1:0"]);
+    command.env("WAYFOLD_GRPC__RECEIVE_TIMEOUT_MS", "1");
+    let mut server = ServerProcess::ready(Process::spawn(&mut command));
+    let address = server.pages();
+    let channel = Endpoint::from_shared(server.uri().to_owned()).unwrap();
+    let mut grpc = Grpc::new(channel.connect().await.unwrap());
+    grpc.ready().await.unwrap();
+    let codec = ProstCodec::<v1::InsertRequest, v1::InsertResponse>::default();
+    let path = PathAndQuery::from_static("/wayfold.v1.PointService/Insert");
+    let never = Request::new(stream::pending());
+    let refused = grpc.client_streaming(never, path, codec).await.unwrap_err();
+    assert_eq!(Refusal::of(&refused).reason, "TOO_SLOW", "{refused:?}");
+    let counted = "wayfold_refused_calls_total{reason=\"TOO_SLOW\"}";
+    assert_eq!(figures(&address)[counted], 1.0);
 }
 
 /// 100 indices have labels; an index that was deleted gives its label to a new one.
