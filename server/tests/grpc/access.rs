@@ -1,12 +1,16 @@
 //! Every call against every kind of credential. A call without a row fails the test.
 
+mod certificates;
+
 use std::{fs, path::Path};
 
 use futures_util::stream;
 use prost::Message;
 use prost_types::FileDescriptorSet;
 use sha2::{Digest, Sha256};
-use tonic::{Code, Request, Status, client::Grpc, codegen::http::uri::PathAndQuery};
+use tonic::{
+    Code, Request, Status, client::Grpc, codegen::http::uri::PathAndQuery, transport::Channel,
+};
 use tonic_types::StatusExt;
 use wayfold_proto::v1;
 use wayfold_server::identity::Role;
@@ -16,7 +20,8 @@ use crate::{
     raw::Raw,
 };
 
-/// The identities by name, which is their token too: the name says the role, and what is special.
+/// The identities by name, which is that of their token and their certificate too: the name says the role, and what is
+/// special.
 const IDENTITIES: [(&str, Role, &str); 6] = [
     ("reader", Role::Read, "*"),
     ("writer", Role::Write, "arm*"),
@@ -26,19 +31,20 @@ const IDENTITIES: [(&str, Role, &str); 6] = [
     ("revoked", Role::Admin, "*"),
 ];
 
-fn write_identities(file: &Path, but: &str) {
+/// The line of an identity's token.
+fn token_line(name: &str) -> String {
+    let digest = Sha256::digest(name);
+    let digest: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+    format!("token_sha256 = \"{digest}\"")
+}
+
+/// Writes the identities but one, with the line of the credential of each.
+fn write_identities(file: &Path, but: &str, credential_line: impl Fn(&str) -> String) {
     let mut text = String::new();
-    for (name, role, pattern) in IDENTITIES {
-        if name == but {
-            continue;
-        }
-        let digest: String = Sha256::digest(name)
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect();
+    for (name, role, pattern) in IDENTITIES.into_iter().filter(|(name, ..)| *name != but) {
         text += &format!(
-            "[[identity]]\nname = \"{name}\"\nrole = \"{role}\"\nindexes = [\"{pattern}\"]\n\
-             token_sha256 = \"{digest}\"\n"
+            "[[identity]]\nname = \"{name}\"\nrole = \"{role}\"\nindexes = [\"{pattern}\"]\n{}\n",
+            credential_line(name)
         );
         if name == "expired" {
             text += "expires = \"2001-01-01T00:00:00Z\"\n";
@@ -51,7 +57,7 @@ fn write_identities(file: &Path, but: &str) {
 }
 
 async fn start(file: &Path) -> TestServer {
-    write_identities(file, "");
+    write_identities(file, "", token_line);
     let file = file.to_str().unwrap().to_owned();
     TestServer::start(|config| config.access.identities = file).await
 }
@@ -136,12 +142,8 @@ fn methods() -> Vec<String> {
 }
 
 /// Calls with a token, and returns the first answer or the refusal.
-async fn call(
-    server: &TestServer,
-    method: &str,
-    authorization: Option<&str>,
-) -> Result<(), Status> {
-    let mut grpc = Grpc::new(server.channel.clone());
+async fn call(channel: &Channel, method: &str, authorization: Option<&str>) -> Result<(), Status> {
+    let mut grpc = Grpc::new(channel.clone());
     grpc.ready().await.unwrap();
     let mut request = Request::new(stream::iter([row(method).2]));
     if let Some(value) = authorization {
@@ -170,39 +172,27 @@ fn bearer(token: &str) -> String {
     format!("Bearer {token}")
 }
 
-#[tokio::test]
-async fn every_call_refuses_every_wrong_credential() {
-    let directory = tempfile::tempdir().unwrap();
-    let file = directory.path().join("identities.toml");
-    let server = start(&file).await;
-    call(&server, "PointService/Knn", Some(&bearer("revoked")))
-        .await
-        .unwrap_err();
-    write_identities(&file, "revoked");
-    // The server looks at the file once a second.
-    while let Err(status) = call(&server, "PointService/Knn", Some(&bearer("revoked"))).await
-        && status.code() != Code::Unauthenticated
-    {}
+/// A call without rights, by the kind of its credential: its channel, its authorization and the reason of its refusal.
+type Stranger<'a> = (&'a Channel, Option<String>, &'a str);
+
+/// Asserts for every call that it refuses the strangers, and that the identities whose channel and authorization `shown`
+/// tells have their rights and no others.
+async fn assert_rights<'a>(
+    strangers: &[Stranger<'_>],
+    shown: impl Fn(&str) -> (&'a Channel, Option<String>),
+) {
     let methods = methods();
     assert_eq!(methods.len(), 19);
     for method in methods {
         let (role, has_index, _) = row(&method);
-        let strangers = [
-            (None, "NO_CREDENTIAL"),
-            (Some("Basic YWRtaW46".to_owned()), "NO_CREDENTIAL"),
-            (Some("Bearer".to_owned()), "NO_CREDENTIAL"),
-            (Some(bearer("")), "WRONG_CREDENTIAL"),
-            (Some(bearer("adminx")), "WRONG_CREDENTIAL"),
-            (Some(bearer("expired")), "IDENTITY_EXPIRED"),
-            (Some(bearer("revoked")), "WRONG_CREDENTIAL"),
-        ];
-        for (value, expected) in strangers {
-            let status = call(&server, &method, value.as_deref()).await.unwrap_err();
+        for (channel, value, expected) in strangers {
+            let status = call(channel, &method, value.as_deref()).await.unwrap_err();
             let found = reason(&status, Code::Unauthenticated);
-            assert_eq!(found, expected, "{method} {value:?}");
+            assert_eq!(found, *expected, "{method} {value:?}");
         }
         for (name, own, pattern) in &IDENTITIES[..4] {
-            let answer = call(&server, &method, Some(&bearer(name))).await;
+            let (channel, value) = shown(name);
+            let answer = call(channel, &method, value.as_deref()).await;
             let expected = match () {
                 () if *own < role => Some("ROLE_TOO_LOW"),
                 () if has_index && *pattern == "leg" => Some("INDEX_NOT_ALLOWED"),
@@ -227,6 +217,33 @@ async fn every_call_refuses_every_wrong_credential() {
             }
         }
     }
+}
+
+#[tokio::test]
+async fn every_call_refuses_every_wrong_token() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("identities.toml");
+    let server = start(&file).await;
+    let channel = &server.channel;
+    call(channel, "PointService/Knn", Some(&bearer("revoked")))
+        .await
+        .unwrap_err();
+    write_identities(&file, "revoked", token_line);
+    // The server looks at the file once a second.
+    while let Err(status) = call(channel, "PointService/Knn", Some(&bearer("revoked"))).await
+        && status.code() != Code::Unauthenticated
+    {}
+    let strangers = [
+        (None, "NO_CREDENTIAL"),
+        (Some("Basic YWRtaW46".to_owned()), "NO_CREDENTIAL"),
+        (Some("Bearer".to_owned()), "NO_CREDENTIAL"),
+        (Some(bearer("")), "WRONG_CREDENTIAL"),
+        (Some(bearer("adminx")), "WRONG_CREDENTIAL"),
+        (Some(bearer("expired")), "IDENTITY_EXPIRED"),
+        (Some(bearer("revoked")), "WRONG_CREDENTIAL"),
+    ];
+    let strangers = strangers.map(|(value, expected)| (channel, value, expected));
+    assert_rights(&strangers, |name| (channel, Some(bearer(name)))).await;
     server.stop().await.unwrap().unwrap();
 }
 
@@ -282,7 +299,7 @@ async fn lists_show_what_the_identity_may_see_and_a_watch_ends_with_its_rights()
     let watch = server.points().watch(with_token("reader", watch)).await;
     let mut watch = watch.unwrap().into_inner();
     watch.message().await.unwrap().unwrap();
-    write_identities(&file, "reader");
+    write_identities(&file, "reader", token_line);
     let looked = || async {
         let request = with_token("reader", v1::GetServerRequest {});
         server.indices().get_server(request).await

@@ -30,6 +30,14 @@ pub struct TestServer {
 impl TestServer {
     /// Starts a server with the settings that `adapt` makes of the defaults, and waits until it serves.
     pub async fn start(adapt: impl FnOnce(&mut Config)) -> Self {
+        Self::start_for(adapt, connect).await
+    }
+
+    /// The same, for calls over the channel that `connect` makes.
+    pub async fn start_for(
+        adapt: impl FnOnce(&mut Config),
+        connect: impl AsyncFnOnce(SocketAddr) -> Channel,
+    ) -> Self {
         let mut config = Config::default();
         config.data.dir = DataConfig::MEMORY.into();
         config.zenoh.listen = ZenohConfig::OFF.into();
