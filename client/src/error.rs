@@ -1,6 +1,6 @@
 //! The errors of calls.
 
-use std::{sync::Arc, time::Duration};
+use std::{path::PathBuf, sync::Arc, time::Duration};
 
 #[cfg(feature = "net")]
 use crate::{Code, Refusal, SnapshotError};
@@ -18,6 +18,16 @@ pub enum Error {
     Address {
         /// The text that was given.
         uri: String,
+        /// The problem with it.
+        problem: String,
+    },
+    /// A certificate, a key or a token cannot be used.
+    #[error("{what}, {}: {problem}", file.display())]
+    Credential {
+        /// The kind of the credential.
+        what: &'static str,
+        /// Its file.
+        file: PathBuf,
         /// The problem with it.
         problem: String,
     },
@@ -179,6 +189,7 @@ impl Error {
     pub fn code(&self) -> Code {
         match self {
             Error::Address { .. }
+            | Error::Credential { .. }
             | Error::Width { .. }
             | Error::Layout { .. }
             | Error::State { .. }

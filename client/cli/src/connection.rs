@@ -1,17 +1,11 @@
 //! The options that show the server who calls.
 
 use std::{
-    fmt, fs,
     io::{self, Write},
     net::IpAddr,
-    path::{Path, PathBuf},
+    path::PathBuf,
 };
 
-use tokio_rustls::rustls::{
-    crypto::ring,
-    pki_types::{CertificateDer, PrivateKeyDer, pem::PemObject},
-    sign::CertifiedKey,
-};
 use wayfold::Credentials;
 
 use crate::{
@@ -90,33 +84,24 @@ impl ConnectionArgs {
 
     /// Reads the files.
     pub(super) fn credentials(&self) -> Result<Credentials, Failure> {
+        let wrong = |option| move |source| Failure::Credential { option, source };
         let mut credentials = Credentials::new();
         if let Some(ca) = &self.ca {
-            let pem = read("--ca", ca)?;
-            certificates("--ca", ca, &pem)?;
-            credentials = credentials.ca_certificate(pem);
+            credentials = credentials.ca_file(ca).map_err(wrong("--ca"))?;
         }
         match (&self.cert, &self.key) {
             (Some(cert), Some(key)) => {
-                let (chain, secret) = (read("--cert", cert)?, read("--key", key)?);
-                check_pair((cert, &chain), (key, &secret))?;
-                credentials = credentials.client_certificate(chain, secret);
+                let read = credentials.client_certificate_files(cert, key);
+                credentials = read.map_err(wrong("--cert and --key"))?;
             }
             (None, None) => {}
             _ => return Err(Failure::HalfCertificate),
         }
-        let token = match (&self.token, &self.token_file) {
-            (Some(token), _) => Some(token.clone()),
-            (None, Some(file)) => {
-                let text = read("--token-file", file)?;
-                Some(String::from_utf8_lossy(&text).trim().to_owned())
-            }
-            (None, None) => None,
-        };
-        Ok(match token {
-            Some(token) => credentials.token(token),
-            None => credentials,
-        })
+        match (&self.token, &self.token_file) {
+            (Some(token), _) => Ok(credentials.token(token)),
+            (None, Some(file)) => credentials.token_file(file).map_err(wrong("--token-file")),
+            (None, None) => Ok(credentials),
+        }
     }
 }
 
@@ -131,47 +116,6 @@ fn is_open(address: &str, has_tls: bool) -> bool {
     let host = host.map_or(rest, |(host, _)| host).trim_matches(['[', ']']);
     let is_loopback = host.parse().is_ok_and(|ip: IpAddr| ip.is_loopback());
     host != "localhost" && !is_loopback
-}
-
-fn certificates(
-    option: &'static str,
-    file: &Path,
-    pem: &[u8],
-) -> Result<Vec<CertificateDer<'static>>, Failure> {
-    let read: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(pem).collect();
-    match read {
-        Ok(read) if read.is_empty() => Err(wrong(option, file)("it has no certificate in PEM")),
-        read => read.map_err(wrong(option, file)),
-    }
-}
-
-/// Refuses a private key that is none, or not that of the certificate.
-fn check_pair(cert: (&Path, &[u8]), key: (&Path, &[u8])) -> Result<(), Failure> {
-    let chain = certificates("--cert", cert.0, cert.1)?;
-    let secret = PrivateKeyDer::from_pem_slice(key.1)
-        .map_err(|_| wrong("--key", key.0)("it has no private key in PEM"))?;
-    let fits = CertifiedKey::from_der(chain, secret, &ring::default_provider());
-    let fits = fits.map_err(|error| {
-        let problem = format!("it does not fit --cert {}: {error}", cert.0.display());
-        wrong("--key", key.0)(problem)
-    });
-    fits.map(drop)
-}
-
-fn wrong<E: fmt::Display>(option: &'static str, file: &Path) -> impl Fn(E) -> Failure {
-    move |problem| Failure::WrongCredential {
-        option,
-        path: file.to_owned(),
-        problem: problem.to_string(),
-    }
-}
-
-fn read(option: &'static str, file: &PathBuf) -> Result<Vec<u8>, Failure> {
-    fs::read(file).map_err(|source| Failure::Credential {
-        option,
-        path: file.clone(),
-        source,
-    })
 }
 
 #[cfg(test)]

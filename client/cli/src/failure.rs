@@ -47,18 +47,8 @@ pub(super) enum Failure {
         reason: &'static str,
         problem: String,
     },
-    #[error("{option}: cannot read {}: {source}", path.display())]
-    Credential {
-        option: &'static str,
-        path: PathBuf,
-        source: io::Error,
-    },
-    #[error("{option}: {}: {problem}", path.display())]
-    WrongCredential {
-        option: &'static str,
-        path: PathBuf,
-        problem: String,
-    },
+    #[error("{option}: {source}")]
+    Credential { option: &'static str, source: Error },
     #[error(
         "{source}: --ca is for the authority of the server, --cert and --key are for this client"
     )]
@@ -130,7 +120,6 @@ impl Failure {
             }
             Failure::Client(Error::Address { .. })
             | Failure::Credential { .. }
-            | Failure::WrongCredential { .. }
             | Failure::HalfCertificate
             | Failure::NoServer
             | Failure::Terminal => Status::Usage,

@@ -1,5 +1,7 @@
 //! The certificates and the token of a connection.
 
+mod files;
+
 use std::{fmt, sync::Arc};
 
 use tonic::{
@@ -17,10 +19,8 @@ use crate::Error;
 /// ```no_run
 /// use wayfold::{Client, Credentials};
 ///
-/// # async fn connect() -> Result<(), Box<dyn std::error::Error>> {
-/// let credentials = Credentials::new()
-///     .ca_certificate(std::fs::read("ca.pem")?)
-///     .token(std::env::var("WAYFOLD_TOKEN")?);
+/// # async fn connect() -> Result<(), wayfold::Error> {
+/// let credentials = Credentials::new().ca_file("ca.pem")?.token_file("cell-3.token")?;
 /// let client = Client::builder().credentials(credentials).connect("https://planning.example:50051").await?;
 /// # Ok(())
 /// # }

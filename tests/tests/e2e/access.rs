@@ -171,10 +171,7 @@ async fn a_certificate_or_a_token_is_an_identity_and_nothing_else_is() {
     let index = client.create_index("arm", &space).await.unwrap();
     index.insert([[1.0]]).await.unwrap();
 
-    let with = |name: &str| {
-        let (certificate, key) = (authority.read(name, "pem"), authority.read(name, "key"));
-        authority.credentials().client_certificate(certificate, key)
-    };
+    let with = |name: &str| authority.with(&authority, name);
     let planner = connect(with("planner.example")).await.unwrap();
     let seen = planner.index("arm").await.unwrap();
     assert_eq!(seen.knn([[0.0]]).k(1).await.unwrap().row(0).len(), 1);
@@ -217,11 +214,7 @@ async fn a_certificate_or_a_token_is_an_identity_and_nothing_else_is() {
     let other = tempfile::tempdir().unwrap();
     let other = Authority::new(other.path());
     other.certify("planner.example");
-    let (certificate, key) = (
-        other.read("planner.example", "pem"),
-        other.read("planner.example", "key"),
-    );
-    let forged = authority.credentials().client_certificate(certificate, key);
+    let forged = authority.with(&other, "planner.example");
     let quick = Client::builder().retry(RetryPolicy::never());
     let strangers = [
         (uri.clone(), forged),

@@ -108,9 +108,7 @@ fn code_and_reason(failure: &Failure) -> (&str, &str) {
         Failure::Load(error) => error.code_and_reason(),
         Failure::Input(_) => ("INVALID_ARGUMENT", "INPUT"),
         Failure::Snapshot { .. } => ("INVALID_ARGUMENT", "SNAPSHOT"),
-        Failure::Credential { .. } | Failure::WrongCredential { .. } => {
-            ("INVALID_ARGUMENT", "CREDENTIAL")
-        }
+        Failure::Credential { .. } => ("INVALID_ARGUMENT", "CREDENTIAL"),
         Failure::HalfCertificate | Failure::NoServer => ("INVALID_ARGUMENT", "USAGE"),
         Failure::Random(_) => ("UNAVAILABLE", "RANDOM"),
         Failure::Terminal => ("INVALID_ARGUMENT", "TERMINAL"),

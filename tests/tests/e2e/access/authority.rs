@@ -48,12 +48,17 @@ impl Authority {
         self.directory.join(format!("{name}.{end}"))
     }
 
-    pub(crate) fn read(&self, name: &str, end: &str) -> Vec<u8> {
-        fs::read(self.file(name, end)).unwrap()
+    /// The credentials of a client with this certificate of the authority `of`.
+    pub(crate) fn with(&self, of: &Authority, name: &str) -> Credentials {
+        let [certificate, key] = ["pem", "key"].map(|end| of.file(name, end));
+        let credentials = self.credentials();
+        credentials
+            .client_certificate_files(certificate, key)
+            .unwrap()
     }
 
     pub(crate) fn credentials(&self) -> Credentials {
-        Credentials::new().ca_certificate(self.read("ca", "pem"))
+        Credentials::new().ca_file(self.file("ca", "pem")).unwrap()
     }
 
     /// Makes a token with the command line, and returns it; its entry joins the file of identities.

@@ -44,7 +44,7 @@ fn the_command_line_takes_certificates_and_tokens_and_says_what_is_wrong() {
             &["--ca", "missing.pem"],
             &["list"],
             2,
-            "--ca: cannot read missing.pem",
+            "--ca: the certificate of the authority, missing.pem: it cannot be read",
         ),
         (&["--cert", ca], &["list"], 2, "--cert and --key"),
     ] {
