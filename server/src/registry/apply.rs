@@ -1,5 +1,5 @@
-//! The apply loop of an index: it takes the next records from the journal, checks that they follow, applies them to the
-//! point store and the forest, and publishes the result. A point of the index changes nowhere else.
+//! The apply loop of an index: it takes the next records from the journal, its own as soon as the journal has acknowledged
+//! them, checks that they follow, applies them to the point store and the forest, and publishes the result. A point of the index changes nowhere else.
 
 use std::{
     sync::{Arc, Weak, atomic::Ordering::Relaxed},
@@ -7,7 +7,7 @@ use std::{
 };
 
 use futures_util::{
-    StreamExt,
+    FutureExt, StreamExt,
     future::BoxFuture,
     stream::{FuturesOrdered, FuturesUnordered},
 };
@@ -86,23 +86,25 @@ pub(super) async fn run(
                 awaited.push_back(async move { (record, base, outcome.await) });
                 Ok(())
             }
-            Some((record, base, outcome)) = awaited.next() => {
+            Some(receipt) = awaited.next() => {
                 let Some(hosted) = hosted.upgrade() else {
                     return;
                 };
-                let head = match outcome {
-                    Ok(()) => continue,
-                    Err(LogError::Fenced { head, .. }) => Ok(head),
-                    Err(error @ LogError::Unconfirmed { .. }) => {
-                        hosted.settle(&record, error).await
-                    }
-                    Err(error) => Err(error.into()),
-                };
-                match head {
-                    Ok(head) => hosted.journal_has(base, head).await,
-                    Err(error) => Err(error),
+                // The journal has the acknowledged records: they do not wait until it brings them.
+                let (mut acknowledged, mut next) = (Vec::new(), Some(receipt));
+                while let Some((record, _, Ok(()))) = next {
+                    acknowledged.push(record);
+                    next = awaited.next().now_or_never().flatten();
                 }
-                .map(|head| arrivals.push(hosted.superseded(&record, head)))
+                let mut outcome = hosted.apply_acknowledged(acknowledged).await;
+                if outcome.is_ok() && let Some((record, base, Err(error))) = next {
+                    outcome = hosted.not_accepted(&record, base, error).await.map(|arrival| {
+                        arrivals.push(arrival);
+                    });
+                }
+                drop(hosted);
+                yield_now().await;
+                outcome
             }
             Some(arrived) = arrivals.next() => arrived,
         };
@@ -123,6 +125,36 @@ pub(super) async fn run(
 }
 
 impl Hosted {
+    /// Applies consecutive records that the journal has acknowledged, unless records of others come first: the journal
+    /// brings all of them in their order.
+    async fn apply_acknowledged(
+        self: &Arc<Self>,
+        records: Vec<Arc<Record>>,
+    ) -> Result<(), RegistryError> {
+        let published = self.published().view.tip();
+        let follows = |record: &Arc<Record>| record.follows(published);
+        match records.iter().position(follows) {
+            Some(first) => self.apply(records[first..].to_vec()).await,
+            None => Ok(()),
+        }
+    }
+
+    /// Finds out what the journal has instead of a record whose receipt is this error. Returns its arrival.
+    async fn not_accepted(
+        self: &Arc<Self>,
+        record: &Record,
+        base: Tip,
+        error: LogError,
+    ) -> Result<impl Future<Output = Result<(), RegistryError>> + use<>, RegistryError> {
+        let head = match error {
+            LogError::Fenced { head, .. } => head,
+            error @ LogError::Unconfirmed { .. } => self.settle(record, error).await?,
+            error => return Err(error.into()),
+        };
+        let head = self.journal_has(base, head).await?;
+        Ok(self.superseded(record, head))
+    }
+
     /// Applies consecutive records, and publishes the last revision.
     async fn apply(self: &Arc<Self>, records: Vec<Arc<Record>>) -> Result<(), RegistryError> {
         let applied = Arc::clone(&self.applied).lock_owned().await;
@@ -158,6 +190,7 @@ impl Hosted {
         }
         let published = self.published().view.tip();
         let known = records.partition_point(|record| record.revision() <= published.revision);
+        self.check_known(&records[..known])?;
         let records = &records[known..];
         let mut tip = published;
         for record in records {
@@ -192,6 +225,21 @@ impl Hosted {
             warn!(index = self.name(), %error, "cannot trim the log");
         }
         Ok(())
+    }
+
+    /// Fails if one of these records has the revision of an applied one that is another: the journal has lost that.
+    fn check_known(&self, records: &[Arc<Record>]) -> Result<(), RegistryError> {
+        let (Some(first), Some(last)) = (records.first(), records.last()) else {
+            return Ok(());
+        };
+        let after = first.revision() - 1;
+        let recent = self.recent.lock();
+        let applied = recent.after(after, last.revision(), usize::MAX);
+        let mut pairs = records.iter().zip(applied.iter().flatten());
+        match pairs.find(|(record, applied)| record.tip() != applied.tip()) {
+            Some((record, _)) => Err(LogError::replaced(self.uid(), record.revision()).into()),
+            None => Ok(()),
+        }
     }
 
     fn apply_record(&self, forest: &mut Forest, record: &Arc<Record>) -> Result<(), RegistryError> {
@@ -300,3 +348,6 @@ impl Hosted {
         Ok(record.revision())
     }
 }
+
+#[cfg(test)]
+mod tests;

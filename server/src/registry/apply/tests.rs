@@ -1,0 +1,154 @@
+//! A journal elsewhere that acknowledges every record, and brings what a test sends.
+
+use std::{future::ready, slice};
+
+use futures_util::FutureExt;
+use parking_lot::Mutex;
+use tokio::time::timeout;
+use tokio_stream::wrappers::UnboundedReceiverStream;
+
+use super::*;
+use crate::{
+    log::{Catalogue, Journal, Log, Operation, PointStore, Retention, Uid, Window},
+    registry::{Committed, OperationWindow, Registry, RegistryOptions},
+    testing::recorded,
+};
+
+type Sent = Result<Vec<Arc<Record>>, LogError>;
+
+struct Elsewhere {
+    submitted: Mutex<Vec<Arc<Record>>>,
+    stream: Mutex<Option<mpsc::UnboundedReceiver<Sent>>>,
+}
+
+impl Journal for Elsewhere {
+    fn submit(&self, _: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+        self.submitted.lock().push(record);
+        Ok(Receipt::Awaited(ready(Ok(())).boxed()))
+    }
+
+    fn follow(&self, _: Uid, _: u64) -> RecordStream {
+        let stream = self.stream.lock().take().expect("one loop");
+        UnboundedReceiverStream::new(stream).boxed()
+    }
+
+    fn read(&self, _: Uid, _: Option<u64>, _: usize) -> Result<Vec<Arc<Record>>, LogError> {
+        Ok(self.submitted.lock().clone())
+    }
+
+    fn newest(&self, _: Uid) -> Result<u64, LogError> {
+        Ok(self.submitted.lock().len() as u64)
+    }
+
+    fn trim(&self, _: Uid, _: &Retention) -> Result<(), LogError> {
+        Ok(())
+    }
+
+    fn window(&self, _: Uid) -> Result<Window, LogError> {
+        Ok(Window::default())
+    }
+
+    fn is_shared(&self) -> bool {
+        true
+    }
+}
+
+struct Server {
+    journal: Arc<Elsewhere>,
+    brings: mpsc::UnboundedSender<Sent>,
+    hosted: Arc<Hosted>,
+    _registry: Registry,
+}
+
+impl Server {
+    fn start() -> Self {
+        let (brings, stream) = mpsc::unbounded_channel();
+        let journal = Arc::new(Elsewhere {
+            submitted: Mutex::default(),
+            stream: Mutex::new(Some(stream)),
+        });
+        let local = recorded(0);
+        let log = Log {
+            journal: Arc::clone(&journal) as Arc<dyn Journal>,
+            points: Arc::clone(&local) as Arc<dyn PointStore>,
+            catalogue: local as Arc<dyn Catalogue>,
+        };
+        let registry = Registry::new(log, RegistryOptions::default());
+        registry.replay().unwrap();
+        Self {
+            journal,
+            brings,
+            hosted: registry.get("arm").unwrap(),
+            _registry: registry,
+        }
+    }
+
+    async fn commit(&self) {
+        let writer = self.hosted.write().await.unwrap();
+        let window = OperationWindow {
+            count: 9,
+            bytes: 900,
+        };
+        let committed = self.hosted.commit(writer, effects("own"), window).await;
+        assert_eq!(committed.unwrap(), Committed::Done);
+    }
+
+    fn brings(&self, records: &[Arc<Record>]) {
+        self.brings.send(Ok(records.to_vec())).unwrap();
+    }
+}
+
+/// The effects of an operation without points.
+fn effects(id: &str) -> Effects {
+    let mut effects = Effects::new(1);
+    effects.set_operation(Some(Arc::new(Operation {
+        id: id.into(),
+        fingerprint: [1; 32],
+        response: Default::default(),
+    })));
+    effects
+}
+
+/// A record of another server, which the journal brings.
+fn others(before: Tip) -> Arc<Record> {
+    Arc::new(Record::after(before, effects("other")))
+}
+
+#[tokio::test]
+async fn an_acknowledged_record_does_not_wait_until_the_journal_brings_it() {
+    let server = Server::start();
+    for _ in 0..3 {
+        server.commit().await;
+    }
+    let own = server.journal.submitted.lock().clone();
+    let next = others(own[2].tip());
+    // The own ones come a second time, alone and before others.
+    server.brings(&own[..1]);
+    server.brings(&[&own[1..], slice::from_ref(&next)].concat());
+    server.hosted.reached(4).await.unwrap();
+    assert_eq!(server.hosted.published().view.tip(), next.tip());
+    server.commit().await;
+    assert_eq!(server.hosted.published().revision, 5);
+}
+
+#[tokio::test(start_paused = true)]
+async fn another_record_in_the_place_of_an_acknowledged_one_is_damage() {
+    for place in 0..3 {
+        let server = Server::start();
+        for _ in 0..3 {
+            server.commit().await;
+        }
+        let own = server.journal.submitted.lock().clone();
+        let start = Tip {
+            revision: 0,
+            digest: Record::NO_PREVIOUS,
+        };
+        let before = own[..place].last().map_or(start, |last| last.tip());
+        server.brings(&[&own[..place], &[others(before)]].concat());
+        let stopped = timeout(SETTLE_TIME, server.hosted.reached(u64::MAX)).await;
+        let error = stopped.unwrap().err().unwrap();
+        let expected = LogError::replaced(server.hosted.uid(), place as u64 + 1);
+        assert_eq!(error.to_string(), RegistryError::Log(expected).to_string());
+        assert!(server.hosted.damage().is_some());
+    }
+}
