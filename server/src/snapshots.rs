@@ -55,9 +55,9 @@ pub enum SnapshotsError {
         /// The problem.
         source: io::Error,
     },
-    /// The directory is that of the indices, or in it.
+    /// The directory is that of the indices, in it, or around it.
     #[error(
-        "snapshot.dir is {}, which is in data.dir: set it to a directory of its own",
+        "snapshot.dir is {}, which is in data.dir or holds it: set it to a directory of its own",
         directory.display()
     )]
     InData {
@@ -97,7 +97,7 @@ impl Schedule {
         let Some(directory) = config.directory() else {
             return Ok(None);
         };
-        if data.is_some_and(|data| is_within(directory, data)) {
+        if data.is_some_and(|data| is_within(directory, data) || is_within(data, directory)) {
             return Err(SnapshotsError::InData {
                 directory: directory.to_owned(),
             });
@@ -196,8 +196,14 @@ impl Schedule {
             file.sync_all()?;
             fs::rename(&unfinished, &path)?;
             File::open(&directory)?.sync_all()?;
-            let old = before.len().saturating_sub(self.keep.saturating_sub(1));
-            for name in before.iter().take(old) {
+            // Another uid is that of a deleted index of the name.
+            let uid = format!("-{}-", hosted.uid_text());
+            let own = before.iter().filter(|name| name.contains(&uid));
+            let old = own
+                .clone()
+                .count()
+                .saturating_sub(self.keep.saturating_sub(1));
+            for name in own.take(old) {
                 fs::remove_file(directory.join(name))?;
             }
             Ok(())

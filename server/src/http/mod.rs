@@ -14,7 +14,14 @@ mod points;
 mod state;
 mod streams;
 
-use std::{fmt, future::pending, io, net::SocketAddr, sync::Arc, time::Duration};
+use std::{
+    fmt,
+    future::pending,
+    io,
+    net::SocketAddr,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use axum::{
     Router,
@@ -35,6 +42,7 @@ use crate::{
     grpc::{Client, Tls, token},
     identity::Identities,
     lifecycle::{Phase, PhaseWatch},
+    observe::{CallRecord, Ending},
     service::{Call, Error, Peer, Service},
     status,
 };
@@ -119,12 +127,18 @@ fn routes(pages: Pages, has_tls: bool) -> Router {
 }
 
 async fn metrics(Of(pages): Of<Arc<Pages>>, request: Parts) -> Response {
+    let arrived = Instant::now();
     let call = call(&pages.shared.identities, &request);
-    let text = match Service::authorize_metrics(&call) {
-        Ok(()) => metrics_text(&pages.shared).await,
-        Err(denied) => Err(denied),
-    };
-    match text {
+    if let Err(denied) = Service::authorize_metrics(&call) {
+        let status = status::from_error(&denied);
+        // Each look would be a call; only those of strangers count.
+        let metrics = &pages.shared.metrics;
+        let verb = ("http", "metrics");
+        let mut record = CallRecord::begin("Http/metrics", verb, arrived, metrics, &call);
+        record.end(Ending::Failed(status.code));
+        return refusal(&status);
+    }
+    match metrics_text(&pages.shared).await {
         Ok(text) => ([(header::CONTENT_TYPE, OPEN_METRICS)], text).into_response(),
         Err(error) => refusal(&status::from_error(&error)),
     }

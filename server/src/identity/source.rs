@@ -39,14 +39,32 @@ struct Source {
 
 /// A state of a file, by which a change shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Stamp(Option<(SystemTime, u64)>);
+pub(crate) struct Stamp(Option<(SystemTime, u64, Place)>);
+
+/// The file itself, and the last time at which anything of it changed: a new token has the length of the old one, and copies
+/// may keep the time of the content.
+#[cfg(unix)]
+type Place = [i64; 4];
+#[cfg(not(unix))]
+type Place = ();
 
 impl Stamp {
     /// The state of a file now. A file that cannot be looked at has a state of its own.
     pub(crate) fn of(file: &Path) -> Self {
-        let looked = fs::metadata(file).and_then(|it| io::Result::Ok((it.modified()?, it.len())));
+        let looked = fs::metadata(file)
+            .and_then(|it| io::Result::Ok((it.modified()?, it.len(), Self::place(&it))));
         Self(looked.ok())
     }
+
+    #[cfg(unix)]
+    fn place(of: &fs::Metadata) -> Place {
+        use std::os::unix::fs::MetadataExt;
+        let (device, number) = (of.dev().cast_signed(), of.ino().cast_signed());
+        [device, number, of.ctime(), of.ctime_nsec()]
+    }
+
+    #[cfg(not(unix))]
+    fn place(_: &fs::Metadata) -> Place {}
 }
 
 impl Identities {
@@ -140,5 +158,27 @@ impl Source {
         info!(file = %self.file.display(), identities = table.len(), "identities read");
         *current = table;
         Ok(())
+    }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_of_the_same_length_and_time_is_another() {
+        let directory = tempfile::tempdir().unwrap();
+        let [file, next] = ["identities", "next"].map(|name| directory.path().join(name));
+        let write = |file: &Path, text: &str| {
+            fs::write(file, text).unwrap();
+            let opened = fs::File::options().write(true).open(file).unwrap();
+            opened.set_modified(SystemTime::UNIX_EPOCH).unwrap();
+        };
+        write(&file, "old");
+        let old = Stamp::of(&file);
+        assert_eq!(Stamp::of(&file), old);
+        write(&next, "new");
+        fs::rename(&next, &file).unwrap();
+        assert_ne!(Stamp::of(&file), old);
     }
 }

@@ -222,7 +222,12 @@ impl Registry {
 
     /// Up to `limit` indices with names after `after` (from the first if None), by name. Damaged indices are listed
     /// too. Fails if no index is known and the log is not open.
-    pub fn page(&self, after: Option<&str>, limit: usize) -> Result<Vec<Listed>, RegistryError> {
+    pub fn page(
+        &self,
+        after: Option<&str>,
+        limit: usize,
+        is_wanted: impl Fn(&str) -> bool,
+    ) -> Result<Vec<Listed>, RegistryError> {
         let start = after.map_or(Bound::Unbounded, Bound::Excluded);
         let indexes = self.indexes.read();
         if indexes.is_empty()
@@ -231,6 +236,7 @@ impl Registry {
             return Err(why);
         }
         let page = indexes.range::<str, _>((start, Bound::Unbounded));
+        let page = page.filter(|(name, _)| is_wanted(name));
         let listed = page.take(limit).map(|(name, state)| match state {
             IndexState::Hosted(hosted) => Listed::Hosted(Arc::clone(hosted)),
             IndexState::Damaged(uid, why) => Listed::Damaged {

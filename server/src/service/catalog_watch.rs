@@ -31,7 +31,7 @@ impl CatalogWatch {
     pub async fn changed(&mut self) -> Result<BTreeMap<String, String>, Error> {
         // The sender is in the registry, which the service holds.
         let _ = self.changes.changed().await;
-        match self.service.registry()?.page(None, usize::MAX) {
+        match self.service.registry()?.page(None, usize::MAX, |_| true) {
             Ok(listed) => Ok(listed.into_iter().filter_map(hosted).collect()),
             Err(error) => Err(catalog_error(error)),
         }

@@ -158,7 +158,9 @@ impl Service {
         violations.finish()?;
 
         let mut pace = call.pace("while listing the indices");
-        let listed = self.registry()?.page(after.as_deref(), size + 1);
+        // The token of the next page names the last index, so that it must be one that the caller may see.
+        let seen = |name: &str| call.caller.sees(name);
+        let listed = self.registry()?.page(after.as_deref(), size + 1, seen);
         let listed = listed.map_err(catalog_error)?;
         let mut page = Listing::default();
         let (mut bytes, mut last) = (0, None::<String>);
@@ -189,10 +191,6 @@ impl Service {
             if let Some(last) = last.filter(|_| full) {
                 page.next_page_token = write_token(&last);
                 break;
-            }
-            if !call.caller.sees(&name) {
-                last = Some(name);
-                continue;
             }
             match entry {
                 Ok(index) => page.indexes.push(index),

@@ -218,7 +218,7 @@ impl Service {
     /// All indices; none before they are read.
     pub(crate) fn listed(&self) -> Vec<Listed> {
         let registry = self.inner.registry.get();
-        let listed = registry.and_then(|registry| registry.page(None, usize::MAX).ok());
+        let listed = registry.and_then(|registry| registry.page(None, usize::MAX, |_| true).ok());
         listed.unwrap_or_default()
     }
 

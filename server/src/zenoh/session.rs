@@ -96,11 +96,12 @@ pub(super) async fn open(
     let settings = settings(config)?;
     let connects_to = settings.get_json("connect/endpoints").ok();
     let connects_to = connects_to.filter(|endpoints| !matches!(&**endpoints, "[]" | "null" | "{}"));
+    let connects_to = connects_to.map(|endpoints| without_options(&endpoints));
     // Tried before: a session that fails to open may still hold the address for a moment.
     let is_in_use = is_in_use(&config.listen);
     let open = start(settings).await.map_err(|error| {
-        let listen = config.listen.clone();
-        let problem = without_places(&error.to_string());
+        let listen = without_options(&config.listen);
+        let problem = without_options(&without_places(&error.to_string()));
         match is_in_use {
             true => ZenohError::InUse { listen },
             false => ZenohError::Open { listen, problem },
@@ -149,7 +150,7 @@ pub(crate) fn exposed(config: &ZenohConfig) -> Result<Vec<Exposed>, ZenohError> 
             let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
             if !is_local(host) {
                 exposed.push(Exposed {
-                    at: format!("Zenoh's {setting}: {endpoint}"),
+                    at: format!("Zenoh's {setting}: {}", without_options(endpoint)),
                     has_tls: protocol == "tls",
                 });
             }
@@ -179,7 +180,7 @@ fn texts(value: &Value) -> Vec<&str> {
 
 fn check_listen(listen: &str) -> Result<(), ZenohError> {
     let wrong = |problem: String| ZenohError::Listen {
-        listen: listen.to_owned(),
+        listen: without_options(listen),
         problem,
     };
     let endpoint: EndPoint = listen
@@ -191,6 +192,18 @@ fn check_listen(listen: &str) -> Result<(), ZenohError> {
             "{other} is not spoken here, but tcp and tls are"
         ))),
     }
+}
+
+/// Removes the options of endpoints from a text, `#connect_private_key_base64=…`: some are secrets.
+fn without_options(text: &str) -> String {
+    let mut shown = String::new();
+    let mut rest = text;
+    while let Some((before, options)) = rest.split_once('#') {
+        shown.push_str(before);
+        let ends = |c: char| c.is_whitespace() || "\"',])}".contains(c);
+        rest = &options[options.find(ends).unwrap_or(options.len())..];
+    }
+    shown + rest
 }
 
 /// Removes the places in Zenoh's source from its errors: " at /…/orchestrator.rs:447.".
@@ -351,6 +364,24 @@ mod tests {
         let cleaned = without_places(problem);
         assert_eq!(cleaned, "Unable to open: tcp/1:2 - Caused by - no");
         assert_eq!(without_places("no at /x"), "no at /x");
+    }
+
+    #[test]
+    fn the_options_of_endpoints_are_not_shown() {
+        for (text, shown) in [
+            ("tls/a:1#key=AB+/=;b=c", "tls/a:1"),
+            (
+                r#"["tls/a:1#k=A/=", "tcp/b:2"]"#,
+                r#"["tls/a:1", "tcp/b:2"]"#,
+            ),
+            (
+                "no link to tls/a:1#k=A. Caused by - x",
+                "no link to tls/a:1 Caused by - x",
+            ),
+            ("tcp/b:2", "tcp/b:2"),
+        ] {
+            assert_eq!(without_options(text), shown);
+        }
     }
 
     #[test]

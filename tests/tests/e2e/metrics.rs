@@ -313,6 +313,11 @@ fn probes_answer_everyone_and_metrics_those_with_an_identity() {
         assert_eq!(found, status, "{path} {body}");
         assert!(body.contains(part), "{path} {body}");
     }
+    let (_, figures) = page(&address, "/metrics", "Authorization: Bearer password\r\n");
+    for outcome in ["UNAUTHENTICATED", "PERMISSION_DENIED"] {
+        let counted = format!("{} 2\n", calls("http", "metrics", "", outcome));
+        assert!(figures.contains(&counted), "{counted} in {figures}");
+    }
     let finished = server.stop(Signal::Terminate);
     assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
 }

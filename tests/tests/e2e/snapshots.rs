@@ -1,6 +1,6 @@
 //! The snapshots that a server takes by itself: each is whole, and a restored one is the index.
 
-use std::{fs, path::Path, process::Command};
+use std::{collections::BTreeSet, fs, path::Path, process::Command};
 
 use wayfold_index::Space;
 use wayfold_proto::v1::InsertRequest;
@@ -30,6 +30,21 @@ async fn insert(stubs: &mut Stubs, states: &mut States) {
     stubs.insert(request).await;
 }
 
+/// Waits for the snapshots of four inserts, and returns the file of the last.
+async fn take(server: &mut ServerProcess, stubs: &mut Stubs, states: &mut States) -> String {
+    let mut newest = String::new();
+    for _ in 0..4 {
+        insert(stubs, states).await;
+        let revision = stubs.describe("arm").await.revision.unwrap().number;
+        let end = format!("-{revision}.snapshot");
+        let written = server.log_until(&end);
+        let line = written.last().unwrap();
+        let (_, file) = line.split_once("file=").unwrap();
+        newest = file.split_whitespace().next().unwrap().to_owned();
+    }
+    newest
+}
+
 /// Only the user of the server reads a directory and all that is in it.
 #[cfg(target_os = "linux")]
 fn assert_private(path: &Path) {
@@ -55,16 +70,7 @@ async fn snapshots_are_taken_kept_and_restored() {
     let mut server = server(&data, &snapshots);
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create("arm", "R3*SO3:0.15").await;
-    let mut newest = String::new();
-    for _ in 0..4 {
-        insert(&mut stubs, &mut states).await;
-        let revision = stubs.describe("arm").await.revision.unwrap().number;
-        let end = format!("-{revision}.snapshot");
-        let written = server.log_until(&end);
-        let line = written.last().unwrap();
-        let (_, file) = line.split_once("file=").unwrap();
-        newest = file.split_whitespace().next().unwrap().to_owned();
-    }
+    let newest = take(&mut server, &mut stubs, &mut states).await;
     #[cfg(target_os = "linux")]
     for directory in [&data, &snapshots] {
         assert_private(directory);
@@ -81,12 +87,21 @@ async fn snapshots_are_taken_kept_and_restored() {
     let mut copy = Content::read(&stubs, "copy").await.unwrap();
     copy.uid.clone_from(&content.uid);
     assert_eq!(copy, content);
+    let files = || {
+        let files = fs::read_dir(snapshots.join("arm")).unwrap();
+        let files = files.map(|file| file.unwrap().path());
+        files.collect::<BTreeSet<_>>()
+    };
+    // Those of an index that is deleted stay, also once its name has another.
+    stubs.delete("arm").await;
+    let deleted = files();
+    assert_eq!(deleted.len(), 2, "{deleted:?}");
+    assert!(deleted.contains(Path::new(&newest)), "{deleted:?}");
+    stubs.create("arm", "R3*SO3:0.15").await;
+    take(&mut server, &mut stubs, &mut states).await;
     server.stop(Signal::Terminate);
-
-    let files = fs::read_dir(snapshots.join("arm")).unwrap();
-    let files: Vec<_> = files.map(|file| file.unwrap().path()).collect();
-    assert_eq!(files.len(), 2, "{files:?}");
-    assert!(files.contains(&newest.into()), "{files:?}");
+    assert!(files().is_superset(&deleted), "{:?}", files());
+    assert_eq!(files().len(), 4, "{:?}", files());
 }
 
 #[test]
@@ -98,6 +113,7 @@ fn a_directory_that_it_cannot_have_is_named() {
     for (snapshots, part) in [
         (file.join("kept"), "cannot write"),
         (data.join("kept"), "in data.dir"),
+        (directory.path().to_owned(), "holds it"),
     ] {
         let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
         command

@@ -31,6 +31,31 @@ fn a_password_for_zenoh_is_in_no_line() {
 }
 
 #[test]
+fn a_key_in_an_endpoint_of_zenoh_is_in_no_line() {
+    // The listener is dropped at once: no router answers at its port.
+    let closed = TcpListener::bind("127.0.0.1:0").unwrap().local_addr();
+    let closed = closed.unwrap();
+    let endpoints = ["127.0.0.1", "[::ffff:127.0.0.1]"];
+    let endpoints = endpoints.map(|host| {
+        let port = closed.port();
+        format!("tls/{host}:{port}#connect_private_key_base64={PASSWORD}")
+    });
+    let connect = serde_json::json!({ "connect": { "endpoints": endpoints } });
+    let mut command = talkative(&["--zenoh", "tcp/127.0.0.1:0", "--insecure"]);
+    command.env("WAYFOLD_ZENOH__CONFIG", connect.to_string());
+    let mut server = Process::spawn(&mut command);
+    server.log_until("no Zenoh router or peer is reached yet");
+    let ended = server.stop(Signal::Kill);
+    assert!(
+        ended.stderr.contains("[::ffff:127.0.0.1]"),
+        "{}",
+        ended.stderr
+    );
+    assert!(!ended.stderr.contains(PASSWORD), "the key is in the log");
+    assert!(!ended.stdout.concat().contains(PASSWORD));
+}
+
+#[test]
 fn a_password_for_nats_is_in_no_line() {
     // The listener is dropped at once: no server answers at its port.
     let closed = TcpListener::bind("127.0.0.1:0").unwrap().local_addr();
