@@ -47,7 +47,7 @@ class Client:
                     index_name=index,
                     states=self._states(batch),
                     ids=range(first_id + at, first_id + at + len(batch)),
-                    neighbors=pb.NeighborSpec(k=K),
+                    neighbor_spec=pb.NeighborSpec(k=K),
                 )
             )
             if set(answer.outcomes) != {pb.OUTCOME_INSERTED}:

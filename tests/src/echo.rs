@@ -92,7 +92,7 @@ impl Echo {
 
     fn outcomes(&self, request: &InsertRequest) -> InsertResponse {
         let rows = row_count(request.states.as_ref());
-        let k = match request.neighbors.as_ref().and_then(|spec| spec.k_form) {
+        let k = match request.neighbor_spec.as_ref().and_then(|spec| spec.k_form) {
             Some(neighbor_spec::KForm::K(k)) => Some(k),
             _ => None,
         };

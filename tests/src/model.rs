@@ -77,10 +77,11 @@ impl Model {
         assert_eq!(response.outcomes.len(), rows.len());
         assert_eq!(response.ids.len(), rows.len());
         let found = self.revision;
-        let mut neighbors = expected_rows(request.neighbors.is_some(), response.neighbors.as_ref());
+        let mut neighbors =
+            expected_rows(request.neighbor_spec.is_some(), response.neighbors.as_ref());
         for (i, row) in rows.iter().enumerate() {
             let id = request.ids.get(i).copied();
-            if let Some(query) = &request.neighbors {
+            if let Some(query) = &request.neighbor_spec {
                 let expected = self.neighbors(query, row, id);
                 let entry = neighbors.next().expect("an entry a row");
                 assert_eq!(entry, expected, "neighbours of row {i} of {request:?}");

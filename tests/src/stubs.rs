@@ -150,10 +150,10 @@ pub fn k_nearest(k: u32) -> v1::NeighborSpec {
 
 /// All columns.
 pub const INCLUDE_ALL: v1::Include = v1::Include {
-    states: true,
-    tags: true,
-    revisions: true,
-    payloads: true,
+    with_states: true,
+    with_tags: true,
+    with_revisions: true,
+    with_payloads: true,
 };
 
 /// Rows of coordinates as a message.

@@ -62,7 +62,7 @@ def drive(face, index_pb, pb, types):
         ids=[1, 2, 2**60],
         tags=[0, 1, 2**64 - 1],
         payloads=[b"", b"\x00\xff", b"x"],
-        neighbors=pb.NeighborSpec(k=1, include=types.Include(states=True)),
+        neighbor_spec=pb.NeighborSpec(k=1, include=types.Include(with_states=True)),
         operation_id="once",
     )
     inserted = face.ask(f"{name}/insert", insert, pb.InsertResponse)
@@ -78,7 +78,7 @@ def drive(face, index_pb, pb, types):
     update = pb.UpdateRequest(index_name=name, ids=[1, 2], tags=[7], tag_mask=7)
     updated = face.ask(f"{name}/update", update, pb.UpdateResponse)
     expect((updated.updated_count, updated.revision.number), (2, 2))
-    columns = types.Include(states=True, tags=True, payloads=True)
+    columns = types.Include(with_states=True, with_tags=True, with_payloads=True)
     get = face.ask(f"{name}/get", pb.GetRequest(index_name=name, ids=[2, 2**60], include=columns), pb.GetResponse)
     expect(list(get.points.revisions), [])
     expect(list(get.points.tags), [7, 2**64 - 1])

@@ -38,7 +38,7 @@ class Planner:
             tags=[self.random.randrange(4) for _ in range(rows)],
             payloads=[bytes([row, 255]) for row in range(rows)],
             min_separation=self.random.choice([0.0, 0.0, 0.9]),
-            neighbors=self.pb.NeighborSpec(k=self.random.randint(1, 12)),
+            neighbor_spec=self.pb.NeighborSpec(k=self.random.randint(1, 12)),
         )
         self.next_id += rows
         answer = self.face.ask(f"{self.index}/insert", request, self.pb.InsertResponse)

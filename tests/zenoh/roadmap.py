@@ -71,7 +71,7 @@ class Worker:
         request = self.pb.KnnRequest(
             index_name=self.index,
             states=self.one(state),
-            include=self.types.Include(states=True),
+            include=self.types.Include(with_states=True),
             min_revision=self.revision,
             k_factor=K_FACTOR,
         )
@@ -81,13 +81,13 @@ class Worker:
 
     def insert(self, checked: CheckedState):
         """The second step: stores the state with these edges; returns its id and its k(n) nearest earlier milestones."""
-        around = self.pb.NeighborSpec(k_factor=K_FACTOR, include=self.types.Include(states=True))
+        around = self.pb.NeighborSpec(k_factor=K_FACTOR, include=self.types.Include(with_states=True))
         request = self.pb.InsertRequest(
             index_name=self.index,
             states=self.one(checked.state),
             tags=[self.number << 1 | PENDING],
             payloads=[payload(checked.edges)],
-            neighbors=around,
+            neighbor_spec=around,
             uid=self.revision.uid,
         )
         answer = self.face.ask(f"{self.index}/insert", request, self.pb.InsertResponse)

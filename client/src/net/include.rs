@@ -69,10 +69,10 @@ impl Include {
 
     pub(crate) fn to_message(self) -> Option<v1::Include> {
         Some(v1::Include {
-            states: self.states,
-            tags: self.tags,
-            revisions: self.revisions,
-            payloads: self.payloads,
+            with_states: self.states,
+            with_tags: self.tags,
+            with_revisions: self.revisions,
+            with_payloads: self.payloads,
         })
     }
 

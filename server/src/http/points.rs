@@ -217,10 +217,10 @@ impl PointStream {
     /// The columns that are read.
     fn include(&self) -> v1::Include {
         v1::Include {
-            states: true,
-            tags: true,
-            revisions: true,
-            payloads: self.edge_bytes.is_some(),
+            with_states: true,
+            with_tags: true,
+            with_revisions: true,
+            with_payloads: self.edge_bytes.is_some(),
         }
     }
 

@@ -74,7 +74,7 @@ impl NeighborColumns {
         let include = include.unwrap_or_default();
         Self {
             columns: v1::Neighbors {
-                states: include.states.then(v1::States::default),
+                states: include.with_states.then(v1::States::default),
                 ..Default::default()
             },
             include,
@@ -85,12 +85,12 @@ impl NeighborColumns {
 
     /// The bytes of a neighbour without its revision and payload.
     fn fixed_bytes(&self) -> usize {
-        let state = if self.include.states {
+        let state = if self.include.with_states {
             8 * self.width
         } else {
             0
         };
-        let tag = if self.include.tags { 8 } else { 0 };
+        let tag = if self.include.with_tags { 8 } else { 0 };
         8 + 8 + state + tag
     }
 
@@ -112,7 +112,7 @@ impl NeighborColumns {
         for neighbor in neighbors {
             self.columns.ids.push(neighbor.id);
             self.columns.distances.push(neighbor.distance);
-            if self.include.states || self.include.tags || self.include.revisions {
+            if self.include.with_states || self.include.with_tags || self.include.with_revisions {
                 self.push_point(
                     source
                         .point(neighbor.id)
@@ -125,7 +125,7 @@ impl NeighborColumns {
 
     /// The ids of added neighbours whose payloads are still missing; empty if the answer has no payloads.
     pub(super) fn without_payload(&self) -> &[u64] {
-        match self.include.payloads {
+        match self.include.with_payloads {
             true => &self.columns.ids[self.columns.payloads.len()..],
             false => &[],
         }
@@ -159,10 +159,10 @@ impl NeighborColumns {
             states.row_count += 1;
             states.coordinates.extend(point.row);
         }
-        if self.include.tags {
+        if self.include.with_tags {
             self.columns.tags.push(point.tag);
         }
-        if self.include.revisions {
+        if self.include.with_revisions {
             self.room.take(encoded_len_varint(point.revision))?;
             self.columns.revisions.push(point.revision);
         }
@@ -207,10 +207,10 @@ pub(super) struct PointColumns {
 
 /// The default columns of points.
 const POINT_COLUMNS: v1::Include = v1::Include {
-    states: true,
-    tags: true,
-    revisions: true,
-    payloads: false,
+    with_states: true,
+    with_tags: true,
+    with_revisions: true,
+    with_payloads: false,
 };
 
 impl PointColumns {
@@ -218,7 +218,7 @@ impl PointColumns {
         let include = include.unwrap_or(POINT_COLUMNS);
         Self {
             columns: v1::Points {
-                states: include.states.then(v1::States::default),
+                states: include.with_states.then(v1::States::default),
                 ..Default::default()
             },
             include,
@@ -228,7 +228,7 @@ impl PointColumns {
 
     /// True if each point is added with its payload.
     pub(super) fn with_payloads(&self) -> bool {
-        self.include.payloads
+        self.include.with_payloads
     }
 
     /// Adds a point, either every one with its payload or none.
@@ -240,11 +240,11 @@ impl PointColumns {
             states.row_count += 1;
             states.coordinates.extend_from_slice(point.row);
         }
-        if self.include.tags {
+        if self.include.with_tags {
             self.bytes += 8;
             self.columns.tags.push(point.tag);
         }
-        if self.include.revisions {
+        if self.include.with_revisions {
             self.bytes += encoded_len_varint(point.revision);
             self.columns.revisions.push(point.revision);
         }

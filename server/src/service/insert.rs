@@ -205,7 +205,7 @@ impl Insertion {
     /// True if the answer has the payloads of neighbours.
     fn answers_payloads(&self) -> bool {
         let include = self.neighbors.and_then(|(_, include)| include);
-        include.is_some_and(|include| include.payloads)
+        include.is_some_and(|include| include.with_payloads)
     }
 
     /// True if the evaluation looks for stored points.
@@ -237,15 +237,15 @@ impl Insertion {
         };
         check::finite("min_separation", request.min_separation, &mut violations);
         check::operation_id(&request.operation_id, &mut violations);
-        let neighbors = match request.neighbors {
+        let neighbors = match request.neighbor_spec {
             Some(spec) => {
                 if spec.k_form.is_none() && spec.radius_form.is_none() {
                     let text = "set k or k_factor, radius or scaled_radius, or one of each";
-                    violations.add("neighbors", "REQUIRED", text);
+                    violations.add("neighbor_spec", "REQUIRED", text);
                 }
                 let include = spec.include;
                 let spec =
-                    NeighborSpec::check("neighbors.", spec, hosted, limits, &mut violations)?;
+                    NeighborSpec::check("neighbor_spec.", spec, hosted, limits, &mut violations)?;
                 Some((spec, include))
             }
             None => None,

@@ -61,7 +61,7 @@ impl Service {
     pub(crate) fn most_answer_bytes(&self, request: &v1::KnnRequest) -> usize {
         let most = self.limits().max_answer_bytes;
         let include = request.include.unwrap_or_default();
-        let (Some(v1::knn_request::KForm::K(k)), false) = (&request.k_form, include.payloads)
+        let (Some(v1::knn_request::KForm::K(k)), false) = (&request.k_form, include.with_payloads)
         else {
             return most;
         };
@@ -69,7 +69,7 @@ impl Service {
             (states.row_count as usize, states.coordinates.len())
         });
         let bytes = rows.saturating_mul(NEIGHBOR_BYTES);
-        let bytes = match include.states {
+        let bytes = match include.with_states {
             true => bytes.saturating_add(coordinates.saturating_mul(8)),
             false => bytes,
         };

@@ -76,7 +76,10 @@ pub(crate) async fn dispatch(
 /// thread that reads a link of Zenoh.
 async fn search<R: SearchRequest>(request: &Request<'_>) -> Result<R, Error> {
     let request: R = request.decode_for_index()?;
-    if request.include().is_some_and(|include| include.payloads) {
+    if request
+        .include()
+        .is_some_and(|include| include.with_payloads)
+    {
         tokio::task::yield_now().await;
     }
     Ok(request)

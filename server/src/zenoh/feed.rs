@@ -207,10 +207,10 @@ impl Feed {
             index_name: self.index.clone(),
             after_revision: after.clone(),
             include: Some(v1::Include {
-                states: true,
-                tags: true,
-                revisions: true,
-                payloads: true,
+                with_states: true,
+                with_tags: true,
+                with_revisions: true,
+                with_payloads: true,
             }),
             own_session: 0,
         };

@@ -52,10 +52,10 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         since_revision: revision.clone(),
     });
     let include = Some(v1::Include {
-        states: true,
-        tags: true,
-        revisions: true,
-        payloads: true,
+        with_states: true,
+        with_tags: true,
+        with_revisions: true,
+        with_payloads: true,
     });
     let knn = v1::KnnRequest {
         index_name: index.clone(),
@@ -72,7 +72,7 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
         tags: vec![1],
         payloads: vec![b"payload".as_slice().into()],
         min_separation: 1e-300,
-        neighbors: Some(v1::NeighborSpec {
+        neighbor_spec: Some(v1::NeighborSpec {
             k_form: Some(v1::neighbor_spec::KForm::K(2)),
             filter: filter.clone(),
             include,

@@ -105,7 +105,7 @@ async fn readers_and_callers_wait_for_the_sync_and_the_writer_does_not() {
     let mut first = pin!(service.insert(&CALL, insertion(&[[1.0]], &[])));
     assert!(poll!(&mut first).is_pending());
     let request = v1::InsertRequest {
-        neighbors: Some(v1::NeighborSpec {
+        neighbor_spec: Some(v1::NeighborSpec {
             k_form: nearest(9),
             ..Default::default()
         }),

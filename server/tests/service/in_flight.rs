@@ -12,7 +12,7 @@ use crate::{
 /// An insert of one state that asks for its neighbours.
 fn asking(state: f64, k: u32) -> v1::InsertRequest {
     v1::InsertRequest {
-        neighbors: Some(v1::NeighborSpec {
+        neighbor_spec: Some(v1::NeighborSpec {
             k_form: nearest(k),
             ..Default::default()
         }),

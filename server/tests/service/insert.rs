@@ -181,10 +181,10 @@ async fn a_replaced_point_is_neither_in_its_own_way_nor_its_own_neighbour() {
     let request = v1::InsertRequest {
         on_conflict: v1::OnConflict::Replace.into(),
         min_separation: 1.0,
-        neighbors: Some(v1::NeighborSpec {
+        neighbor_spec: Some(v1::NeighborSpec {
             k_form: nearest(10),
             include: Some(v1::Include {
-                revisions: true,
+                with_revisions: true,
                 ..Default::default()
             }),
             ..Default::default()
@@ -221,7 +221,7 @@ async fn neighbours_since_a_revision_are_what_came_meanwhile_and_the_same_call()
         .unwrap();
     let request = v1::InsertRequest {
         uid,
-        neighbors: Some(v1::NeighborSpec {
+        neighbor_spec: Some(v1::NeighborSpec {
             radius_form: within(f64::INFINITY),
             filter: Some(v1::Filter {
                 since_revision: checked_at,
@@ -248,7 +248,7 @@ async fn the_later_of_two_concurrent_inserts_sees_the_earlier() {
     for row in cube(5, 200) {
         let service = service.clone();
         let request = v1::InsertRequest {
-            neighbors: Some(v1::NeighborSpec {
+            neighbor_spec: Some(v1::NeighborSpec {
                 radius_form: within(f64::INFINITY),
                 ..Default::default()
             }),

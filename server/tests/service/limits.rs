@@ -52,7 +52,7 @@ async fn exceeding_a_limit_is_refused_with_its_name_and_value() {
         ("max_k", 40)
     );
     let neighbors = v1::InsertRequest {
-        neighbors: Some(v1::NeighborSpec {
+        neighbor_spec: Some(v1::NeighborSpec {
             k_form: nearest(41),
             ..Default::default()
         }),
@@ -109,10 +109,10 @@ async fn answers_of_every_size_up_to_the_limit() {
         for k in 1..=40 {
             let request = v1::KnnRequest {
                 include: Some(v1::Include {
-                    states: included & 1 > 0,
-                    tags: included & 2 > 0,
-                    revisions: included & 4 > 0,
-                    payloads: included & 8 > 0,
+                    with_states: included & 1 > 0,
+                    with_tags: included & 2 > 0,
+                    with_revisions: included & 4 > 0,
+                    with_payloads: included & 8 > 0,
                 }),
                 ..knn(&rows[..12], k)
             };
@@ -177,7 +177,7 @@ async fn oversize_answers_of_every_verb_are_refused() {
 
     // An insert is refused before anything is stored.
     let request = v1::InsertRequest {
-        neighbors: Some(v1::NeighborSpec {
+        neighbor_spec: Some(v1::NeighborSpec {
             k_form: nearest(30),
             ..Default::default()
         }),

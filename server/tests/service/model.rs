@@ -56,7 +56,12 @@ impl Model {
         let mut next = self.clone();
         let rows = canonical(&self.space, &request.states.as_ref().unwrap().coordinates);
         let (mut outcomes, mut ids, mut conflicts) = (Vec::new(), Vec::new(), Vec::new());
-        let mut found = Columns::new(request.neighbors.as_ref().and_then(|query| query.include));
+        let mut found = Columns::new(
+            request
+                .neighbor_spec
+                .as_ref()
+                .and_then(|query| query.include),
+        );
         let mut changed = false;
         for (at, row) in rows.chunks(self.space.coordinates()).enumerate() {
             let id = request.ids.get(at).copied().unwrap_or(next.next_id);
@@ -67,7 +72,7 @@ impl Model {
                 stored: self.revision + 1,
                 modified: self.revision + 1,
             };
-            if let Some(query) = &request.neighbors {
+            if let Some(query) = &request.neighbor_spec {
                 let (k, radius) = next.bounds(query.k_form, query.radius_form);
                 let mut all = next.within(row, radius, query.filter.as_ref());
                 all.retain(|(_, other)| *other != id);
@@ -114,7 +119,7 @@ impl Model {
         Ok(v1::InsertResponse {
             outcomes,
             ids,
-            neighbors: request.neighbors.as_ref().map(|_| found.columns),
+            neighbors: request.neighbor_spec.as_ref().map(|_| found.columns),
             revision: revision(&self.uid, self.revision),
         })
     }
@@ -299,28 +304,28 @@ fn columns<'a>(
     include: Option<v1::Include>,
 ) -> v1::Points {
     let include = include.unwrap_or(v1::Include {
-        states: true,
-        tags: true,
-        revisions: true,
-        payloads: false,
+        with_states: true,
+        with_tags: true,
+        with_revisions: true,
+        with_payloads: false,
     });
     let mut columns = v1::Points {
-        states: include.states.then(v1::States::default),
+        states: include.with_states.then(v1::States::default),
         ..Default::default()
     };
     for (id, point) in points {
         columns.ids.push(*id);
-        if include.tags {
+        if include.with_tags {
             columns.tags.push(point.tag);
         }
-        if include.revisions {
+        if include.with_revisions {
             columns.revisions.push(point.stored);
         }
         if let Some(states) = &mut columns.states {
             states.row_count += 1;
             states.coordinates.extend(&point.row);
         }
-        if include.payloads {
+        if include.with_payloads {
             columns.payloads.push(point.payload.clone());
         }
     }
@@ -335,7 +340,7 @@ struct Columns {
 impl Columns {
     fn new(include: Option<v1::Include>) -> Self {
         let include = include.unwrap_or_default();
-        let states = include.states.then(v1::States::default);
+        let states = include.with_states.then(v1::States::default);
         let columns = v1::Neighbors {
             states,
             ..Default::default()
@@ -353,13 +358,13 @@ impl Columns {
                 states.row_count += 1;
                 states.coordinates.extend(&point.row);
             }
-            if self.include.tags {
+            if self.include.with_tags {
                 self.columns.tags.push(point.tag);
             }
-            if self.include.revisions {
+            if self.include.with_revisions {
                 self.columns.revisions.push(point.stored);
             }
-            if self.include.payloads {
+            if self.include.with_payloads {
                 self.columns.payloads.push(point.payload.clone());
             }
         }

@@ -14,7 +14,7 @@ use crate::support::*;
 fn once(id: &str, row: f64) -> v1::InsertRequest {
     v1::InsertRequest {
         operation_id: id.into(),
-        neighbors: Some(v1::NeighborSpec {
+        neighbor_spec: Some(v1::NeighborSpec {
             k_form: nearest(3),
             ..Default::default()
         }),

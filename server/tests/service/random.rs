@@ -109,10 +109,10 @@ impl Requests {
 
     fn include(&mut self) -> Option<v1::Include> {
         Some(v1::Include {
-            states: self.random.random(),
-            tags: self.random.random(),
-            revisions: self.random.random(),
-            payloads: self.random.random(),
+            with_states: self.random.random(),
+            with_tags: self.random.random(),
+            with_revisions: self.random.random(),
+            with_payloads: self.random.random(),
         })
     }
 
@@ -135,7 +135,7 @@ impl Requests {
         } else {
             vec![]
         };
-        let neighbors = self.random.random_bool(0.5).then(|| {
+        let neighbor_spec = self.random.random_bool(0.5).then(|| {
             let k = self
                 .random
                 .random_bool(0.6)
@@ -157,7 +157,7 @@ impl Requests {
             payloads,
             on_conflict: self.pick(&[0, 1, 2, 2]),
             min_separation: self.pick(&[0.0, 0.0, 0.25, 0.5, 0.7]),
-            neighbors,
+            neighbor_spec,
             operation_id: String::new(),
             uid: self.uid.clone(),
         }

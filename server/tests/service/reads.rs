@@ -14,10 +14,10 @@ use wayfold_server::service::{Call, Code};
 use crate::support::*;
 
 const ALL: v1::Include = v1::Include {
-    states: true,
-    tags: true,
-    revisions: true,
-    payloads: true,
+    with_states: true,
+    with_tags: true,
+    with_revisions: true,
+    with_payloads: true,
 };
 
 #[tokio::test]

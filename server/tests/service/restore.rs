@@ -31,10 +31,10 @@ async fn answers(service: &Service, space: &Space) -> Vec<Vec<u8>> {
         rows[start..].copy_from_slice(&[0.5, 0.5, -0.5, 0.5]);
     }
     let include = v1::Include {
-        states: true,
-        tags: true,
-        revisions: true,
-        payloads: true,
+        with_states: true,
+        with_tags: true,
+        with_revisions: true,
+        with_payloads: true,
     };
     let mut answers = Vec::new();
     for since in [0, newest / 2, newest - 1] {

@@ -44,7 +44,7 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
     let calls = rows.iter().zip(scalings.iter().cycle());
     let calls = calls.map(async |(row, asked)| {
         let request = v1::InsertRequest {
-            neighbors: Some(v1::NeighborSpec {
+            neighbor_spec: Some(v1::NeighborSpec {
                 k_form: asked.0,
                 radius_form: asked.1,
                 ..Default::default()
@@ -109,7 +109,7 @@ async fn rows_count_the_rows_before_them_that_are_new() {
     let request = v1::InsertRequest {
         on_conflict: v1::OnConflict::Replace.into(),
         min_separation: 0.5,
-        neighbors: Some(v1::NeighborSpec {
+        neighbor_spec: Some(v1::NeighborSpec {
             k_form: by(3.0),
             ..Default::default()
         }),
@@ -244,7 +244,7 @@ async fn the_limits_of_k_and_of_an_answer_hold_for_scaled_searches() {
     // An insert is refused before anything is stored, at whichever row: ceil(8.65 ln n) is 40 for 100 and 101, and 41
     // for 102.
     let insert = |k_factor, rows: usize| v1::InsertRequest {
-        neighbors: Some(v1::NeighborSpec {
+        neighbor_spec: Some(v1::NeighborSpec {
             k_form: by(k_factor),
             ..Default::default()
         }),
@@ -280,17 +280,17 @@ async fn invalid_scalings_are_named() {
         (None, scaled(2.0, Some(-1.0)), "NEGATIVE", max),
         (None, scaled(2.0, Some(NAN)), "NAN", max),
     ] {
-        let neighbors = Some(v1::NeighborSpec {
+        let neighbor_spec = Some(v1::NeighborSpec {
             k_form: count,
             radius_form,
             ..Default::default()
         });
         let request = v1::InsertRequest {
-            neighbors,
+            neighbor_spec,
             ..insertion(&[[0.0; 3]], &[])
         };
         let refused = refusal(service.insert(&CALL, request).await);
-        let expected = invalid(reason, format!("neighbors.{field}"));
+        let expected = invalid(reason, format!("neighbor_spec.{field}"));
         assert_eq!(refused, expected, "{count:?} {radius_form:?}");
 
         // `Knn` needs a number too.

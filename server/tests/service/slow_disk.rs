@@ -40,7 +40,7 @@ fn first_points(end: u64) -> v1::InsertRequest {
 
 fn include() -> Option<v1::Include> {
     Some(v1::Include {
-        payloads: true,
+        with_payloads: true,
         ..Default::default()
     })
 }
@@ -156,7 +156,7 @@ const READING: [(&str, Reading); 10] = [
         Box::pin(async move {
             let request = v1::InsertRequest {
                 payloads: vec!["own".into(), "own".into()],
-                neighbors: neighbor_payloads(2),
+                neighbor_spec: neighbor_payloads(2),
                 ..insertion(&[[3.1], [3.2]], &[])
             };
             let neighbors = service.insert(&CALL, request).await?.neighbors.unwrap();

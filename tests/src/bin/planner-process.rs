@@ -85,7 +85,7 @@ impl Planner {
         } else {
             0
         };
-        let neighbors = NeighborSpec {
+        let neighbor_spec = NeighborSpec {
             k_form: Some(neighbor_spec::KForm::K(rng.random_range(1..=12))),
             radius_form: rng
                 .random_bool(0.5)
@@ -105,7 +105,7 @@ impl Planner {
         let request = InsertRequest {
             ids,
             tags,
-            neighbors: Some(neighbors),
+            neighbor_spec: Some(neighbor_spec),
             min_separation,
             ..self.insert_of(rows)
         };

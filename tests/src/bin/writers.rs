@@ -139,7 +139,7 @@ async fn insert(service: &Service, rows: &[f64], with_neighbors: bool) {
     let request = InsertRequest {
         index_name: INDEX.into(),
         states: Some(row_states(rows, WIDTH)),
-        neighbors: with_neighbors.then(|| k_nearest(K)),
+        neighbor_spec: with_neighbors.then(|| k_nearest(K)),
         ..Default::default()
     };
     let inserted = service.insert(&Call::default(), request).await;

@@ -62,7 +62,7 @@ async fn a_mutation_past_its_deadline_is_whole_or_not_there() {
     for deadline_ms in [1, 3, 10, 30, 100] {
         let before = stubs.describe("roadmap").await;
         let request = InsertRequest {
-            neighbors: Some(k_nearest(1)),
+            neighbor_spec: Some(k_nearest(1)),
             operation_id: format!("within {deadline_ms} ms"),
             ..insert(&mut states, INSERT_ROWS)
         };
@@ -94,7 +94,7 @@ async fn a_dropped_mutation_is_whole_or_not_there() {
     for round in 0..6 {
         let before = stubs.describe("roadmap").await;
         let request = InsertRequest {
-            neighbors: Some(k_nearest(1)),
+            neighbor_spec: Some(k_nearest(1)),
             ..insert(&mut states, INSERT_ROWS)
         };
         let mut other = stubs.clone();

@@ -141,7 +141,7 @@ async fn insert(
     let request = InsertRequest {
         index_name: "roadmap".into(),
         states,
-        neighbors: Some(NeighborSpec {
+        neighbor_spec: Some(NeighborSpec {
             radius_form: Some(neighbor_spec::RadiusForm::Radius(f64::INFINITY)),
             filter,
             ..Default::default()

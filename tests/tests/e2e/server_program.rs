@@ -72,7 +72,7 @@ async fn cut_calls_show_in_the_exit_status() {
     let request = v1::ScanRequest {
         index_name: "line".into(),
         include: Some(v1::Include {
-            payloads: true,
+            with_payloads: true,
             ..Default::default()
         }),
         ..Default::default()

@@ -205,7 +205,7 @@ impl Insert {
             payloads: column(&self.payloads, part),
             on_conflict: on_conflict.into(),
             min_separation: self.min_separation,
-            neighbors: self.neighbors.as_ref().map(NeighborSpec::to_message),
+            neighbor_spec: self.neighbors.as_ref().map(NeighborSpec::to_message),
             operation_id: operation_id.to_owned(),
             uid: self.index.uid().to_owned(),
         }

@@ -34,7 +34,10 @@ impl PointService for Fake {
         Ok(Response::new(v1::InsertResponse {
             outcomes: vec![v1::Outcome::Inserted.into(); rows],
             ids: (0..rows as u64).collect(),
-            neighbors: request.into_inner().neighbors.and_then(|_| numbered(rows)),
+            neighbors: request
+                .into_inner()
+                .neighbor_spec
+                .and_then(|_| numbered(rows)),
             revision: revision(number),
         }))
     }

@@ -82,7 +82,7 @@ export class Probe {
     const id = layer.cloud.idOf(slot);
     let state = [...layer.cloud.stateOf(slot)];
     try {
-      const { points } = await call(layer.name, "get", { ids: [id], include: { states: true } });
+      const { points } = await call(layer.name, "get", { ids: [id], include: { with_states: true } });
       state = points.states[0];
     } catch {
       // The point may be gone, or older than the slider shows: its rounded state is still a state.
@@ -201,7 +201,7 @@ function integerOf(text) {
 /** The body of the request. Numbers that JSON cannot hold are texts. */
 function bodyOf({ state, k, radius, epsilon, tag }) {
   const json = (number) => (Number.isFinite(number) ? number : String(number));
-  const body = { states: [state.map(json)], include: { states: true, tags: true } };
+  const body = { states: [state.map(json)], include: { with_states: true, with_tags: true } };
   if (k !== undefined) body.k = json(k);
   if (radius !== undefined) body.radius = json(radius);
   if (epsilon !== undefined) body.epsilon = json(epsilon);

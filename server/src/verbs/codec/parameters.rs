@@ -127,12 +127,15 @@ fn read(field: &FieldDescriptor, text: &str) -> Result<Value, Error> {
     values.collect::<Result<_, _>>().map(Value::List)
 }
 
-/// The named columns, separated by commas.
+/// The named columns, separated by commas: `tags` sets `with_tags`.
 fn include(columns: &MessageDescriptor, text: &str) -> Result<DynamicMessage, Error> {
+    const COLUMN: &str = "with_";
     let mut include = DynamicMessage::new(columns.clone());
     for name in text.split(',').filter(|name| !name.is_empty()) {
-        let Some(column) = columns.get_field_by_name(name) else {
-            let known = columns.fields().map(|field| field.name().to_owned());
+        let Some(column) = columns.get_field_by_name(&format!("{COLUMN}{name}")) else {
+            let known = columns
+                .fields()
+                .map(|field| field.name().replacen(COLUMN, "", 1));
             let known = known.collect::<Vec<_>>().join(", ");
             let text = format!("{name:?} is none of {known}");
             return Err(invalid("include", "UNKNOWN_VALUE", text));

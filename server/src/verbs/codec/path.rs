@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// A path in the service's notation: `neighbors.filter.tag_mask`, `states[37].coords[3]`.
+/// A path in the service's notation: `neighbor_spec.filter.tag_mask`, `states[37].coords[3]`.
 #[derive(Clone, Copy)]
 pub(super) struct Path<'a> {
     before: Option<&'a Path<'a>>,

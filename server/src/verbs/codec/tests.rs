@@ -68,18 +68,18 @@ fn what_json_has_not_is_written_as_text() {
         "InsertRequest",
         r#"{"states": [["NaN", "-Infinity"]], "ids": [9007199254740991, "9223372036854775807"],
             "payloads": ["AP8=", ""], "on_conflict": "REPLACE",
-            "neighbors": {"radius": "Infinity", "filter": {"tag_mask": "18446744073709551615"}}}"#,
+            "neighbor_spec": {"radius": "Infinity", "filter": {"tag_mask": "18446744073709551615"}}}"#,
     );
     let coordinates = request.states.unwrap().coordinates;
     assert!(coordinates[0].is_nan() && coordinates[1] == f64::NEG_INFINITY);
     assert_eq!(request.ids, [(1 << 53) - 1, (1 << 63) - 1]);
     assert_eq!(request.payloads, [&[0, 255][..], &[]]);
     assert_eq!(request.on_conflict, 2);
-    let neighbors = request.neighbors.unwrap();
-    assert_eq!(neighbors.k_form, None);
+    let spec = request.neighbor_spec.unwrap();
+    assert_eq!(spec.k_form, None);
     let radius = v1::neighbor_spec::RadiusForm::Radius(f64::INFINITY);
-    assert_eq!(neighbors.radius_form, Some(radius));
-    assert_eq!(neighbors.filter.unwrap().tag_mask, u64::MAX);
+    assert_eq!(spec.radius_form, Some(radius));
+    assert_eq!(spec.filter.unwrap().tag_mask, u64::MAX);
     for (json, value) in [
         (r#""ON_CONFLICT_REPLACE""#, 2),
         (r#""FAIL""#, 1),
@@ -165,7 +165,11 @@ fn what_is_wrong_is_named() {
         (r#"{"K": 1}"#, "K", "UNKNOWN_FIELD"),
         (r#"{"filter": {"mask": 1}}"#, "filter.mask", "UNKNOWN_FIELD"),
         (r#"{"filter": 3}"#, "filter", "TYPE"),
-        (r#"{"include": {"tags": 1}}"#, "include.tags", "TYPE"),
+        (
+            r#"{"include": {"with_tags": 1}}"#,
+            "include.with_tags",
+            "TYPE",
+        ),
         (r#"{"k": 1, "k_factor": 2}"#, "k_factor", "AMBIGUOUS"),
         (
             r#"{"k": 1, "max_leaves": 2}"#,
@@ -222,8 +226,8 @@ fn parameters_say_what_the_message_does_not() {
         k_form: Some(KForm::K(10)),
         radius_form: Some(v1::knn_request::RadiusForm::Radius(0.5)),
         include: Some(v1::Include {
-            tags: true,
-            payloads: true,
+            with_tags: true,
+            with_payloads: true,
             ..Default::default()
         }),
         ..Default::default()
@@ -248,7 +252,7 @@ fn parameters_say_what_the_message_does_not() {
         )
         .unwrap();
     assert_eq!(get.ids, [3, (1 << 63) - 1]);
-    assert!(get.include.unwrap().payloads);
+    assert!(get.include.unwrap().with_payloads);
     let followed = [("from", "7"), ("uid", "u")];
     let watch = |json: &str, parameters| {
         Form::Json.read::<v1::WatchRequest>("WatchRequest", json.as_bytes(), parameters)
@@ -322,7 +326,7 @@ proptest! {
             states: states(coordinates.len() as u32, &coordinates),
             ids,
             payloads: vec![payload.into()],
-            neighbors: Some(v1::NeighborSpec {
+            neighbor_spec: Some(v1::NeighborSpec {
                 k_form: Some(v1::neighbor_spec::KForm::K(k)),
                 ..Default::default()
             }),

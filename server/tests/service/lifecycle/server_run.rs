@@ -350,10 +350,10 @@ impl<'a> ServerRun<'a> {
             assert!(scan.next().await.is_none());
 
             let include = v1::Include {
-                states: true,
-                tags: true,
-                revisions: true,
-                payloads: true,
+                with_states: true,
+                with_tags: true,
+                with_revisions: true,
+                with_payloads: true,
             };
             let knn = v1::KnnRequest {
                 k_form: nearest(1000).map(Into::into),

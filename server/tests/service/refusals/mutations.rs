@@ -45,50 +45,50 @@ const BAD_INSERTS: [Fault<v1::InsertRequest>; 16] = [
         "min_separation",
     ),
     (
-        |r| r.neighbors = Some(v1::NeighborSpec::default()),
+        |r| r.neighbor_spec = Some(v1::NeighborSpec::default()),
         "REQUIRED",
-        "neighbors",
+        "neighbor_spec",
     ),
     (
         |r| {
-            r.neighbors = Some(v1::NeighborSpec {
+            r.neighbor_spec = Some(v1::NeighborSpec {
                 k_form: nearest(0),
                 ..Default::default()
             });
         },
         "ZERO",
-        "neighbors.k",
+        "neighbor_spec.k",
     ),
     (
         |r| {
-            r.neighbors = Some(v1::NeighborSpec {
+            r.neighbor_spec = Some(v1::NeighborSpec {
                 radius_form: within(-1.0),
                 ..Default::default()
             });
         },
         "NEGATIVE",
-        "neighbors.radius",
+        "neighbor_spec.radius",
     ),
     (
         |r| {
-            r.neighbors = filtered(v1::Filter {
+            r.neighbor_spec = filtered(v1::Filter {
                 since_revision: revision("", 1),
                 ..Default::default()
             });
         },
         "REQUIRED",
-        "neighbors.filter.since_revision.uid",
+        "neighbor_spec.filter.since_revision.uid",
     ),
     (
         |r| {
-            r.neighbors = filtered(v1::Filter {
+            r.neighbor_spec = filtered(v1::Filter {
                 tag_mask: 2,
                 tag_value: 3,
                 since_revision: None,
             });
         },
         "OUTSIDE_MASK",
-        "neighbors.filter.tag_value",
+        "neighbor_spec.filter.tag_value",
     ),
     (
         |r| r.operation_id = "x".repeat(65),

@@ -99,7 +99,7 @@ async fn a_mutation_sees_what_changed_while_it_read() {
 async fn an_insert_answers_with_the_payloads_of_its_final_neighbours() {
     let insert = async |service: Service| {
         let request = v1::InsertRequest {
-            neighbors: neighbor_payloads(2),
+            neighbor_spec: neighbor_payloads(2),
             ..insertion(&[[3.1]], &[])
         };
         let neighbors = service.insert(&CALL, request).await?.neighbors.unwrap();
@@ -161,7 +161,7 @@ async fn an_overtaken_insert_is_not_charged_for_the_payloads_that_it_replaces() 
     log.gate().close();
     let request = v1::InsertRequest {
         on_conflict: v1::OnConflict::Replace.into(),
-        neighbors: neighbor_payloads(1),
+        neighbor_spec: neighbor_payloads(1),
         ..pair(b"small")
     };
     let mut inserting = Box::pin(service.insert(&CALL, request));

@@ -183,10 +183,10 @@ pub(crate) fn refusal<T: std::fmt::Debug>(
 
 /// All columns.
 pub(crate) const ALL: Option<v1::Include> = Some(v1::Include {
-    states: true,
-    tags: true,
-    revisions: true,
-    payloads: true,
+    with_states: true,
+    with_tags: true,
+    with_revisions: true,
+    with_payloads: true,
 });
 
 /// This many neighbours.

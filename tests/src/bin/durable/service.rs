@@ -58,7 +58,7 @@ pub(crate) fn insertion(states: &[f64], k: Option<u32>) -> InsertRequest {
     InsertRequest {
         index_name: INDEX.into(),
         states: Some(row_states(states, WIDTH)),
-        neighbors: k.map(k_nearest),
+        neighbor_spec: k.map(k_nearest),
         ..Default::default()
     }
 }

@@ -174,7 +174,7 @@ impl Writer {
             states: Some(row_states(&self.states.rows(rows), COORDINATES)),
             tags: vec![self.name; rows],
             payloads,
-            neighbors: heavy.then(|| k_nearest(3)),
+            neighbor_spec: heavy.then(|| k_nearest(3)),
             operation_id,
             ..Default::default()
         }))

@@ -60,7 +60,7 @@ fn filter(filter: &v1::Filter) -> Value {
 }
 
 fn include(it: &v1::Include) -> Value {
-    json!({ "states": it.states, "tags": it.tags, "revisions": it.revisions, "payloads": it.payloads })
+    json!({ "with_states": it.with_states, "with_tags": it.with_tags, "with_revisions": it.with_revisions, "with_payloads": it.with_payloads })
 }
 
 fn revision(it: &v1::Revision) -> Value {
@@ -126,8 +126,8 @@ pub(super) fn request(op: &Op) -> Value {
             ),
             ("min_separation", Some(float(it.min_separation))),
             (
-                "neighbors",
-                it.neighbors.as_ref().map(|it| {
+                "neighbor_spec",
+                it.neighbor_spec.as_ref().map(|it| {
                     object([
                         it.k_form.map_or(UNSET, count),
                         it.radius_form.map_or(UNSET, radius_form),

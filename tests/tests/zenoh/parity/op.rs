@@ -65,7 +65,7 @@ impl Op {
             Op::Create(_) | Op::Info(_) | Op::List(_) => Vec::new(),
             Op::Delete(it) => vec![&mut it.uid],
             Op::Insert(it) => {
-                let spec = it.neighbors.as_mut();
+                let spec = it.neighbor_spec.as_mut();
                 let since = spec.and_then(|spec| since(&mut spec.filter));
                 since.into_iter().chain([&mut it.uid]).collect()
             }

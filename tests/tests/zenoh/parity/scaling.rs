@@ -16,7 +16,7 @@ pub(super) fn scale(op: &mut Op, random: &mut ChaCha8Rng) {
     let radius_form = radius.map(neighbor_spec::RadiusForm::ScaledRadius);
     match op {
         Op::Insert(v1::InsertRequest {
-            neighbors: Some(it),
+            neighbor_spec: Some(it),
             ..
         }) => {
             it.k_form = count.or(it.k_form);
@@ -63,7 +63,7 @@ pub(super) fn is_scaled(op: &Op) -> bool {
         Option<neighbor_spec::RadiusForm>,
     ) = match op {
         Op::Insert(it) => it
-            .neighbors
+            .neighbor_spec
             .as_ref()
             .map_or((None, None), |it| (it.k_form, it.radius_form)),
         Op::Knn(it) => (it.k_form.map(Into::into), it.radius_form.map(Into::into)),

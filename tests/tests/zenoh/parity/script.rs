@@ -130,7 +130,7 @@ impl Script {
         };
         let (ids, tags) = (column(25), column(u64::MAX));
         let payloads = (0..column(2).len()).map(|_| self.payload()).collect();
-        let neighbors = self.chance(0.4).then(|| {
+        let neighbor_spec = self.chance(0.4).then(|| {
             let k = self.pick(&[None, Some(1), Some(4), Some(4), Some(9), Some(0)]);
             v1::NeighborSpec {
                 k_form: k.map(neighbor_spec::KForm::K),
@@ -146,7 +146,7 @@ impl Script {
             payloads,
             on_conflict: self.pick(&[0, 1, 2, 2, 2, 2, 2, 2, 2, 2, 2, 7]),
             min_separation: self.pick(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3, 0.3, f64::NAN]),
-            neighbors,
+            neighbor_spec,
             operation_id: self.operation_id(),
             uid: self.uid(),
             index_name: self.index(),
@@ -235,10 +235,10 @@ impl Script {
 
     fn include(&mut self) -> Option<v1::Include> {
         self.chance(0.4).then(|| v1::Include {
-            states: self.chance(0.5),
-            tags: self.chance(0.5),
-            revisions: self.chance(0.5),
-            payloads: self.chance(0.5),
+            with_states: self.chance(0.5),
+            with_tags: self.chance(0.5),
+            with_revisions: self.chance(0.5),
+            with_payloads: self.chance(0.5),
         })
     }
 
