@@ -1,16 +1,19 @@
-//! Every method of both services answers or refuses each extreme integer with a status of its own.
+//! Every method of both services answers or refuses each extreme integer with a status of its own, and none that waits spins.
 
 use std::time::Duration;
 
+use bytes::{BufMut, Bytes, BytesMut};
 use futures_util::stream;
 use prost::Message;
 use prost_reflect::{DynamicMessage, MethodDescriptor, ReflectMessage};
 use tonic::{Code, Request, Status, client::Grpc, transport::Channel};
 use wayfold_proto::v1;
+use wayfold_server::{InProcess, config::Config};
 
 use crate::{
     extremes::{pool, requests, variants},
     harness::{TestServer, insert, uid_of},
+    quiet::{quietly, two_points},
     raw::Raw,
 };
 
@@ -70,6 +73,39 @@ async fn every_method_answers_or_refuses_extreme_integers() {
                 Code::Internal | Code::Unknown | Code::DataLoss | Code::Unavailable
             );
             assert!(!is_bug, "{status:?}");
+        }
+    }
+}
+
+/// A call of a method of `PointService` without a connection.
+fn in_process(method: &MethodDescriptor, message: &DynamicMessage) -> http::Request<Bytes> {
+    let message = message.encode_to_vec();
+    let mut frame = BytesMut::new();
+    frame.put_u8(0);
+    frame.put_u32(message.len() as u32);
+    frame.put_slice(&message);
+    let service = method.parent_service().full_name();
+    http::Request::post(format!("/{service}/{}", method.name()))
+        .header("content-type", "application/grpc")
+        .header("grpc-timeout", "1H")
+        .body(frame.freeze())
+        .unwrap()
+}
+
+/// A waiting call ends at its deadline. The clock of the test is paused, so the deadline comes at once.
+#[tokio::test(start_paused = true)]
+async fn no_method_of_points_spins_on_extreme_integers() {
+    let (service, uid) = two_points().await;
+    let mut calls = InProcess::new(&Config::default(), service, None).unwrap();
+    let requests = requests(&uid);
+    let points = pool().get_service_by_name("wayfold.v1.PointService");
+    for method in points.unwrap().methods() {
+        let of_method = |request: &&DynamicMessage| {
+            request.descriptor().full_name() == method.input().full_name()
+        };
+        for (what, variant) in requests.iter().filter(of_method).flat_map(variants) {
+            println!("{what}");
+            quietly(calls.call(in_process(&method, &variant))).await;
         }
     }
 }

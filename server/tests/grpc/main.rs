@@ -15,6 +15,8 @@ mod extreme_integers;
 #[path = "../extremes/mod.rs"]
 mod extremes;
 mod health;
+#[path = "../extremes/quiet.rs"]
+mod quiet;
 mod receiving;
 mod reflection;
 mod refusals;

@@ -1,7 +1,6 @@
 //! The service answers or refuses each extreme integer, and a waiting call uses no core.
 
 use std::{
-    future::poll_fn,
     pin::pin,
     sync::{
         Arc,
@@ -20,29 +19,9 @@ use wayfold_server::service::{Call, Code, Error, Service};
 
 use crate::{
     extremes::{EXTREMES, requests, variants},
+    quiet::{quietly, two_points},
     support::*,
 };
-
-/// The maximum number of polls of a call about two points; a call that spins exceeds it.
-const MAX_POLLS: usize = 300;
-
-/// `arm` with two points and a writer session, each made by a revision.
-async fn two_points() -> (Service, String) {
-    let (service, uid) = arm("R1").await;
-    for id in 0..2 {
-        let insert = v1::InsertRequest {
-            tags: vec![1],
-            ..insertion(&[[id as f64]], &[id])
-        };
-        service.insert(&CALL, insert).await.unwrap();
-    }
-    let session = v1::OpenSessionRequest {
-        index_name: "arm".into(),
-        ..Default::default()
-    };
-    service.open_session(&CALL, session).await.unwrap();
-    (service, uid)
-}
 
 /// Makes a request and reads its whole answer, a watch only up to the newest revision.
 async fn ask(service: &Service, call: &Call, request: &DynamicMessage) -> Result<(), Error> {
@@ -90,18 +69,6 @@ async fn ask(service: &Service, call: &Call, request: &DynamicMessage) -> Result
         "StreamKnnRequest" => Ok(()),
         other => panic!("{other} is asked of nobody"),
     }
-}
-
-/// Awaits a call and asserts that it does not spin.
-async fn quietly<T>(call: impl Future<Output = T>) -> T {
-    let mut call = pin!(call);
-    let mut polls = 0;
-    poll_fn(|context| {
-        polls += 1;
-        assert!(polls <= MAX_POLLS, "a call spins");
-        call.as_mut().poll(context)
-    })
-    .await
 }
 
 /// A waiting call ends at its deadline. The clock of the test is paused, so the deadline comes at once.

@@ -28,6 +28,8 @@ mod log;
 mod merging;
 mod model;
 mod operations;
+#[path = "../extremes/quiet.rs"]
+mod quiet;
 mod quotas;
 mod random;
 mod reads;
