@@ -271,6 +271,12 @@ impl Hosted {
     /// Waits for the writer, in the order of arrival.
     pub async fn write(&self) -> Result<WriteGuard, RegistryError> {
         let mut writer = self.write_closed().await;
+        self.renew(&mut writer)?;
+        Ok(writer)
+    }
+
+    /// Moves the writer to the published state; fails if the index is closed.
+    fn renew(&self, writer: &mut Writer) -> Result<(), RegistryError> {
         let base = {
             let state = self.state.borrow();
             if let Some(why) = &state.closed {
@@ -281,7 +287,15 @@ impl Hosted {
         // Read after the published state, so that no pending record is kept over one that took its revision.
         let refusals = self.in_flight.lock().refusals();
         writer.catch_up(base, self.last_change.load(Relaxed), refusals);
-        Ok(writer)
+        Ok(())
+    }
+
+    /// Releases the levels and the view of the state that the writer was at, which it would hold until the next mutation.
+    pub(super) fn release_former_state(&self) {
+        if let Ok(mut writer) = self.writer.try_lock() {
+            // A closed index goes as a whole, or its writer is renewed when it resumes.
+            let _ = self.renew(&mut writer);
+        }
     }
 
     /// Publishes a newer revision, or the same one after a merge.

@@ -28,10 +28,14 @@ impl Hosted {
         }
     }
 
-    /// Called periodically. Starts merging towards a single level if no mutation came since the previous call.
+    /// Called periodically. If no mutation came since the previous call, releases memory of former revisions and starts
+    /// merging towards a single level.
     pub(super) fn merge_if_idle(self: &Arc<Self>) {
         let revision = self.published().revision;
         let is_pause = self.last_seen_revision.swap(revision, Relaxed) == revision;
+        if is_pause {
+            self.release_former_state();
+        }
         if is_pause && self.last_idle_revision.swap(revision, Relaxed) != revision {
             let hosted = Arc::clone(self);
             tokio::spawn(async move {

@@ -5,15 +5,17 @@ use std::sync::{
     atomic::{AtomicU64, Ordering::SeqCst},
 };
 
+use bytes::Bytes;
 use futures_util::{StreamExt, stream};
+use wayfold_index::PointRef;
 
 use super::*;
 use crate::{
     log::{
-        Catalogue, Effects, Journal, Log, MemoryLog, Origin, PointStore, Receipt, Record,
+        Catalogue, Effects, Journal, Log, MemoryLog, Origin, Outcome, PointStore, Receipt, Record,
         RecordStream, Retention, Sessions, Uid, Window,
     },
-    registry::RegistryOptions,
+    registry::{Committed, OperationWindow, RegistryOptions},
     testing::recorded,
 };
 
@@ -225,4 +227,31 @@ async fn a_restore_holds_no_lock_while_its_name_is_claimed() {
     // The index is served once.
     assert!(Arc::ptr_eq(&registry.get("arm").unwrap(), &hosted));
     assert!(hosted.follows());
+}
+
+#[tokio::test]
+async fn an_idle_index_holds_no_former_revision() {
+    let registry = Registry::new(recorded(1), RegistryOptions::default());
+    registry.replay().unwrap();
+    let hosted = registry.get("arm").unwrap();
+    let former = Arc::downgrade(&hosted.published());
+    let mut effects = Effects::new(1);
+    effects.store(
+        PointRef {
+            id: 0,
+            tag: 0,
+            revision: 2,
+            row: &[0.5],
+        },
+        Outcome::Inserted,
+        Bytes::new(),
+    );
+    let writer = hosted.write().await.unwrap();
+    let window = OperationWindow { count: 0, bytes: 0 };
+    let committed = hosted.commit(writer, effects, window).await.unwrap();
+    assert_eq!(committed, Committed::Done);
+    // The second call finds that no mutation came since the first.
+    hosted.merge_if_idle();
+    hosted.merge_if_idle();
+    assert!(former.upgrade().is_none());
 }
