@@ -229,6 +229,7 @@ impl Flow {
             flow: Arc::clone(self),
             stage: Stage::New,
             at_once: Duration::ZERO,
+            streams: false,
             next: None,
             asked: Instant::now(),
             queued: Duration::ZERO,
@@ -240,6 +241,7 @@ impl Flow {
     pub(crate) fn turns_of_stream(self: &Arc<Self>) -> CallTurns {
         CallTurns {
             stage: Stage::GoesOn,
+            streams: true,
             ..self.turns()
         }
     }
@@ -313,6 +315,8 @@ pub(crate) struct CallTurns {
     stage: Stage,
     /// Its work since it last went behind others of its flow.
     at_once: Duration,
+    /// True if it is one of the calls of a stream, or answers with one.
+    streams: bool,
     /// The turn of the next slice.
     next: Option<TurnRequest>,
     /// The time since which it asks for that turn.
@@ -389,8 +393,12 @@ impl CallTurns {
         self.stage = Stage::GoesOn;
         if self.at_once >= MAX_AT_ONCE {
             self.at_once = Duration::ZERO;
-            self.stage = Stage::GoesBehind;
+            self.stage = Stage::GoesBehind {
+                holds_part: !self.streams,
+            };
         }
+        // A call that goes on after an answer sends a stream of them.
+        self.streams |= polled.is_ready();
         // A task of its own polls its work with another waker.
         let goes_on = GOES_ON
             .take()
