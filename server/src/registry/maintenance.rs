@@ -1,4 +1,5 @@
-//! Periodic maintenance: reopens a failed store, merges idle indices further, and trims old records.
+//! Periodic maintenance: reopens a failed store, merges idle indices further, trims old records, and gives freed memory
+//! back to the system.
 
 use std::{
     collections::BTreeSet,
@@ -14,7 +15,10 @@ use tokio::{
 use tracing::{debug, error, info, warn};
 
 use super::{Hosted, IndexState, Registry, RegistryError, replay};
-use crate::log::{Entry, LogError};
+use crate::{
+    log::{Entry, LogError},
+    watermark::give_back,
+};
 
 /// The time between two rounds of maintenance.
 const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(1);
@@ -88,11 +92,15 @@ impl Registry {
                 }
                 hosted.merge_if_idle();
             }
-            if self.is_any_loadable() {
-                let registry = Arc::clone(&self);
-                // The join fails only if the task panicked; the panic hook has printed it.
-                let _ = tokio::task::spawn_blocking(move || registry.load_rest()).await;
-            }
+            let registry = Arc::clone(&self);
+            let blocking = move || {
+                if registry.is_any_loadable() {
+                    registry.load_rest();
+                }
+                give_back(false);
+            };
+            // The join fails only if the task panicked; the panic hook has printed it.
+            let _ = tokio::task::spawn_blocking(blocking).await;
             if now >= trimmed_at + self.trim_interval() && self.failure().is_none() {
                 trimmed_at = now;
                 self.trim();

@@ -20,6 +20,7 @@ use thiserror::Error;
 use tracing::{info, warn};
 
 pub use disk::disk;
+pub(crate) use memory::give_back;
 pub use memory::memory;
 
 /// The time between two measurements.

@@ -15,6 +15,8 @@ mod crash;
 mod disk_failure;
 mod forwarding;
 mod healing;
+#[cfg(target_os = "linux")]
+mod idle_memory;
 mod journal_loss;
 #[cfg(target_os = "linux")]
 mod little_memory;

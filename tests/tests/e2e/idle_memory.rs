@@ -1,0 +1,54 @@
+//! A server at rest gives memory back: that of its merges, and that of levels which no reader sees any more.
+
+use std::{process::Command, time::Duration};
+
+use tokio::time::{interval, timeout};
+use wayfold_proto::v1::InsertRequest;
+use wayfold_tests::{Process, ServerProcess, States, Stubs, figures::resident_bytes, row_states};
+
+const WIDTH: usize = 32;
+const BATCHES: usize = 75;
+const ROWS: usize = 2_000;
+/// The bytes that the store takes for a point beside its state, at most.
+const STORED_BYTES: usize = 256;
+/// The bytes that the server may take beside the trees and the stored points, more than before the load.
+const MAX_OTHER_BYTES: u64 = 32 * 1024 * 1024;
+/// The longest wait for the memory.
+const MAX_WAIT: Duration = Duration::from_secs(60);
+
+#[tokio::test]
+async fn a_server_at_rest_takes_little_more_than_its_points() {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command
+        .args(["--grpc", "127.0.0.1:0", "--data", "memory"])
+        // The records that are kept for subscribers would hide the rest.
+        .env("WAYFOLD_INDEX__WINDOW_BYTES", "1");
+    let server = ServerProcess::ready(Process::spawn(&mut command));
+    let process = server.process().id();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("arm", &format!("R{WIDTH}")).await;
+    let before = resident_bytes(process).unwrap();
+    let mut states = States::new(format!("R{WIDTH}").parse().unwrap(), 1);
+    for _ in 0..BATCHES {
+        let request = InsertRequest {
+            index_name: "arm".into(),
+            states: Some(row_states(&states.rows(ROWS), WIDTH)),
+            ..Default::default()
+        };
+        stubs.insert(request).await;
+    }
+    let stored = (BATCHES * ROWS * (8 * WIDTH + STORED_BYTES)) as u64;
+    let mut looks = interval(Duration::from_millis(50));
+    let shrinking = async {
+        loop {
+            looks.tick().await;
+            let taken = resident_bytes(process).unwrap().saturating_sub(before);
+            let trees = stubs.describe("arm").await.memory_bytes;
+            println!("{taken} bytes, {trees} of trees, {stored} of stored points");
+            if taken <= trees + stored + MAX_OTHER_BYTES {
+                break;
+            }
+        }
+    };
+    timeout(MAX_WAIT, shrinking).await.unwrap();
+}
