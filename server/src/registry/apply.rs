@@ -1,5 +1,6 @@
 //! The apply loop of an index: it takes the next records from the journal, its own as soon as the journal has acknowledged
-//! them, checks that they follow, applies them to the point store and the forest, and publishes the result. A point of the index changes nowhere else.
+//! them, checks that they follow, applies them to the point store and the forest, and publishes the result. A point of
+//! the index changes nowhere else.
 
 use std::{
     sync::{Arc, Weak, atomic::Ordering::Relaxed},
@@ -77,6 +78,13 @@ pub(super) async fn run(
                         yield_now().await;
                         applied
                     }
+                    // The stream was behind the acknowledged records, which are applied and may be forgotten.
+                    Some(Err(LogError::Trimmed { after, .. }))
+                        if after < hosted.published().revision =>
+                    {
+                        records = hosted.follow();
+                        Ok(())
+                    }
                     Some(Err(error)) => Err(error.into()),
                     None => Err(RegistryError::Log(LogError::Closed)),
                 }
@@ -125,6 +133,13 @@ pub(super) async fn run(
 }
 
 impl Hosted {
+    /// The records after the published one.
+    fn follow(&self) -> RecordStream {
+        let published = self.published().view.tip();
+        let journal = &self.host.log.journal;
+        journal.follow_applied(self.uid(), published)
+    }
+
     /// Applies consecutive records that the journal has acknowledged, unless records of others come first: the journal
     /// brings all of them in their order.
     async fn apply_acknowledged(
@@ -227,18 +242,18 @@ impl Hosted {
         Ok(())
     }
 
-    /// Fails if one of these records has the revision of an applied one that is another: the journal has lost that.
+    /// Fails if the last of these records is not the one that was applied at its revision: the journal has lost that. Its
+    /// digest covers the records before it. The newest applied record is always cached.
     fn check_known(&self, records: &[Arc<Record>]) -> Result<(), RegistryError> {
-        let (Some(first), Some(last)) = (records.first(), records.last()) else {
+        let Some(last) = records.last() else {
             return Ok(());
         };
-        let after = first.revision() - 1;
-        let recent = self.recent.lock();
-        let applied = recent.after(after, last.revision(), usize::MAX);
-        let mut pairs = records.iter().zip(applied.iter().flatten());
-        match pairs.find(|(record, applied)| record.tip() != applied.tip()) {
-            Some((record, _)) => Err(LogError::replaced(self.uid(), record.revision()).into()),
-            None => Ok(()),
+        let revision = last.revision();
+        let applied = self.recent.lock().after(revision - 1, revision, 0);
+        let mut applied = applied.iter().flatten();
+        match applied.all(|applied| applied.tip() == last.tip()) {
+            true => Ok(()),
+            false => Err(LogError::replaced(self.uid(), revision).into()),
         }
     }
 

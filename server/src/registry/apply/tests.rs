@@ -4,7 +4,7 @@ use std::{future::ready, slice};
 
 use futures_util::FutureExt;
 use parking_lot::Mutex;
-use tokio::time::timeout;
+use tokio::{sync::watch, time::timeout};
 use tokio_stream::wrappers::UnboundedReceiverStream;
 
 use super::*;
@@ -18,7 +18,10 @@ type Sent = Result<Vec<Arc<Record>>, LogError>;
 
 struct Elsewhere {
     submitted: Mutex<Vec<Arc<Record>>>,
-    stream: Mutex<Option<mpsc::UnboundedReceiver<Sent>>>,
+    /// The newest stream.
+    brings: Mutex<Option<mpsc::UnboundedSender<Sent>>>,
+    /// The revision after which the newest stream begins.
+    followed: watch::Sender<Option<u64>>,
 }
 
 impl Journal for Elsewhere {
@@ -27,8 +30,10 @@ impl Journal for Elsewhere {
         Ok(Receipt::Awaited(ready(Ok(())).boxed()))
     }
 
-    fn follow(&self, _: Uid, _: u64) -> RecordStream {
-        let stream = self.stream.lock().take().expect("one loop");
+    fn follow(&self, _: Uid, after: u64) -> RecordStream {
+        let (brings, stream) = mpsc::unbounded_channel();
+        *self.brings.lock() = Some(brings);
+        self.followed.send_replace(Some(after));
         UnboundedReceiverStream::new(stream).boxed()
     }
 
@@ -55,17 +60,21 @@ impl Journal for Elsewhere {
 
 struct Server {
     journal: Arc<Elsewhere>,
-    brings: mpsc::UnboundedSender<Sent>,
     hosted: Arc<Hosted>,
     _registry: Registry,
 }
 
 impl Server {
     fn start() -> Self {
-        let (brings, stream) = mpsc::unbounded_channel();
+        Self::keeping(usize::MAX)
+    }
+
+    /// A server that keeps records of this many bytes.
+    fn keeping(window_bytes: usize) -> Self {
         let journal = Arc::new(Elsewhere {
             submitted: Mutex::default(),
-            stream: Mutex::new(Some(stream)),
+            brings: Mutex::default(),
+            followed: watch::Sender::default(),
         });
         let local = recorded(0);
         let log = Log {
@@ -73,11 +82,14 @@ impl Server {
             points: Arc::clone(&local) as Arc<dyn PointStore>,
             catalogue: local as Arc<dyn Catalogue>,
         };
-        let registry = Registry::new(log, RegistryOptions::default());
+        let options = RegistryOptions {
+            window_bytes,
+            ..RegistryOptions::default()
+        };
+        let registry = Registry::new(log, options);
         registry.replay().unwrap();
         Self {
             journal,
-            brings,
             hosted: registry.get("arm").unwrap(),
             _registry: registry,
         }
@@ -94,7 +106,21 @@ impl Server {
     }
 
     fn brings(&self, records: &[Arc<Record>]) {
-        self.brings.send(Ok(records.to_vec())).unwrap();
+        self.sends(Ok(records.to_vec()));
+    }
+
+    fn sends(&self, sent: Sent) {
+        let brings = self.journal.brings.lock().clone();
+        brings.expect("a loop").send(sent).unwrap();
+    }
+
+    /// Checks that the index stops because the journal has another record of this revision.
+    async fn is_replaced(&self, revision: u64) {
+        let stopped = timeout(SETTLE_TIME, self.hosted.reached(u64::MAX)).await;
+        let error = stopped.unwrap().err().unwrap();
+        let expected = LogError::replaced(self.hosted.uid(), revision);
+        assert_eq!(error.to_string(), RegistryError::Log(expected).to_string());
+        assert!(self.hosted.damage().is_some());
     }
 }
 
@@ -145,10 +171,37 @@ async fn another_record_in_the_place_of_an_acknowledged_one_is_damage() {
         };
         let before = own[..place].last().map_or(start, |last| last.tip());
         server.brings(&[&own[..place], &[others(before)]].concat());
-        let stopped = timeout(SETTLE_TIME, server.hosted.reached(u64::MAX)).await;
-        let error = stopped.unwrap().err().unwrap();
-        let expected = LogError::replaced(server.hosted.uid(), place as u64 + 1);
-        assert_eq!(error.to_string(), RegistryError::Log(expected).to_string());
-        assert!(server.hosted.damage().is_some());
+        server.is_replaced(place as u64 + 1).await;
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn it_is_damage_if_only_the_newest_record_is_cached() {
+    let server = Server::keeping(0);
+    for _ in 0..3 {
+        server.commit().await;
+    }
+    let own = server.journal.submitted.lock().clone();
+    server.brings(&[&own[..2], &[others(own[1].tip())]].concat());
+    server.is_replaced(3).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn applied_records_may_be_forgotten_before_the_journal_brings_them() {
+    let server = Server::start();
+    for _ in 0..3 {
+        server.commit().await;
+    }
+    let mut followed = server.journal.followed.subscribe();
+    server.sends(Err(LogError::Trimmed {
+        uid: server.hosted.uid(),
+        after: 0,
+        oldest: 2,
+    }));
+    let follows_again = followed.wait_for(|after| *after == Some(3));
+    timeout(SETTLE_TIME, follows_again).await.unwrap().unwrap();
+    let next = others(server.hosted.published().view.tip());
+    server.brings(slice::from_ref(&next));
+    server.hosted.reached(4).await.unwrap();
+    server.commit().await;
 }
