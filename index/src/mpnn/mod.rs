@@ -219,8 +219,7 @@ fn sliding_midpoint(
         .filter(|&axis| side(axis) >= longest)
         .max_by(|&a, &b| spread(a).total_cmp(&spread(b)))?;
 
-    let middle = lo[axis] + (hi[axis] - lo[axis]) / 2.0;
-    let cut = middle.clamp(least[axis], greatest[axis]);
+    let cut = f64::midpoint(lo[axis], hi[axis]).clamp(least[axis], greatest[axis]);
     let mut low_rows = 0;
     for at in 0..slots.len() {
         let x = points.row(slots[at] as usize)[axis];
