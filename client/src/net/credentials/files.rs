@@ -8,6 +8,7 @@ use std::{
 };
 
 use tokio_rustls::rustls::{
+    self,
     crypto::ring,
     pki_types::{CertificateDer, PrivateKeyDer, pem::PemObject},
     sign::CertifiedKey,
@@ -71,7 +72,8 @@ impl Credentials {
     /// [`Credentials::client_certificate`] from two files.
     ///
     /// # Errors
-    /// [`Error::Credential`]: a file cannot be read, has no certificate or no key, or the two do not fit.
+    /// [`Error::Credential`]: a file cannot be read, has no certificate or no key that can be used, or the two do not
+    /// fit.
     pub fn client_certificate_files(
         self,
         certificate: impl AsRef<Path>,
@@ -83,14 +85,19 @@ impl Credentials {
         let parsed = PrivateKeyDer::from_pem_slice(&secret)
             .map_err(|_| wrong_key("it has no private key in PEM".to_owned()))?;
         let certificates = certificates(CERTIFICATE, certificate, &chain)?;
-        CertifiedKey::from_der(certificates, parsed, &ring::default_provider()).map_err(
-            |error| {
-                wrong_key(format!(
-                    "it does not fit {}: {error}",
-                    certificate.display()
-                ))
-            },
-        )?;
+        let fit = CertifiedKey::from_der(certificates, parsed, &ring::default_provider());
+        fit.map_err(|error| match error {
+            rustls::Error::InconsistentKeys(_) => wrong_key(format!(
+                "it does not fit {}: {error}",
+                certificate.display()
+            )),
+            rustls::Error::InvalidCertificate(_) => wrong(
+                CERTIFICATE,
+                certificate,
+                format!("it cannot be used: {error}"),
+            ),
+            _ => wrong_key(format!("it cannot be used: {error}")),
+        })?;
         Ok(self.client_certificate(chain, secret))
     }
 

@@ -6,6 +6,20 @@ use wayfold_tests::{Process, ServerProcess};
 
 use super::{Authority, authority::wayfold};
 
+/// A certificate of X.509 version 1, which TLS libraries refuse. Made with OpenSSL 3.0: `openssl x509 -req` without
+/// extensions.
+const VERSION_1: &str = "-----BEGIN CERTIFICATE-----
+MIIBFjCBvQIUWyA3C1dWMxrLGAqUThK+iCS8BjQwCgYIKoZIzj0EAwIwDTELMAkG
+A1UEAwwCdjEwIBcNMjYxMTI2MDI1NTI0WhgPMjEyNjExMDIwMjU1MjRaMA0xCzAJ
+BgNVBAMMAnYxMFkwEwYHKoZIzj0CAQYIKoZIzj0DAQcDQgAE77qmFC3H18wX6bFJ
+o0ZiExPetVk7RTcv8b+H34HRgWI3Czh4rDck5UEdiiQo7lkCM1f9t3PnRyobUIdv
+EXiYtzAKBggqhkjOPQQDAgNIADBFAiBZ10/BnTj9UR/5QxB7J9s/AzSoBAXAxo14
+nrzq6jQyIgIhAJQ3/jgqu6eVxKJqu1oi68nXtR/l1Jg3vS6UJBvVe0Aq
+-----END CERTIFICATE-----\n";
+
+/// A private key in PEM whose bytes are no key.
+const EMPTY_KEY: &str = "-----BEGIN PRIVATE KEY-----\nAAAA\n-----END PRIVATE KEY-----\n";
+
 #[test]
 fn the_command_line_takes_certificates_and_tokens_and_says_what_is_wrong() {
     let directory = tempfile::tempdir().unwrap();
@@ -89,6 +103,12 @@ fn a_wrong_certificate_is_named_by_its_option_and_ends_the_command() {
         path(&other, "stranger", "key"),
     );
     let forged = path(&other, "ca", "pem");
+    let (version_1, empty_key) = (
+        path(&authority, "version_1", "pem"),
+        path(&authority, "empty", "key"),
+    );
+    fs::write(&version_1, VERSION_1).unwrap();
+    fs::write(&empty_key, EMPTY_KEY).unwrap();
     for (options, status, parts) in [
         (
             ["--ca", &token, "--cert", &cert, "--key", &key],
@@ -109,6 +129,16 @@ fn a_wrong_certificate_is_named_by_its_option_and_ends_the_command() {
             ["--ca", &ca, "--cert", &cert, "--key", &stranger],
             2,
             ["--key", &stranger, &cert],
+        ),
+        (
+            ["--ca", &ca, "--cert", &cert, "--key", &empty_key],
+            2,
+            ["--key", &empty_key, "cannot be used"],
+        ),
+        (
+            ["--ca", &ca, "--cert", &version_1, "--key", &key],
+            2,
+            ["--cert", &version_1, "UnsupportedCertVersion"],
         ),
         (
             ["--ca", &forged, "--cert", &cert, "--key", &key],
