@@ -265,6 +265,20 @@ impl Error {
         }
     }
 
+    /// A connection that the server ended with a TLS alert is a failed handshake: under TLS 1.3 the alert that refuses
+    /// the client's certificate, or the lack of one, arrives at the first call.
+    pub(crate) fn or_handshake(self) -> Error {
+        match self {
+            Error::Connection { uri, source, .. }
+                if root_cause(&*source).starts_with(RECEIVED_ALERT) =>
+            {
+                let problem = root_cause(&*source);
+                Error::Handshake { uri, problem }
+            }
+            other => other,
+        }
+    }
+
     /// True if the same call may succeed a little later.
     pub(crate) fn is_transient(&self) -> bool {
         let is_unavailable = matches!(self, Error::Connection { .. } | Error::Refused(_))
@@ -284,6 +298,10 @@ impl Error {
 /// The text of `tonic::TimeoutExpired`. A status keeps nothing else of that error.
 #[cfg(feature = "net")]
 const TIMEOUT_EXPIRED: &str = "Timeout expired";
+
+/// The beginning of the text of `rustls::Error::AlertReceived`. HTTP/2 keeps nothing else of that error.
+#[cfg(feature = "net")]
+const RECEIVED_ALERT: &str = "received fatal alert: ";
 
 fn earlier_attempt(earlier: Option<&Error>) -> String {
     let text = earlier.map(|error| format!("; the try before: {error}"));

@@ -316,7 +316,11 @@ impl Client {
                 };
                 self.connections
                     .failed(&connection, &error, began.elapsed());
-                Err(error)
+                Err(match self.connections.are_several() {
+                    // Another server may accept the certificate.
+                    true => error,
+                    false => error.or_handshake(),
+                })
             }
         };
         let answer = self.settings.retry.run(deadline, attempt).await;

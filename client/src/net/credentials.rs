@@ -73,6 +73,10 @@ impl Credentials {
         self.ca.is_some() || self.identity.is_some()
     }
 
+    pub(crate) fn has_client_certificate(&self) -> bool {
+        self.identity.is_some()
+    }
+
     pub(crate) fn tls(&self) -> Option<ClientTlsConfig> {
         let ca = Certificate::from_pem(self.ca.as_ref()?);
         let tls = ClientTlsConfig::new().ca_certificate(ca);

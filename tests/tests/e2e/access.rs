@@ -2,6 +2,7 @@
 
 pub(crate) mod authority;
 mod command_line;
+mod handshakes;
 mod over_zenoh;
 mod pages;
 mod passwords;

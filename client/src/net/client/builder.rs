@@ -1,9 +1,13 @@
 //! The settings of a connection, and the attempts to make it.
 
-use std::{sync::Arc, time::Duration};
+use std::{error::Error as Cause, iter, sync::Arc, time::Duration};
 
 use tokio::time::{Instant, timeout_at};
-use tonic::transport::{Channel, Endpoint};
+use tonic::{
+    ConnectError, Status,
+    transport::{Channel, Endpoint},
+};
+use tonic_health::pb::{HealthCheckRequest, health_client::HealthClient};
 
 use super::Client;
 use crate::{
@@ -142,19 +146,15 @@ impl ClientBuilder {
     ) -> Result<(usize, Channel), Error> {
         let mut failures = Vec::new();
         for (number, (server, endpoint)) in endpoints.iter().enumerate() {
-            let connected = timeout_at(deadline, endpoint.connect()).await;
+            let longest = endpoint.get_connect_timeout().unwrap_or(self.timeout);
+            let until = deadline.min(Instant::now() + longest);
+            let connected = timeout_at(until, self.connect_to(server, endpoint)).await;
             let why = match connected {
                 Ok(Ok(channel)) => return Ok((number, channel)),
-                Ok(Err(error)) if endpoints.len() == 1 => {
-                    return Err(match failed_handshake(&error) {
-                        true => Error::Handshake {
-                            uri: uri.to_owned(),
-                            problem: root_cause(&error),
-                        },
-                        false => unreachable(uri, Box::new(error)),
-                    });
+                Ok(Err(error)) if endpoints.len() == 1 => return Err(error),
+                Err(_) if failures.is_empty() && until == deadline => {
+                    return Err(Error::timeout(CALL, self.timeout));
                 }
-                Err(_) if failures.is_empty() => return Err(Error::timeout(CALL, self.timeout)),
                 Ok(Err(error)) => root_cause(&error),
                 Err(_) => "no answer in time".to_owned(),
             };
@@ -162,18 +162,61 @@ impl ClientBuilder {
         }
         Err(unreachable(uri, failures.join("; ").into()))
     }
+
+    /// Connects to one server. Under TLS 1.3 a server refuses the client's certificate after the handshake has succeeded
+    /// for the client, so a client with a certificate waits for a first answer too.
+    async fn connect_to(&self, uri: &str, endpoint: &Endpoint) -> Result<Channel, Error> {
+        let has_certificate = self.credentials.has_client_certificate();
+        let connect = async {
+            let channel = endpoint.connect().await?;
+            if has_certificate {
+                first_answer(channel.clone()).await?;
+            }
+            Ok(channel)
+        };
+        let connected = connect.await;
+        connected.map_err(|error: Box<dyn Cause + Send + Sync>| {
+            let mut problem = root_cause(&*error);
+            // Any failure before the end of the handshake, also of a reconnect, is a `ConnectError`.
+            let has_tls = !causes(&*error).any(|cause| cause.is::<ConnectError>());
+            if has_certificate && has_tls {
+                problem.push_str("; the server may have refused the client's certificate");
+            } else if !failed_handshake(&*error) {
+                return unreachable(uri, error);
+            }
+            Error::Handshake {
+                uri: uri.to_owned(),
+                problem,
+            }
+        })
+    }
+}
+
+/// Waits until the server answers a call, which may also be a refusal.
+async fn first_answer(channel: Channel) -> Result<(), Status> {
+    let mut stub = HealthClient::new(channel);
+    match stub.check(HealthCheckRequest::default()).await {
+        // The status of an answer has no source.
+        Err(status) if status.source().is_some() => Err(status),
+        _ => Ok(()),
+    }
 }
 
 const CALL: &str = "connect";
 
 /// True if TLS refused what the server sent: rustls reports nothing else as invalid data.
-fn failed_handshake(error: &(dyn std::error::Error + 'static)) -> bool {
-    std::iter::successors(Some(error), |error| error.source())
+fn failed_handshake(error: &(dyn Cause + 'static)) -> bool {
+    causes(error)
         .filter_map(|error| error.downcast_ref::<std::io::Error>())
         .any(|error| error.kind() == std::io::ErrorKind::InvalidData)
 }
 
-fn unreachable(uri: &str, source: Box<dyn std::error::Error + Send + Sync>) -> Error {
+/// The error, then its source, and so on.
+fn causes<'e>(error: &'e (dyn Cause + 'static)) -> impl Iterator<Item = &'e (dyn Cause + 'static)> {
+    iter::successors(Some(error), |&error| error.source())
+}
+
+fn unreachable(uri: &str, source: Box<dyn Cause + Send + Sync>) -> Error {
     Error::Connection {
         call: CALL,
         uri: uri.to_owned(),

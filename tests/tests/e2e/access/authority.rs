@@ -31,9 +31,25 @@ impl Authority {
 
     /// Certifies a name, for 127.0.0.1 too: writes NAME.pem and NAME.key, each whole or not at all.
     pub(crate) fn certify(&self, name: &str) -> CertificateDer<'static> {
+        self.certify_with(name, |_| {})
+    }
+
+    /// Acts like [`Authority::certify`]; the certificate expired in 2001.
+    pub(crate) fn certify_expired(&self, name: &str) {
+        self.certify_with(name, |params| {
+            params.not_after = rcgen::date_time_ymd(2001, 1, 1)
+        });
+    }
+
+    fn certify_with(
+        &self,
+        name: &str,
+        change: impl FnOnce(&mut CertificateParams),
+    ) -> CertificateDer<'static> {
         let names = [name.to_owned(), "127.0.0.1".to_owned()];
         let mut params = CertificateParams::new(names).unwrap();
         params.distinguished_name.push(DnType::CommonName, name);
+        change(&mut params);
         let key = KeyPair::generate().unwrap();
         let certificate = params.signed_by(&key, &self.issuer).unwrap();
         for (end, pem) in [("key", key.serialize_pem()), ("pem", certificate.pem())] {

@@ -103,6 +103,12 @@ fn a_wrong_certificate_is_named_by_its_option_and_ends_the_command() {
         path(&other, "stranger", "key"),
     );
     let forged = path(&other, "ca", "pem");
+    authority.certify_expired("expired");
+    let (expired, expired_key) = (
+        path(&authority, "expired", "pem"),
+        path(&authority, "expired", "key"),
+    );
+    let strangers = path(&other, "stranger", "pem");
     let (version_1, empty_key) = (
         path(&authority, "version_1", "pem"),
         path(&authority, "empty", "key"),
@@ -144,6 +150,16 @@ fn a_wrong_certificate_is_named_by_its_option_and_ends_the_command() {
             ["--ca", &forged, "--cert", &cert, "--key", &key],
             3,
             ["handshake", "invalid peer certificate", "--ca"],
+        ),
+        (
+            ["--ca", &ca, "--cert", &expired, "--key", &expired_key],
+            3,
+            ["handshake", "refused the client's certificate", "--cert"],
+        ),
+        (
+            ["--ca", &ca, "--cert", &strangers, "--key", &stranger],
+            3,
+            ["handshake", "refused the client's certificate", "--cert"],
         ),
     ] {
         // A retry would take this long.
