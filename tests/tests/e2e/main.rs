@@ -20,6 +20,7 @@ mod idle_memory;
 mod journal_loss;
 #[cfg(target_os = "linux")]
 mod little_memory;
+mod load;
 mod metrics;
 mod no_missed_edge;
 mod origins;

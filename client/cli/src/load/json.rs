@@ -21,7 +21,7 @@ The JSON object:
   interrupted: true if a signal ended the run
   server_version, durability: of the server; null unless the face is grpc
   machine: the machine of the callers
-  points: before, filled, inserted, removed, after: numbers of points;
+  points: before, filled, inserted, removed, after: numbers of points, after null if unknown;
     unsent: writes that a shared index had answered and the server did not take;
     flush_s: seconds until the server had acknowledged all writes
   warmup: calls, answered, failed, elapsed_s before the measurement; null without one

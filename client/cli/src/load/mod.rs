@@ -129,7 +129,7 @@ pub(crate) async fn load(
         tag: run::fresh_tag(),
     };
     let report = args.report.as_deref().map(ReportFile::open).transpose()?;
-    let outcome = run_until_signal(plan).await?;
+    let (outcome, cleaned) = run_until_signal(plan).await?;
     let report = report.map(|report| report.write(&report::page(&outcome)));
     match output.format {
         Format::Json => output.json(&json::object(&outcome))?,
@@ -139,11 +139,11 @@ pub(crate) async fn load(
     if let (Some(path), Format::Text) = (report.transpose()?, output.format) {
         output.text(format_args!("the report is in {}", path.display()))?;
     }
-    complete(&outcome)
+    cleaned.and_then(|()| complete(&outcome))
 }
 
 /// Runs a plan on a thread of its own. The first signal ends the run, the second also the removal of its points.
-async fn run_until_signal(plan: Plan) -> Result<Outcome, Failure> {
+async fn run_until_signal(plan: Plan) -> Result<(Outcome, Result<(), Failure>), Failure> {
     let interrupted = interrupt::listen().map_err(Failure::Runtime)?;
     let (stop, stopped) = watch::channel(false);
     let (send, mut done) = oneshot::channel();

@@ -130,7 +130,8 @@ pub(super) struct PointCounts {
     /// The writes that the server did not take although the shared index had answered them.
     pub(super) unsent: u64,
     pub(super) removed: u64,
-    pub(super) after: u64,
+    /// None if the server did not tell.
+    pub(super) after: Option<u64>,
     /// True if the points of the run stay.
     pub(super) are_kept: bool,
 }

@@ -47,12 +47,12 @@ pub(super) fn fresh_tag() -> u64 {
     RandomState::new().hash_one("wayfold load")
 }
 
-/// Runs a plan on this thread until its end, or until `stopped`.
+/// Runs a plan on this thread until its end, or until `stopped`. Returns its outcome, and whether its points are removed.
 pub(super) fn run(
     plan: Plan,
     stopped: watch::Receiver<bool>,
     line: &ProgressBar,
-) -> Result<Outcome, Failure> {
+) -> Result<(Outcome, Result<(), Failure>), Failure> {
     let mut first = target::open(&plan.address, &plan.index, plan.timeout)?;
     let space = first.space();
     let before = first.point_count()?;
@@ -88,15 +88,12 @@ pub(super) fn run(
     line.set_message("settling");
     drop(first);
     let cleaned = clean(&plan, &mut outcome.points);
-    // Points that are left behind matter more than the reason for which the run ended.
-    if outcome.points.filled + outcome.points.inserted > 0 {
+    if let Err(failure) = measured {
+        // Points that are left behind matter more than the reason for which the run ended.
         cleaned?;
-        measured?;
-    } else {
-        measured?;
-        cleaned?;
+        return Err(failure);
     }
-    Ok(outcome)
+    Ok((outcome, cleaned))
 }
 
 /// Stores points before the run, and returns their number.
@@ -330,25 +327,27 @@ impl Runner<'_> {
     }
 }
 
-/// Removes the points of the run, unless they are to stay, and counts what the index holds then.
+/// Removes the points of the run, unless they are to stay, and counts what the index holds then. A count that cannot be had
+/// is left out.
 fn clean(plan: &Plan, points: &mut PointCounts) -> Result<(), Failure> {
+    let stores = plan.phases.iter().any(|phase| phase.mix.has(Verb::Insert));
+    let removes = !plan.keep && (stores || points.filled > 0);
     // A shared index of its own reads what all others wrote.
     let mut clean = || {
         let mut target = target::open(&plan.address, &plan.index, plan.timeout)?;
-        let stores = plan.phases.iter().any(|phase| phase.mix.has(Verb::Insert));
-        if !plan.keep && (stores || points.filled > 0) {
+        if removes {
             points.removed = target.remove_tagged(plan.tag)?;
         }
-        points.after = target.point_count()?;
+        points.after = target.point_count().ok();
         target.settle();
         Ok(())
     };
-    clean().map_err(|failure: Failure| match plan.keep {
-        true => failure,
-        false => Failure::Load(LoadError::Left {
+    match clean() {
+        Err(failure) if removes => Err(Failure::Load(LoadError::Left {
             index: plan.index.clone(),
             tag: plan.tag,
-            problem: failure.to_string(),
-        }),
-    })
+            problem: Failure::to_string(&failure),
+        })),
+        _ => Ok(()),
+    }
 }

@@ -173,12 +173,12 @@ fn print_points(outcome: &Outcome, output: &mut Output) -> io::Result<()> {
         false => format!("{} removed", count(removed)),
     };
     output.text(format_args!(
-        "points: {} before, {filled}{} inserted, {end}, {} now",
+        "points: {} before, {filled}{} inserted, {end}{}",
         count(before),
         count(inserted),
-        count(after)
+        after.map_or(String::new(), |after| format!(", {} now", count(after)))
     ))?;
-    if are_kept && after > before {
+    if are_kept && after.is_none_or(|after| after > before) {
         let (index, tag) = (&outcome.index, outcome.tag);
         output.text(format_args!(
             "`wayfold scan {index} --tag {tag:#x}` lists those of this run"

@@ -163,11 +163,14 @@ fn run(outcome: &Outcome) -> Vec<(&'static str, String)> {
         (
             "Points",
             format!(
-                "{} before, {} stored first, {} inserted, {end}, {} now",
+                "{} before, {} stored first, {} inserted, {end}{}",
                 HumanCount(points.before),
                 HumanCount(points.filled),
                 HumanCount(points.inserted),
-                HumanCount(points.after)
+                points.after.map_or(String::new(), |after| format!(
+                    ", {} now",
+                    HumanCount(after)
+                ))
             ),
         ),
         ("Seed", outcome.seed.to_string()),
