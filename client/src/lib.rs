@@ -80,5 +80,6 @@ pub use search::{Radius, ScaledRadius};
 pub use state::{FromState, State};
 
 pub use wayfold_index::{
-    Factor, Group, Neighbor, Scaling, Seen, Space, SpaceError, StateError, StateProblem, Term,
+    Factor, Group, Neighbor, ReadRevision, Scaling, Space, SpaceError, StateError, StateProblem,
+    Term,
 };

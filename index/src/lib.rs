@@ -57,7 +57,9 @@ pub use kdtree::{KdTree, TreeReport};
 pub use lanes::Kernels;
 pub use linear::Linear;
 pub use mpnn::Mpnn;
-pub use nearest_neighbors::{Changes, NearestNeighbors, NewPoint, Question, ScannedPoints, Seen};
+pub use nearest_neighbors::{
+    Changes, NearestNeighbors, NewPoint, Question, ReadRevision, ScannedPoints,
+};
 pub use neighbor::Neighbor;
 pub use overlay::{Known, Overlay, search_overlaid};
 pub use points::{Point, PointRef, Points};

@@ -4,10 +4,10 @@ use std::fmt;
 
 use crate::{Neighbor, Point, Points, Scaling, Search, Space};
 
-/// Marks what an answer has seen of an index, in the order in which changes became visible to the one that answered.
-/// It means something only to the index that gave it.
+/// The revision of an index that an answer read: it counts the changes in the order in which they became visible to the
+/// one that answered. It means something only to the index that gave it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Seen(pub u64);
+pub struct ReadRevision(pub u64);
 
 /// One point to store.
 #[derive(Clone, Copy, Debug)]
@@ -25,7 +25,7 @@ pub struct NewPoint<'a> {
 /// A search and the factors that its number of neighbours and its radius depend on.
 #[derive(Clone, Copy, Debug)]
 pub struct Question<'a> {
-    /// The search. Its filter's revision is that of a [`Seen`].
+    /// The search. Its filter's revision is that of a [`ReadRevision`].
     pub search: Search<'a>,
     /// The factors, if `k` or the radius depends on the number of points.
     pub scaling: Scaling,
@@ -42,15 +42,15 @@ impl<'a> Question<'a> {
     }
 }
 
-/// Everything that changed after some [`Seen`].
+/// Everything that changed after some [`ReadRevision`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Changes {
     /// The points that were stored, and those whose tags or payloads changed, as they are now.
     pub stored: Points,
     /// The ids of the points that were removed and are not stored now.
     pub removed: Vec<u64>,
-    /// The mark after these changes.
-    pub seen: Seen,
+    /// The revision after these changes.
+    pub read_revision: ReadRevision,
 }
 
 /// A dynamic set of points of one space, which any number of threads search and change.
@@ -89,7 +89,7 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
         row: &[f64],
         question: &Question<'_>,
         found: &mut Vec<Neighbor>,
-    ) -> Result<Seen, Self::Error>;
+    ) -> Result<ReadRevision, Self::Error>;
 
     /// Finds the neighbours of many rows, which stand one after the other: an answer each. There is one question for all
     /// rows, or one for each.
@@ -112,7 +112,7 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
         point: &NewPoint<'_>,
         question: Option<&Question<'_>>,
         found: &mut Vec<Neighbor>,
-    ) -> Result<(u64, Seen), Self::Error>;
+    ) -> Result<(u64, ReadRevision), Self::Error>;
 
     /// Stores many points with ids that the index assigns, one above the other in the order of the rows, which stand
     /// one after the other. Returns the ids.
@@ -171,11 +171,11 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
     /// The index cannot be read.
     fn scan(&self) -> Result<ScannedPoints<Self::Error>, Self::Error>;
 
-    /// Everything that changed after `seen`; None if the index no longer knows.
+    /// Everything that changed after `since`; None if the index no longer knows.
     ///
     /// # Errors
     /// The index cannot be read.
-    fn changes(&self, seen: Seen) -> Result<Option<Changes>, Self::Error>;
+    fn changes(&self, since: ReadRevision) -> Result<Option<Changes>, Self::Error>;
 
     /// Forgets all points; ids stay used.
     ///

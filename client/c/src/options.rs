@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use client::{ScaledRadius, Search, Seen};
+use client::{ReadRevision, ScaledRadius, Search};
 
 /// A search. Begin with `wayfold_search_default()`, which finds all points.
 #[repr(C)]
@@ -20,7 +20,7 @@ pub struct WayfoldSearch {
     pub tag_mask: u64,
     /// See tag_mask.
     pub tag_value: u64,
-    /// Only points that an earlier answer, which has seen this much, could not find.
+    /// Only points that an earlier answer, which read this revision, could not find.
     pub since: u64,
     /// Answers may be farther than the true ones by a factor of 1 + epsilon; 0 is exact.
     pub epsilon: f64,
@@ -60,7 +60,7 @@ impl WayfoldSearch {
         }
         search = search
             .tag(self.tag_mask, self.tag_value)
-            .since(Seen(self.since))
+            .since(ReadRevision(self.since))
             .epsilon(self.epsilon);
         match self.timeout_ms {
             0 => search,

@@ -65,13 +65,13 @@ int main(void) {
     // A row without room gets the nearest.
     search.k = 0;
     search.radius = 10;
-    uint64_t mark = 0, later = 0;
-    CHECK(wayfold_index_search(index, states, 1, 3, &search, 2, near, distances, found, &mark) == WAYFOLD_CODE_OK);
+    uint64_t revision = 0, later = 0;
+    CHECK(wayfold_index_search(index, states, 1, 3, &search, 2, near, distances, found, &revision) == WAYFOLD_CODE_OK);
     CHECK(found[0] == 10 && near[1] == ids[1]);
-    // Only the search of one state has a mark.
-    CHECK(wayfold_index_search(index, states, 2, 3, &search, 2, near, distances, found, &mark) ==
+    // Only the search of one state has a revision.
+    CHECK(wayfold_index_search(index, states, 2, 3, &search, 2, near, distances, found, &revision) ==
           WAYFOLD_CODE_INVALID_ARGUMENT);
-    CHECK(strcmp(wayfold_error_field(), "seen") == 0);
+    CHECK(strcmp(wayfold_error_field(), "read_revision") == 0);
     // A factor of 0 is a factor: the nearest one, and the radius 0. A negative one is none.
     search = wayfold_search_default();
     search.k_factor = 0;
@@ -112,10 +112,10 @@ int main(void) {
     search.k = 1;
     CHECK(wayfold_index_insert_with(index, states, 3, &point, &id, &search, 4, near, distances, found, &later) ==
           WAYFOLD_CODE_OK);
-    CHECK(id == 1000 && found[0] == 1 && near[0] == ids[1] && later > mark);
+    CHECK(id == 1000 && found[0] == 1 && near[0] == ids[1] && later > revision);
     // What the first search could not see: the moved point and the new one.
     search.k = 0;
-    search.since = mark;
+    search.since = revision;
     CHECK(wayfold_index_search(index, states, 1, 3, &search, 4, near, NULL, found, NULL) == WAYFOLD_CODE_OK);
     CHECK(found[0] == 2 && near[0] == ids[1] && near[1] == 1000);
     search.since = later;
@@ -151,11 +151,11 @@ int main(void) {
     CHECK(wayfold_index_changes(index, 0, &points) == WAYFOLD_CODE_OK && points != NULL);
     size_t removed = 0;
     CHECK(wayfold_points_removed(points, &removed)[0] == ids[0] && removed == 1);
-    const uint64_t seen = wayfold_points_seen(points);
+    const uint64_t read_revision = wayfold_points_read_revision(points);
     wayfold_points_free(points);
-    // The mark of now, without points.
+    // The revision of now, without points.
     CHECK(wayfold_index_changes(index, UINT64_MAX, &points) == WAYFOLD_CODE_OK && points != NULL);
-    CHECK(wayfold_points_seen(points) == seen && wayfold_points_count(points) == 0);
+    CHECK(wayfold_points_read_revision(points) == read_revision && wayfold_points_count(points) == 0);
     wayfold_points_free(points);
     // In memory an insert sees all: no answers are to come.
     wayfold_answers *answers = NULL;

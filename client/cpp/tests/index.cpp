@@ -55,16 +55,16 @@ int main() {
     CHECK(index.search(pose(), wayfold::Search::k(3).tag(~0ULL, 5)).size() == 1);
     const auto changes = index.changes(0);
     CHECK(changes && changes->stored.size() == 2001);
-    CHECK(index.remove(id) && !index.remove(id) && index.changes(changes->seen)->removed.size() == 1);
+    CHECK(index.remove(id) && !index.remove(id) && index.changes(changes->read_revision)->removed.size() == 1);
     CHECK(index.scan().size() == 2000);
 
     // A later search finds only the points that an earlier search or insert has not seen.
-    std::uint64_t seen = 0, later = 0;
-    CHECK(index.search(pose(), wayfold::Search::k(1), &seen).size() == 1);
+    std::uint64_t read_revision = 0, later = 0;
+    CHECK(index.search(pose(), wayfold::Search::k(1), &read_revision).size() == 1);
     std::vector<std::uint64_t> near;
     const auto row = pose();
     const auto fresh = index.insert(row.data(), 0, "", wayfold::Search::k(1), 1, near, &later);
-    const auto since = index.search(row, wayfold::Search::within(100).since(seen));
+    const auto since = index.search(row, wayfold::Search::within(100).since(read_revision));
     CHECK(since.size() == 1 && since[0].id == fresh && near.size() == 1 && near[0] != fresh);
     CHECK(index.search(row, wayfold::Search::within(100).since(later)).empty() && index.remove(fresh));
     CHECK(index.search(row, wayfold::Search::k(2).timeout(60000)) == index.nearest_k(row, 2));

@@ -144,11 +144,11 @@ int main(int count, char **arguments) {
     CHECK(rest.size() == 1 && rest[0].id == own + 1000);
     CHECK(other_session.status()->name == WAYFOLD_STATUS_CLOSED && remote.remove(id));
 
-    // A remote answer has a mark too.
-    std::uint64_t seen = 0;
-    CHECK(!remote.search({0, 0, 0}, wayfold::Search::k(1), &seen).empty());
+    // A remote answer has a revision too.
+    std::uint64_t read_revision = 0;
+    CHECK(!remote.search({0, 0, 0}, wayfold::Search::k(1), &read_revision).empty());
     const auto fresh = remote.insert({0, 0, 0});
-    const auto since = remote.search({0, 0, 0}, wayfold::Search::within(100).since(seen).timeout(60000));
+    const auto since = remote.search({0, 0, 0}, wayfold::Search::within(100).since(read_revision).timeout(60000));
     CHECK(since.size() == 1 && since[0].id == fresh);
     remote.remove_all();
     CHECK(remote.empty());

@@ -25,7 +25,7 @@ const std::string space = "sum(R2, SO2:0.5)";
 // Inserts, removals, searches and errors of one index, on four threads.
 void one_index(const wayfold::Index &index) {
     constexpr unsigned int rounds = 300;
-    const std::uint64_t before = index.changes(~0ULL)->seen;
+    const std::uint64_t before = index.changes(~0ULL)->read_revision;
     std::vector<std::thread> threads;
     std::atomic<std::size_t> removed{0};
     for (unsigned int number = 0; number < 4; number++) {

@@ -81,17 +81,17 @@ inline std::vector<std::uint64_t> edges_of(std::uint64_t id, const std::string &
     return ids;
 }
 
-// The changes since a mark; all points without one, or if the index has forgotten some of the changes. `known` are the ids
-// that the caller has, as the keys of a map.
+// The changes since a revision; all points without one, or if the index has forgotten some of the changes. `known` are
+// the ids that the caller has, as the keys of a map.
 template <class Known>
-Changes changes_after(const Index &index, const std::optional<std::uint64_t> &seen, const Known &known) {
-    std::optional<Changes> changes = seen ? index.changes(*seen) : std::nullopt;
+Changes changes_after(const Index &index, const std::optional<std::uint64_t> &since, const Known &known) {
+    std::optional<Changes> changes = since ? index.changes(*since) : std::nullopt;
     if (changes) {
         return std::move(*changes);
     }
-    // The mark comes first: what changes during the scan is read again.
-    const std::optional<Changes> mark = index.changes(~std::uint64_t{0});
-    Changes all{index.scan(), {}, mark ? mark->seen : 0};
+    // The revision comes first: what changes during the scan is read again.
+    const std::optional<Changes> newest = index.changes(~std::uint64_t{0});
+    Changes all{index.scan(), {}, newest ? newest->read_revision : 0};
     std::unordered_set<std::uint64_t> stored;
     for (const StoredPoint &point : all.stored) {
         stored.insert(point.id);

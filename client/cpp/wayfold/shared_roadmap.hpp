@@ -41,7 +41,7 @@ protected:
         search_.reset();
         offered_.reset();
         known_edges_ = 0;
-        seen_ = 0;
+        read_revision_ = 0;
         is_loaded_ = false;
     }
 
@@ -210,7 +210,7 @@ private:
     }
 
     void find_changes() {
-        Changes changes = changes_after(index_, is_loaded_ ? std::optional(seen_) : std::nullopt, vertices_);
+        Changes changes = changes_after(index_, is_loaded_ ? std::optional(read_revision_) : std::nullopt, vertices_);
         for (const std::uint64_t id : changes.removed) {
             if (vertices_.count(id) > 0) {
                 throw ompl::Exception(getName(), "vertex " + std::to_string(id) + " was removed from the index; clear "
@@ -225,7 +225,7 @@ private:
                 arriving_.push_back(std::move(point));
             }
         }
-        seen_ = changes.seen;
+        read_revision_ = changes.read_revision;
     }
 
     // Refuses a vertex that another program has moved: its edges were checked where it was. Functions of the caller that
@@ -319,8 +319,8 @@ private:
     }
 
     std::unordered_map<std::uint64_t, Vertex> query_vertices_;
-    // Changes up to this mark are in the graph, or among those that arrive.
-    std::uint64_t seen_{0};
+    // Changes up to this revision are in the graph, or among those that arrive.
+    std::uint64_t read_revision_{0};
     bool is_loaded_{false};
     std::vector<StoredPoint> arriving_;
     // The last search of the strategy, its vertex, and the ids that it found.

@@ -58,7 +58,7 @@ struct StoredPoint {
 struct Changes {
     std::vector<StoredPoint> stored;
     std::vector<std::uint64_t> removed;
-    std::uint64_t seen;
+    std::uint64_t read_revision;
 };
 
 // An own point's place in the order of a shared index, and the neighbours before it that its insert could not see.
@@ -184,8 +184,8 @@ public:
         raw_.tag_value = value;
         return *this;
     }
-    Search &since(std::uint64_t seen) {
-        raw_.since = seen;
+    Search &since(std::uint64_t revision) {
+        raw_.since = revision;
         return *this;
     }
     Search &epsilon(double epsilon) {

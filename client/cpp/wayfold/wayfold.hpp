@@ -131,12 +131,12 @@ public:
                                                 nullptr, nullptr, nullptr));
         return id;
     }
-    // Writes the neighbours that the state had at its insertion, nearest first, at most `capacity`, and the mark of the
-    // insertion for `Search::since`, unless `seen` is null; returns the id. `meanwhile` tells later of the points
-    // that others stored before the state and that the copy of a shared index did not have yet.
+    // Writes the neighbours that the state had at its insertion, nearest first, at most `capacity`, and the revision of
+    // the insertion for `Search::since`, unless `read_revision` is null; returns the id. `meanwhile` tells later of the
+    // points that others stored before the state and that the copy of a shared index did not have yet.
     std::uint64_t insert(const double *state, std::uint64_t tag, const std::string &payload, const Search &search,
                          std::size_t capacity, std::vector<std::uint64_t> &neighbors,
-                         std::uint64_t *seen = nullptr) const {
+                         std::uint64_t *read_revision = nullptr) const {
         wayfold_point point = wayfold_point_default();
         point.tag = tag;
         point.payload = reinterpret_cast<const std::uint8_t *>(payload.data());
@@ -145,7 +145,7 @@ public:
         std::size_t found = 0;
         neighbors.resize(capacity);
         detail::check(wayfold_index_insert_with(raw(), state, width_, &point, &id, &search.raw(), capacity,
-                                                neighbors.data(), nullptr, &found, seen));
+                                                neighbors.data(), nullptr, &found, read_revision));
         neighbors.resize(std::min(found, capacity));
         return id;
     }
@@ -220,13 +220,13 @@ public:
     std::vector<Neighbor> nearest_r(const std::vector<double> &state, double radius) const {
         return search(state, Search::within(radius));
     }
-    // Writes the mark of the answer, for `Search::since`, unless `seen` is null.
+    // Writes the revision that the answer read, for `Search::since`, unless `read_revision` is null.
     std::vector<Neighbor> search(const std::vector<double> &state, const Search &search,
-                                 std::uint64_t *seen = nullptr) const {
+                                 std::uint64_t *read_revision = nullptr) const {
         check_width(state);
         std::vector<std::uint64_t> ids;
         std::vector<double> distances;
-        const std::size_t found = search_into(state.data(), search, ids, &distances, seen);
+        const std::size_t found = search_into(state.data(), search, ids, &distances, read_revision);
         std::vector<Neighbor> neighbors(found);
         for (std::size_t at = 0; at < found; at++) {
             neighbors[at] = {ids[at], distances[at]};
@@ -234,9 +234,9 @@ public:
         return neighbors;
     }
     // Writes the neighbours into the caller's buffers, which grow and never shrink, and returns their number.
-    // `distances` and `seen` may be null.
+    // `distances` and `read_revision` may be null.
     std::size_t search_into(const double *state, const Search &search, std::vector<std::uint64_t> &ids,
-                            std::vector<double> *distances = nullptr, std::uint64_t *seen = nullptr) const {
+                            std::vector<double> *distances = nullptr, std::uint64_t *read_revision = nullptr) const {
         std::size_t capacity = std::max<std::size_t>({ids.size(), 16});
         if (search.raw().k > capacity) {
             capacity = std::min<std::size_t>(search.raw().k, std::max<std::size_t>(size(), 16));
@@ -248,7 +248,8 @@ public:
             }
             std::size_t found = 0;
             detail::check(wayfold_index_search(raw(), state, 1, width_, &search.raw(), ids.size(), ids.data(),
-                                               distances == nullptr ? nullptr : distances->data(), &found, seen));
+                                               distances == nullptr ? nullptr : distances->data(), &found,
+                                               read_revision));
             if (found <= ids.size()) {
                 return found;
             }
@@ -302,10 +303,11 @@ public:
         detail::check(wayfold_index_scan(raw(), &points));
         return read(points).stored;
     }
-    // Nothing if the index has forgotten some of the changes: scan it then. `UINT64_MAX` reads only the mark of now.
-    std::optional<Changes> changes(std::uint64_t seen) const {
+    // Nothing if the index has forgotten some of the changes: scan it then. `UINT64_MAX` reads only the revision of
+    // now.
+    std::optional<Changes> changes(std::uint64_t since) const {
         wayfold_points *points = nullptr;
-        detail::check(wayfold_index_changes(raw(), seen, &points));
+        detail::check(wayfold_index_changes(raw(), since, &points));
         return points == nullptr ? std::nullopt : std::optional<Changes>(read(points));
     }
 
@@ -338,7 +340,7 @@ private:
 
     Changes read(wayfold_points *raw_points) const {
         const std::unique_ptr<wayfold_points, void (*)(wayfold_points *)> points(raw_points, wayfold_points_free);
-        Changes changes{{}, {}, wayfold_points_seen(raw_points)};
+        Changes changes{{}, {}, wayfold_points_read_revision(raw_points)};
         const std::size_t count = wayfold_points_count(raw_points);
         const std::uint64_t *ids = wayfold_points_ids(raw_points);
         const std::uint64_t *tags = wayfold_points_tags(raw_points);

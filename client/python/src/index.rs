@@ -127,7 +127,7 @@ impl Index {
         let found = &inserted.found;
         Ok(InsertedPoint {
             id: inserted.id,
-            found: Py::new(py, Found::of(py, &found.neighbors, found.seen.0))?,
+            found: Py::new(py, Found::of(py, &found.neighbors, found.read_revision.0))?,
         })
     }
 
@@ -221,9 +221,9 @@ impl Index {
         Ok(StoredPoints::of(points, self.index.space().coordinates()))
     }
 
-    /// Everything that changed after an answer that has seen this much; None if the index has forgotten some of it.
-    fn changes(&self, py: Python<'_>, seen: u64) -> PyResult<Option<Changes>> {
-        let changes = self.call(py, |index| index.changes(wayfold::Seen(seen)))?;
+    /// Everything that changed after the revision that an earlier answer read; None if the index has forgotten some of it.
+    fn changes(&self, py: Python<'_>, since: u64) -> PyResult<Option<Changes>> {
+        let changes = self.call(py, |index| index.changes(wayfold::ReadRevision(since)))?;
         changes.map(|changes| Changes::of(py, changes)).transpose()
     }
 

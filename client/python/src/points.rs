@@ -37,18 +37,18 @@ impl From<wayfold::Neighbor> for Neighbor {
 pub(crate) struct Found {
     ids: Py<PyArray1<i64>>,
     distances: Py<PyArray1<f64>>,
-    seen: u64,
+    read_revision: u64,
     #[pyo3(name = "_count")]
     count: usize,
 }
 
 impl Found {
-    pub(crate) fn of(py: Python<'_>, neighbors: &[wayfold::Neighbor], seen: u64) -> Found {
+    pub(crate) fn of(py: Python<'_>, neighbors: &[wayfold::Neighbor], read_revision: u64) -> Found {
         let (ids, distances) = columns(py, neighbors);
         Found {
             ids: ids.unbind(),
             distances: distances.unbind(),
-            seen,
+            read_revision,
             count: neighbors.len(),
         }
     }
@@ -63,8 +63,8 @@ impl Found {
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
         let (ids, distances) = (self.ids.bind(py).repr()?, self.distances.bind(py).repr()?);
         Ok(format!(
-            "Found(ids={ids}, distances={distances}, seen={})",
-            self.seen
+            "Found(ids={ids}, distances={distances}, read_revision={})",
+            self.read_revision
         ))
     }
 }
@@ -194,7 +194,7 @@ impl StoredPoints {
 pub(crate) struct Changes {
     stored: Vec<Py<StoredPoint>>,
     removed: Vec<u64>,
-    seen: u64,
+    read_revision: u64,
 }
 
 impl Changes {
@@ -204,7 +204,7 @@ impl Changes {
         Ok(Changes {
             stored: stored.collect::<PyResult<_>>()?,
             removed: changes.removed,
-            seen: changes.seen.0,
+            read_revision: changes.read_revision.0,
         })
     }
 }

@@ -45,7 +45,7 @@ impl Search {
             search = search.tag(mask, value);
         }
         if let Some(since) = since {
-            search = search.since(wayfold::Seen(since));
+            search = search.since(wayfold::ReadRevision(since));
         }
         if let Some(timeout) = timeout {
             search = search.timeout(seconds(py, "timeout", timeout)?);

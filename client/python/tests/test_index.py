@@ -65,9 +65,9 @@ def test_an_answer_says_what_it_has_seen() -> None:
     found = index.nearest_k([0.0, 0.0], 1)
     inserted = index.insert_with([0.1, 0.0], wayfold.Search(10))
     assert inserted.found.ids.tolist() == [0, 1, 40]
-    assert index.search([0.0, 0.0], wayfold.Search(10, since=found.seen)).ids.tolist() == [inserted.id]
+    assert index.search([0.0, 0.0], wayfold.Search(10, since=found.read_revision)).ids.tolist() == [inserted.id]
     index.remove(1)
-    changes = index.changes(found.seen)
+    changes = index.changes(found.read_revision)
     assert changes is not None and changes.removed == [1]
     assert [point.id for point in changes.stored] == [inserted.id]
 

@@ -2,7 +2,7 @@
 
 use std::collections::{HashSet, VecDeque};
 
-use wayfold_index::Seen;
+use wayfold_index::ReadRevision;
 
 /// The most changes that are kept, 16 bytes each.
 const MAX_CHANGES: usize = 1 << 16;
@@ -39,13 +39,14 @@ impl History {
         self.forgotten = at;
     }
 
-    /// The ids that changed after `seen`, each once, the newest change first. None if some of them are forgotten.
-    pub(super) fn after(&self, seen: Seen) -> Option<Vec<u64>> {
-        if seen.0 < self.forgotten {
+    /// The ids that changed after the revision `since`, each once, the newest change first. None if some of them are
+    /// forgotten.
+    pub(super) fn after(&self, since: ReadRevision) -> Option<Vec<u64>> {
+        if since.0 < self.forgotten {
             return None;
         }
         let newer = self.changes.iter().rev();
-        let newer = newer.take_while(|change| change.at > seen.0);
+        let newer = newer.take_while(|change| change.at > since.0);
         let mut known = HashSet::new();
         Some(
             newer
@@ -66,9 +67,9 @@ mod tests {
         for (at, id) in [(1, 7), (2, 8), (3, 7)] {
             history.push(at, id);
         }
-        assert_eq!(history.after(Seen(0)), Some(vec![7, 8]));
-        assert_eq!(history.after(Seen(2)), Some(vec![7]));
-        assert_eq!(history.after(Seen(3)), Some(vec![]));
+        assert_eq!(history.after(ReadRevision(0)), Some(vec![7, 8]));
+        assert_eq!(history.after(ReadRevision(2)), Some(vec![7]));
+        assert_eq!(history.after(ReadRevision(3)), Some(vec![]));
     }
 
     #[test]
@@ -77,13 +78,16 @@ mod tests {
         for at in 1..=MAX_CHANGES as u64 + 2 {
             history.push(at, at);
         }
-        assert_eq!(history.after(Seen(1)), None);
+        assert_eq!(history.after(ReadRevision(1)), None);
         assert_eq!(
-            history.after(Seen(2)).map(|ids| ids.len()),
+            history.after(ReadRevision(2)).map(|ids| ids.len()),
             Some(MAX_CHANGES)
         );
         history.forget(MAX_CHANGES as u64 + 3);
-        assert_eq!(history.after(Seen(MAX_CHANGES as u64 + 2)), None);
-        assert_eq!(history.after(Seen(MAX_CHANGES as u64 + 3)), Some(vec![]));
+        assert_eq!(history.after(ReadRevision(MAX_CHANGES as u64 + 2)), None);
+        assert_eq!(
+            history.after(ReadRevision(MAX_CHANGES as u64 + 3)),
+            Some(vec![])
+        );
     }
 }

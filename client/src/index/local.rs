@@ -2,7 +2,7 @@
 
 use wayfold_index::{
     Changes, Forest, ForestOptions, Merge, Neighbor, NewPoint, Point, PointRef, Points, Question,
-    Seen, Snapshot, Space,
+    ReadRevision, Snapshot, Space,
 };
 
 use super::history::History;
@@ -39,8 +39,8 @@ impl LocalPoints {
     }
 
     /// The last change.
-    pub(super) fn seen(&self) -> Seen {
-        Seen(self.forest.revision())
+    pub(super) fn read_revision(&self) -> ReadRevision {
+        ReadRevision(self.forest.revision())
     }
 
     /// Stores one point, in place of one with the same id.
@@ -177,14 +177,14 @@ impl LocalPoints {
         self.forest.get(id)
     }
 
-    /// The points that changed after `seen`, as they are now.
-    pub(super) fn changes(&self, seen: Seen) -> Option<Changes> {
+    /// The points that changed after the revision `since`, as they are now.
+    pub(super) fn changes(&self, since: ReadRevision) -> Option<Changes> {
         let mut changes = Changes {
             stored: Points::new(self.forest.space().coordinates()),
             removed: Vec::new(),
-            seen: self.seen(),
+            read_revision: self.read_revision(),
         };
-        for id in self.history.after(seen)? {
+        for id in self.history.after(since)? {
             match self.forest.get(id) {
                 Some(point) => changes.stored.push_point(point.by_ref()),
                 None => changes.removed.push(id),

@@ -7,7 +7,8 @@ use std::{
 
 use parking_lot::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 use wayfold_index::{
-    Changes, NearestNeighbors, Neighbor, NewPoint, Point, Question, ScannedPoints, Seen, Space,
+    Changes, NearestNeighbors, Neighbor, NewPoint, Point, Question, ReadRevision, ScannedPoints,
+    Space,
 };
 
 use super::{
@@ -127,9 +128,9 @@ impl NearestNeighbors for Memory {
         row: &[f64],
         question: &Question<'_>,
         found: &mut Vec<Neighbor>,
-    ) -> Result<Seen, Error> {
+    ) -> Result<ReadRevision, Error> {
         let state = self.read()?;
-        let seen = state.points.seen();
+        let read_revision = state.points.read_revision();
         *found = match state.points.snapshot_for(question) {
             None => state.points.search(row, question)?,
             Some(snapshot) => {
@@ -137,7 +138,7 @@ impl NearestNeighbors for Memory {
                 search_snapshot(&snapshot, row, question)?
             }
         };
-        Ok(seen)
+        Ok(read_revision)
     }
 
     fn search_many(
@@ -158,7 +159,7 @@ impl NearestNeighbors for Memory {
         point: &NewPoint<'_>,
         question: Option<&Question<'_>>,
         found: &mut Vec<Neighbor>,
-    ) -> Result<(u64, Seen), Error> {
+    ) -> Result<(u64, ReadRevision), Error> {
         check_id(point)?;
         let mut state = self.write()?;
         if let Some(id) = point.id
@@ -182,7 +183,7 @@ impl NearestNeighbors for Memory {
             state.payloads.insert(id, point.payload.to_vec());
         }
         self.after_change(&mut state.points);
-        Ok((id, state.points.seen()))
+        Ok((id, state.points.read_revision()))
     }
 
     fn insert_many(&self, rows: &[f64], tag: u64) -> Result<Vec<u64>, Error> {
@@ -258,8 +259,8 @@ impl NearestNeighbors for Memory {
         Ok(super::scan::scan(snapshot))
     }
 
-    fn changes(&self, seen: Seen) -> Result<Option<Changes>, Error> {
-        Ok(self.read()?.points.changes(seen))
+    fn changes(&self, since: ReadRevision) -> Result<Option<Changes>, Error> {
+        Ok(self.read()?.points.changes(since))
     }
 
     fn clear(&self) -> Result<(), Error> {

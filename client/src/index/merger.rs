@@ -169,7 +169,7 @@ fn look(watched: &mut Watched) -> (bool, Option<Merge>) {
     let (mut changes, mut next) = (false, None);
     if let Some(index) = watched.index.upgrade() {
         index.with_points(&mut |points| {
-            let newest = points.seen().0;
+            let newest = points.read_revision().0;
             changes = std::mem::replace(&mut watched.noticed, newest) != newest;
             if !changes {
                 points.is_watched = false;

@@ -30,7 +30,7 @@ pub use shared::{Meanwhile, MeanwhileAnswers, OpenShared, Status, UnsentWrite};
 
 use std::sync::Arc;
 
-use wayfold_index::{NearestNeighbors, Neighbor, Question, Seen, Space};
+use wayfold_index::{NearestNeighbors, Neighbor, Question, ReadRevision, Space};
 
 use crate::{
     Error, Radius, State,
@@ -142,13 +142,16 @@ impl Index {
     ) -> Result<InsertedPoint, Error> {
         let question = options.ask.as_ref().map(Search::question).transpose()?;
         let mut neighbors = Vec::new();
-        let (id, seen) = self.with_row(state, |row| {
+        let (id, read_revision) = self.with_row(state, |row| {
             self.form
                 .insert(&options.point(row), question.as_ref(), &mut neighbors)
         })?;
         Ok(InsertedPoint {
             id,
-            found: Found { neighbors, seen },
+            found: Found {
+                neighbors,
+                read_revision,
+            },
         })
     }
 
@@ -259,8 +262,11 @@ impl Index {
     /// number of the search is out of its range. [`Error::SearchTimeout`].
     pub fn search<S: State>(&self, state: S, search: &Search) -> Result<Found, Error> {
         let mut neighbors = Vec::new();
-        let seen = self.ask(state, &search.question()?, &mut neighbors)?;
-        Ok(Found { neighbors, seen })
+        let read_revision = self.ask(state, &search.question()?, &mut neighbors)?;
+        Ok(Found {
+            neighbors,
+            read_revision,
+        })
     }
 
     /// Answers any search into the caller's buffer, in place of its content.
@@ -272,7 +278,7 @@ impl Index {
         state: S,
         search: &Search,
         found: &mut Vec<Neighbor>,
-    ) -> Result<Seen, Error> {
+    ) -> Result<ReadRevision, Error> {
         self.ask(state, &search.question()?, found)
     }
 
@@ -324,13 +330,13 @@ impl Index {
         self.form.scan().map(StoredPoints)
     }
 
-    /// Everything that changed after an answer that has seen this much, by any thread or process. `None` if the index
-    /// has forgotten some of it, as after 65,536 changes: scan it then.
+    /// Everything that changed after the revision that an earlier answer read, by any thread or process. `None` if the
+    /// index has forgotten some of it, as after 65,536 changes: scan it then.
     ///
     /// # Errors
     /// The server cannot be asked.
-    pub fn changes(&self, seen: Seen) -> Result<Option<Changes>, Error> {
-        let changes = self.form.changes(seen)?;
+    pub fn changes(&self, since: ReadRevision) -> Result<Option<Changes>, Error> {
+        let changes = self.form.changes(since)?;
         Ok(changes.map(|changes| Changes {
             stored: changes
                 .stored
@@ -338,7 +344,7 @@ impl Index {
                 .map(|point| point.to_point().into())
                 .collect(),
             removed: changes.removed,
-            seen: changes.seen,
+            read_revision: changes.read_revision,
         }))
     }
 
@@ -366,7 +372,7 @@ impl Index {
         state: impl State,
         question: &Question<'_>,
         found: &mut Vec<Neighbor>,
-    ) -> Result<Seen, Error> {
+    ) -> Result<ReadRevision, Error> {
         self.with_row(state, |row| self.form.search(row, question, found))
     }
 }

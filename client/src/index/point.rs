@@ -1,6 +1,6 @@
 //! The options and answers of an [`Index`](crate::Index).
 
-use wayfold_index::{Neighbor, NewPoint, Seen};
+use wayfold_index::{Neighbor, NewPoint, ReadRevision};
 
 use super::Search;
 use crate::{Error, FromState};
@@ -38,8 +38,8 @@ impl From<wayfold_index::Point> for StoredPoint {
 pub struct Found {
     /// The neighbours.
     pub neighbors: Vec<Neighbor>,
-    /// The points that the answer has seen: a later search or insert may ask for the rest ([`Search::since`]).
-    pub seen: Seen,
+    /// The revision that the answer read: a later search or insert may ask for the points after it ([`Search::since`]).
+    pub read_revision: ReadRevision,
 }
 
 /// The tag, the payload and the id that an insert stores with a state, and its question.
@@ -118,8 +118,8 @@ pub struct Changes {
     pub stored: Vec<StoredPoint>,
     /// The ids of the points that were removed.
     pub removed: Vec<u64>,
-    /// The mark after these changes.
-    pub seen: Seen,
+    /// The revision after these changes.
+    pub read_revision: ReadRevision,
 }
 
 /// All points of an index, as they were when the scan began, by ascending id.

@@ -9,8 +9,8 @@ use std::{
 };
 
 use wayfold_index::{
-    Changes, NearestNeighbors, Neighbor, NewPoint, Point, PointRef, Points, Question,
-    ScannedPoints, Seen, Space,
+    Changes, NearestNeighbors, Neighbor, NewPoint, Point, PointRef, Points, Question, ReadRevision,
+    ScannedPoints, Space,
 };
 
 use super::{
@@ -141,11 +141,11 @@ impl NearestNeighbors for Remote {
         row: &[f64],
         question: &Question<'_>,
         found: &mut Vec<Neighbor>,
-    ) -> Result<Seen, Error> {
+    ) -> Result<ReadRevision, Error> {
         let answer = self.ask(row, question)?;
         found.clear();
         found.extend(answer.row(0).iter());
-        Ok(Seen(answer.revision().number))
+        Ok(ReadRevision(answer.revision().number))
     }
 
     fn search_many(
@@ -168,7 +168,7 @@ impl NearestNeighbors for Remote {
         point: &NewPoint<'_>,
         question: Option<&Question<'_>>,
         found: &mut Vec<Neighbor>,
-    ) -> Result<(u64, Seen), Error> {
+    ) -> Result<(u64, ReadRevision), Error> {
         check_id(point)?;
         let mut insert = self.index.insert([point.row]).tags([point.tag]);
         if let Some(id) = point.id {
@@ -202,7 +202,7 @@ impl NearestNeighbors for Remote {
         if let Some(neighbors) = &answer.neighbors {
             found.extend(neighbors.row(0).iter());
         }
-        Ok((id, Seen(answer.revision.number)))
+        Ok((id, ReadRevision(answer.revision.number)))
     }
 
     fn insert_many(&self, rows: &[f64], tag: u64) -> Result<Vec<u64>, Error> {
@@ -313,12 +313,12 @@ impl NearestNeighbors for Remote {
         })))
     }
 
-    fn changes(&self, seen: Seen) -> Result<Option<Changes>, Error> {
+    fn changes(&self, since: ReadRevision) -> Result<Option<Changes>, Error> {
         let index = self.index.clone();
         wait_for(async move {
-            let mut watch = index.watch().after(index.revision_at(seen.0)).await?;
+            let mut watch = index.watch().after(index.revision_at(since.0)).await?;
             let newest = watch.newest().number;
-            let (mut changed, mut at) = (BTreeMap::new(), seen.0);
+            let (mut changed, mut at) = (BTreeMap::new(), since.0);
             while at < newest {
                 match watch.next().await? {
                     Some(WatchEvent::Mutation(mutation)) => {
@@ -330,7 +330,7 @@ impl NearestNeighbors for Remote {
                         }));
                     }
                     Some(WatchEvent::Reset(reset)) if reset.reason == ResetReason::UidChanged => {
-                        index.revision_at(seen.0).check_uid(&reset.revision.uid)?;
+                        index.revision_at(since.0).check_uid(&reset.revision.uid)?;
                         return Ok(None);
                     }
                     Some(WatchEvent::Reset(_)) | None => return Ok(None),
@@ -339,7 +339,7 @@ impl NearestNeighbors for Remote {
             let mut changes = Changes {
                 stored: Points::new(index.coordinates()),
                 removed: Vec::new(),
-                seen: Seen(at),
+                read_revision: ReadRevision(at),
             };
             for (id, point) in changed {
                 match point {

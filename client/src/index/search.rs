@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use wayfold_index::{Filter, Question, Scaling, Seen};
+use wayfold_index::{Filter, Question, ReadRevision, Scaling};
 
 use crate::{
     Error, Radius, ScaledRadius,
@@ -23,7 +23,7 @@ pub struct Search {
     bounds: Bounds,
     tag_mask: u64,
     tag_value: u64,
-    since: Seen,
+    since: ReadRevision,
     epsilon: f64,
     timeout: Option<Duration>,
 }
@@ -34,7 +34,7 @@ impl Search {
             bounds: Bounds { k, radius },
             tag_mask: 0,
             tag_value: 0,
-            since: Seen::default(),
+            since: ReadRevision::default(),
             epsilon: 0.0,
             timeout: None,
         }
@@ -67,9 +67,9 @@ impl Search {
         self
     }
 
-    /// Only points that an earlier answer, which has seen this much, could not find.
-    pub fn since(mut self, seen: Seen) -> Search {
-        self.since = seen;
+    /// Only points that an earlier answer, which read this revision, could not find.
+    pub fn since(mut self, revision: ReadRevision) -> Search {
+        self.since = revision;
         self
     }
 

@@ -14,7 +14,7 @@ pub struct WayfoldPoints {
     tags: Vec<u64>,
     rows: Vec<f64>,
     removed: Vec<u64>,
-    seen: u64,
+    read_revision: u64,
 }
 
 /// Reads all points, by ascending id. Free them with `wayfold_points_free`.
@@ -41,9 +41,9 @@ pub unsafe extern "C" fn wayfold_index_scan(
     })
 }
 
-/// Reads the points that were stored or changed after an answer that has seen this much, 0 for all, and the ids that
+/// Reads the points that were stored or changed after the revision that an answer read, 0 for all, and the ids that
 /// were removed. Writes null if the index has forgotten some of it, as after 65,536 changes: scan it then. `UINT64_MAX`
-/// reads no point, only the mark of now; a remote index refuses it.
+/// reads no point, only the revision of now; a remote index refuses it.
 ///
 /// Thread-safe.
 ///
@@ -52,16 +52,16 @@ pub unsafe extern "C" fn wayfold_index_scan(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn wayfold_index_changes(
     index: *const WayfoldIndex,
-    seen: u64,
+    since: u64,
     points: *mut *mut WayfoldPoints,
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise. Null at first, as above.
         unsafe { put(ptr::null_mut(), points, "points") }?;
         // SAFETY: the caller's promise.
-        let changes = unsafe { index_of(index) }?.changes(client::Seen(seen))?;
+        let changes = unsafe { index_of(index) }?.changes(client::ReadRevision(since))?;
         let made = changes.map_or(ptr::null_mut(), |changes| {
-            let mut some = WayfoldPoints::empty(changes.seen.0);
+            let mut some = WayfoldPoints::empty(changes.read_revision.0);
             changes.stored.iter().for_each(|point| some.push(point));
             some.removed = changes.removed;
             Box::into_raw(Box::new(some))
@@ -128,14 +128,14 @@ pub unsafe extern "C" fn wayfold_points_removed(
     }
 }
 
-/// The mark after these changes, for the next call of `wayfold_index_changes`. Thread-safe.
+/// The revision after these changes, for the next call of `wayfold_index_changes`. Thread-safe.
 ///
 /// # Safety
 /// `points` is a handle.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn wayfold_points_seen(points: *const WayfoldPoints) -> u64 {
+pub unsafe extern "C" fn wayfold_points_read_revision(points: *const WayfoldPoints) -> u64 {
     // SAFETY: the caller's promise.
-    unsafe { points.as_ref() }.map_or(0, |points| points.seen)
+    unsafe { points.as_ref() }.map_or(0, |points| points.read_revision)
 }
 
 /// Frees points; null is ignored. No other thread may use them during this call or after it.
@@ -209,13 +209,13 @@ pub unsafe extern "C" fn wayfold_payloads_free(payloads: *mut WayfoldPayloads) {
 }
 
 impl WayfoldPoints {
-    fn empty(seen: u64) -> WayfoldPoints {
+    fn empty(read_revision: u64) -> WayfoldPoints {
         WayfoldPoints {
             ids: Vec::new(),
             tags: Vec::new(),
             rows: Vec::new(),
             removed: Vec::new(),
-            seen,
+            read_revision,
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use client::{Index, Neighbor, Search, Seen};
+use client::{Index, Neighbor, ReadRevision, Search};
 
 use super::{
     index::WayfoldIndex,
@@ -53,14 +53,15 @@ pub unsafe extern "C" fn wayfold_index_nearest(
 
 /// Answers a search of `count` states. Row i of `ids` and `distances`, of `capacity` numbers, gets the neighbours of
 /// state i, nearest first and at equal distances by id; `found[i]` is their number. If it exceeds `capacity`, the row has
-/// the nearest `capacity` of them. The rest of a row keeps its content. `ids` and `distances` may be null. `seen` gets the
-/// mark of the answer, for `since` of a later search; it may be null, and must be unless there is one state.
+/// the nearest `capacity` of them. The rest of a row keeps its content. `ids` and `distances` may be null.
+/// `read_revision` gets the revision that the answer read, for `since` of a later search; it may be null, and must be
+/// unless there is one state.
 ///
 /// Thread-safe.
 ///
 /// # Safety
 /// `states` has `count × width` numbers; `ids` and `distances` have room for `count × capacity`, `found` for `count`;
-/// `seen` can be written or is null.
+/// `read_revision` can be written or is null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn wayfold_index_search(
     index: *const WayfoldIndex,
@@ -72,7 +73,7 @@ pub unsafe extern "C" fn wayfold_index_search(
     ids: *mut u64,
     distances: *mut f64,
     found: *mut usize,
-    seen: *mut u64,
+    read_revision: *mut u64,
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise.
@@ -88,18 +89,18 @@ pub unsafe extern "C" fn wayfold_index_search(
             return Err(null("found"));
         }
         if count == 1 {
-            return search_one(index, rows, &search, |neighbors, mark| {
+            return search_one(index, rows, &search, |neighbors, revision| {
                 // SAFETY: the caller's promise.
                 unsafe {
                     write_neighbors(neighbors, capacity, ids, distances);
                     found.write(neighbors.len());
-                    copy(&[mark.0], seen);
+                    copy(&[revision.0], read_revision);
                 }
             });
         }
-        if !seen.is_null() {
+        if !read_revision.is_null() {
             return Err(Failure::argument(
-                "seen",
+                "read_revision",
                 "only a search of one state has it; pass null",
             ));
         }
@@ -127,12 +128,12 @@ fn search_one(
     index: &Index,
     row: &[f64],
     search: &Search,
-    write: impl FnOnce(&[Neighbor], Seen),
+    write: impl FnOnce(&[Neighbor], ReadRevision),
 ) -> Result<(), Failure> {
     let mut found = FOUND.try_with(Cell::take).unwrap_or_default();
     let searched = index.search_into(row, search, &mut found);
-    if let Ok(seen) = searched {
-        write(&found, seen);
+    if let Ok(read_revision) = searched {
+        write(&found, read_revision);
     }
     let _ = FOUND.try_with(|buffer| buffer.set(found));
     searched?;

@@ -46,14 +46,14 @@ pub unsafe extern "C" fn wayfold_index_insert(
 }
 
 /// Stores a state with a tag, a payload or an id, and writes its id; `id` may be null. `search` may be null; otherwise
-/// the neighbours that the state had at its insertion are written as by `wayfold_index_search`. `seen` gets the mark of
-/// the insertion, for `since` of a later search; it may be null.
+/// the neighbours that the state had at its insertion are written as by `wayfold_index_search`. `read_revision` gets
+/// the revision of the insertion, for `since` of a later search; it may be null.
 ///
 /// Thread-safe.
 ///
 /// # Safety
 /// `state` has `width` numbers; `ids` and `distances` have room for `capacity` if they are not null; `found` can be
-/// written if `search` is not null; `seen` can be written or is null.
+/// written if `search` is not null; `read_revision` can be written or is null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn wayfold_index_insert_with(
     index: *const WayfoldIndex,
@@ -66,7 +66,7 @@ pub unsafe extern "C" fn wayfold_index_insert_with(
     ids: *mut u64,
     distances: *mut f64,
     found: *mut usize,
-    seen: *mut u64,
+    read_revision: *mut u64,
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise.
@@ -94,7 +94,7 @@ pub unsafe extern "C" fn wayfold_index_insert_with(
         // SAFETY: the caller's promise.
         unsafe {
             copy(&[inserted.id], id);
-            copy(&[inserted.found.seen.0], seen);
+            copy(&[inserted.found.read_revision.0], read_revision);
             if search.is_some() {
                 let neighbors = &inserted.found.neighbors;
                 write_neighbors(neighbors, capacity, ids, distances);

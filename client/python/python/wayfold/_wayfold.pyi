@@ -68,8 +68,8 @@ class Scaling:
 class Search:
     """A search: the number of neighbours, the radius, and the points that count.
 
-    `tag` is a mask and a value: points with `tag & mask == value` count. `since` is the `seen` of an earlier answer:
-    only points that it could not find count. `timeout` is in seconds.
+    `tag` is a mask and a value: points with `tag & mask == value` count. `since` is the `read_revision` of an
+    earlier answer: only points that it could not find count. `timeout` is in seconds.
     """
 
     def __new__(
@@ -100,7 +100,7 @@ class Found:
     @property
     def distances(self) -> _Floats: ...
     @property
-    def seen(self) -> int: ...
+    def read_revision(self) -> int: ...
     def __len__(self) -> int: ...
 
 class InsertedPoint:
@@ -137,7 +137,7 @@ class Changes:
     @property
     def removed(self) -> list[int]: ...
     @property
-    def seen(self) -> int: ...
+    def read_revision(self) -> int: ...
 
 class Meanwhile:
     """An own point's place in the index's order, and the neighbours that its insert could not see."""
@@ -235,8 +235,8 @@ class Index:
         """Answers a search of many states, which see the same points: ids and distances of each."""
     def scan(self) -> StoredPoints:
         """All points as they are now, by ascending id."""
-    def changes(self, seen: int) -> Changes | None:
-        """Everything that changed after an answer that has seen this much; None if some of it is forgotten."""
+    def changes(self, since: int) -> Changes | None:
+        """Everything that changed after the revision that an earlier answer read; None if some of it is forgotten."""
     def clear(self) -> None:
         """Forgets all points of an index in memory; their ids stay used."""
     def remove_all(self) -> None:

@@ -73,6 +73,6 @@ impl Index {
     ) -> PyResult<Found> {
         let (py, row) = (state.py(), self.one(state)?);
         let found = self.call(py, |index| index.search(&row[..], search))?;
-        Ok(Found::of(py, &found.neighbors, found.seen.0))
+        Ok(Found::of(py, &found.neighbors, found.read_revision.0))
     }
 }

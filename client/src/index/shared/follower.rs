@@ -167,7 +167,7 @@ impl Follower {
                 found: index.space().to_string(),
             });
         }
-        let at = core.points.read().seen().0 + RELOAD_CHANGES;
+        let at = core.points.read().read_revision().0 + RELOAD_CHANGES;
         let (forest, revision) = core.link.load(&index, at).await?;
         let mut writer = core.writer.lock();
         if index.uid() != self.index.uid() {

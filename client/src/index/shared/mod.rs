@@ -28,7 +28,8 @@ use std::{fmt, sync::Arc, time::Duration};
 
 use tokio::task::AbortHandle;
 use wayfold_index::{
-    Changes, NearestNeighbors, Neighbor, NewPoint, Point, Question, ScannedPoints, Seen, Space,
+    Changes, NearestNeighbors, Neighbor, NewPoint, Point, Question, ReadRevision, ScannedPoints,
+    Space,
 };
 
 use super::{
@@ -160,10 +161,10 @@ impl NearestNeighbors for SharedIndex {
         row: &[f64],
         question: &Question<'_>,
         found: &mut Vec<Neighbor>,
-    ) -> Result<Seen, Error> {
+    ) -> Result<ReadRevision, Error> {
         self.core.check_readable()?;
         let points = self.core.points.read();
-        let seen = points.seen();
+        let read_revision = points.read_revision();
         *found = match points.snapshot_for(question) {
             None => points.search(row, question)?,
             Some(snapshot) => {
@@ -171,7 +172,7 @@ impl NearestNeighbors for SharedIndex {
                 search_snapshot(&snapshot, row, question)?
             }
         };
-        Ok(seen)
+        Ok(read_revision)
     }
 
     fn search_many(
@@ -193,7 +194,7 @@ impl NearestNeighbors for SharedIndex {
         point: &NewPoint<'_>,
         question: Option<&Question<'_>>,
         found: &mut Vec<Neighbor>,
-    ) -> Result<(u64, Seen), Error> {
+    ) -> Result<(u64, ReadRevision), Error> {
         check_id(point)?;
         self.check_payload(point.payload)?;
         let step = Step::Put {
@@ -231,12 +232,12 @@ impl NearestNeighbors for SharedIndex {
                 writer.change(id, &step, &mut points)?;
             }
         }
-        let seen = points.seen();
+        let read_revision = points.read_revision();
         if let Some(search) = search {
-            writer.ask(id, point.row, &search, found, seen.0);
+            writer.ask(id, point.row, &search, found, read_revision.0);
         }
         self.core.written(&mut writer, &mut points);
-        Ok((id, seen))
+        Ok((id, read_revision))
     }
 
     fn insert_many(&self, rows: &[f64], tag: u64) -> Result<Vec<u64>, Error> {
@@ -335,9 +336,9 @@ impl NearestNeighbors for SharedIndex {
         Ok(scan(self.core.points.read().forest.snapshot()))
     }
 
-    fn changes(&self, seen: Seen) -> Result<Option<Changes>, Error> {
+    fn changes(&self, since: ReadRevision) -> Result<Option<Changes>, Error> {
         self.core.check_readable()?;
-        Ok(self.core.points.read().changes(seen))
+        Ok(self.core.points.read().changes(since))
     }
 
     fn clear(&self) -> Result<(), Error> {

@@ -136,7 +136,7 @@ impl OpenShared {
         let opened = link.open_session(&index, id_block, &operation_id).await?;
         writer.open(opened.session, opened.reserved);
         let mut points = LocalPoints::new(index.space());
-        let (forest, revision) = link.load(&index, points.seen().0 + 1).await?;
+        let (forest, revision) = link.load(&index, points.read_revision().0 + 1).await?;
         drop(points.replace(forest));
         Ok(Core::new(
             link,

@@ -54,7 +54,7 @@ fn foreign(writer: &mut Writer, points: &mut LocalPoints, id: u64, tag: u64, row
 
 /// A copy that was read again, with these points.
 fn reload(writer: &mut Writer, points: &mut LocalPoints, revision: u64, rows: &[(u64, u64, f64)]) {
-    let at = points.seen().0 + 1_000;
+    let at = points.read_revision().0 + 1_000;
     let mut forest = Forest::new(space(), ForestOptions::for_space(&space()));
     let mut table = Points::new(1);
     for &(id, tag, row) in rows {
@@ -169,7 +169,13 @@ fn a_question_is_answered_when_its_point_is_published() {
     let (mut writer, mut points) = writer();
     let ask = |writer: &mut Writer, points: &mut LocalPoints, row: f64| {
         let id = insert(writer, points, row);
-        writer.ask(id, &[row], &Search::nearest_k(1), &[], points.seen().0);
+        writer.ask(
+            id,
+            &[row],
+            &Search::nearest_k(1),
+            &[],
+            points.read_revision().0,
+        );
         id
     };
     foreign(&mut writer, &mut points, 1, 0, 0.0);
@@ -273,7 +279,13 @@ fn an_answer_counts_the_points_before_its_own() {
         .expect("a point");
     let ask = |writer: &mut Writer, points: &mut LocalPoints| {
         let id = insert(writer, points, 1.0);
-        writer.ask(id, &[1.0], &Search::nearest_r(0.1), &[], points.seen().0);
+        writer.ask(
+            id,
+            &[1.0],
+            &Search::nearest_r(0.1),
+            &[],
+            points.read_revision().0,
+        );
         id
     };
     let first = ask(&mut writer, &mut points);
@@ -326,7 +338,7 @@ fn a_point_that_takes_the_place_of_a_removed_neighbor_is_answered() {
         distance: 1.0,
         id: 1,
     }];
-    let at = points.seen().0;
+    let at = points.read_revision().0;
     writer.ask(id, &[0.0], &Search::nearest_k(1), &found, at);
     writer
         .apply(std::iter::empty(), &[1], &mut points)

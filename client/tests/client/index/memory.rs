@@ -41,11 +41,11 @@ fn a_cleared_index_is_empty_and_gives_no_id_twice() {
     index.clear().unwrap();
     assert!(index.is_empty().unwrap());
     assert_eq!(index.nearest([0.0; 3]).unwrap(), None);
-    assert_eq!(index.changes(before.seen).unwrap(), None);
+    assert_eq!(index.changes(before.read_revision).unwrap(), None);
     let second = index.insert([1.0; 3]).unwrap();
     assert!(second > first);
     let new = index
-        .search([0.0; 3], &Search::k(1).since(before.seen))
+        .search([0.0; 3], &Search::k(1).since(before.read_revision))
         .unwrap();
     assert_eq!(new.neighbors[0].id, second);
 }

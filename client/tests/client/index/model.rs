@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
 use wayfold::{
-    Changes, Error, Index, InsertOptions, Neighbor, ScaledRadius, Scaling, Search, Seen,
+    Changes, Error, Index, InsertOptions, Neighbor, ReadRevision, ScaledRadius, Scaling, Search,
 };
 use wayfold_index::{Linear, PointRef};
 
@@ -25,7 +25,7 @@ pub(crate) struct Model {
     /// The ids that changed, with the number of the change.
     history: Vec<(u64, u64)>,
     /// The tokens of answers, with the number of changes then.
-    seen: Vec<(Seen, u64)>,
+    read_revisions: Vec<(ReadRevision, u64)>,
     used_ids: HashSet<u64>,
     last_assigned: Option<u64>,
 }
@@ -40,7 +40,7 @@ impl Model {
             payloads: HashMap::new(),
             changes: 0,
             history: Vec::new(),
-            seen: Vec::new(),
+            read_revisions: Vec::new(),
             used_ids: HashSet::new(),
             last_assigned: None,
         }
@@ -114,7 +114,8 @@ impl Model {
         let options = InsertOptions::new().tag(tag).payload(&payload).ask(search);
         let inserted = self.index.insert_with(&state[..], options).unwrap();
         assert_same(&inserted.found.neighbors, &expected);
-        self.seen.push((inserted.found.seen, self.changes));
+        self.read_revisions
+            .push((inserted.found.read_revision, self.changes));
         self.assigned(inserted.id);
         self.store(inserted.id, tag, &row, self.changes);
         self.payloads.insert(inserted.id, payload);
@@ -270,11 +271,11 @@ impl Model {
             (plain.filter.tag_mask, plain.filter.tag_value) = (0b1, 0b1);
             search = search.tag(0b1, 0b1);
         }
-        if let Some(&(seen, changes)) = self.seen.choose(&mut self.rng)
+        if let Some(&(since, changes)) = self.read_revisions.choose(&mut self.rng)
             && self.rng.random_bool(0.3)
         {
             plain.filter.since_revision = changes;
-            search = search.since(seen);
+            search = search.since(since);
         }
         let expected = self.points.search(row, &plain).unwrap().neighbors;
         (search, expected)
@@ -294,7 +295,8 @@ impl Model {
             .search_into(&state[..], &search, &mut buffer)
             .unwrap();
         assert_same(&buffer, &expected);
-        self.seen.push((found.seen, self.changes));
+        self.read_revisions
+            .push((found.read_revision, self.changes));
         let nearest = self
             .points
             .search(&row, &wayfold_index::Search::nearest_k(1));
@@ -315,14 +317,14 @@ impl Model {
     }
 
     fn changed(&mut self) {
-        let Some(&(seen, number)) = self.seen.choose(&mut self.rng) else {
+        let Some(&(since, number)) = self.read_revisions.choose(&mut self.rng) else {
             return;
         };
         let Changes {
             stored,
             removed,
-            seen,
-        } = self.index.changes(seen).unwrap().unwrap();
+            read_revision,
+        } = self.index.changes(since).unwrap().unwrap();
         assert!(self.history.len() < MAX_CHANGES);
         let newer = self.history.iter().filter(|(at, _)| *at > number);
         let ids: BTreeMap<u64, bool> = newer
@@ -337,7 +339,7 @@ impl Model {
             let expected = self.points.get(point.id).unwrap();
             assert_eq!((point.tag, &point.state[..]), (expected.tag, expected.row));
         }
-        self.seen.push((seen, self.changes));
+        self.read_revisions.push((read_revision, self.changes));
     }
 
     /// Compares all points.

@@ -191,13 +191,13 @@ fn content(index: &Index) -> BTreeMap<u64, (u64, Vec<u64>)> {
 fn wait_for_same(index: &Index, other: &Index) {
     index.flush().unwrap();
     let expected = content(index);
-    let mut seen = other
+    let mut newest = other
         .changes(Default::default())
         .unwrap()
-        .map(|changes| changes.seen);
+        .map(|changes| changes.read_revision);
     while content(other) != expected {
         let now = other.search(vec![0.0; other.space().coordinates()], &Search::k(1));
-        seen = now.map(|found| found.seen).ok().max(seen);
+        newest = now.map(|found| found.read_revision).ok().max(newest);
         thread::yield_now();
     }
 }

@@ -11,7 +11,7 @@ use std::{
 
 use tokio::time::{MissedTickBehavior, interval};
 use wayfold::{Index, InsertOptions, Search};
-use wayfold_index::{Seen, Space};
+use wayfold_index::{ReadRevision, Space};
 use wayfold_tests::{Process, ServerProcess, States, figures::processor_seconds, measuring};
 
 use crate::{Arguments, SE3, report::Report};
@@ -50,7 +50,7 @@ pub(crate) fn measure(arguments: &Arguments, writers: u32, report: &mut Report) 
     let empty = index.search(origin, &Search::k(1)).expect("an answer");
     processes.iter_mut().for_each(|process| process.say("go"));
     let count = (arguments.rate / writers * writers * arguments.seconds) as usize;
-    let mut delays = follow(&index, empty.seen, count);
+    let mut delays = follow(&index, empty.read_revision, count);
     let at_last = Spent::now(&server, &processes);
     let pending = processes.iter_mut().map(|process| {
         let line = process.line().expect("the most pending writes");
@@ -96,18 +96,18 @@ impl Spent {
     }
 }
 
-/// Looks for the points after `seen` until there are `count`, whose tags tell their times. Returns their delays.
-fn follow(index: &Index, mut seen: Seen, count: usize) -> Vec<Duration> {
+/// Looks for the points after `since` until there are `count`, whose tags tell their times. Returns their delays.
+fn follow(index: &Index, mut since: ReadRevision, count: usize) -> Vec<Duration> {
     let mut delays = Vec::with_capacity(count);
     let mut progress = Instant::now();
     on_ticks(|| {
-        let changes = index.changes(seen).expect("an index");
+        let changes = index.changes(since).expect("an index");
         let changes = changes.expect("fewer changes than the copy remembers");
         let now = nanos();
         let stored = changes.stored.iter();
         let before = delays.len();
         delays.extend(stored.map(|point| Duration::from_nanos(now.saturating_sub(point.tag))));
-        seen = changes.seen;
+        since = changes.read_revision;
         if delays.len() > before {
             progress = Instant::now();
         }

@@ -268,7 +268,7 @@ pub(super) fn check_meanwhile(index: &Index, done: &AtomicBool, seed: u64) -> u6
         let found = index.search(&state[..], &asked).unwrap();
         let points = points_of(index);
         let again = index.search(&state[..], &asked).unwrap();
-        if again.seen == found.seen {
+        if again.read_revision == found.read_revision {
             let filter = Filter {
                 tag_mask: mask,
                 tag_value: value,

@@ -87,12 +87,16 @@ impl Outage {
 
     /// Ends the outage, and asserts that the copy reads all points again and that both hold what a new one does.
     fn end(&self) {
-        let seen = self.away.search(at(0.0, 0.0), &Search::k(1)).unwrap().seen;
-        assert!(self.away.changes(seen).unwrap().is_some());
+        let before = self
+            .away
+            .search(at(0.0, 0.0), &Search::k(1))
+            .unwrap()
+            .read_revision;
+        assert!(self.away.changes(before).unwrap().is_some());
         self.way.lead_to(self.server.uri());
         self.away.flush().unwrap();
         self.compare();
-        assert_eq!(self.away.changes(seen).unwrap(), None);
+        assert_eq!(self.away.changes(before).unwrap(), None);
     }
 
     fn compare(&self) {

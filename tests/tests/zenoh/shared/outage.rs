@@ -26,7 +26,7 @@ async fn a_copy_that_missed_more_than_the_server_keeps_reads_all_again() {
     for _ in 0..2 {
         wait_for_all(&there, &[1e6, 1e6], &[&away]);
         let reached = index.info().await.unwrap().revision;
-        let seen = away.search([0.0; 2], &Search::k(1)).unwrap().seen;
+        let before = away.search([0.0; 2], &Search::k(1)).unwrap().read_revision;
         router_process.stop(Signal::Kill);
         for _ in 0..40 {
             there.insert_many(states.rows(50).chunks(2)).unwrap();
@@ -43,7 +43,7 @@ async fn a_copy_that_missed_more_than_the_server_keeps_reads_all_again() {
         wait_for_all(&there, &[1e6, 1e6], &[&away, &there]);
         assert!(there.get(pending).unwrap().is_some());
         check_copies(&content(&shared(&robot, &space)), &space, &[&away, &there]);
-        assert_eq!(away.changes(seen).unwrap(), None);
+        assert_eq!(away.changes(before).unwrap(), None);
     }
 }
 

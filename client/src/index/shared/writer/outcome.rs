@@ -121,7 +121,7 @@ impl Writer {
         if self.rebased.is_empty() && !self.arrivals.are_wanted() {
             return self.publish(stored, removed, points);
         }
-        let at = points.seen().0 + 1;
+        let at = points.read_revision().0 + 1;
         let mut plain = Vec::new();
         for row in stored {
             let held = if row.is_new { None } else { points.get(row.id) };
