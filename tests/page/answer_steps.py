@@ -107,6 +107,8 @@ def enter_probes_the_point_in_the_middle(page, programs, pictures):
                 page.select_option("#axes-preset", "parallel")
                 page.click("#probe-clear")
             wait_until_drawn(page)
+            # The axes are those of the next frame.
+            page.evaluate("() => new Promise(drawn => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
             page.locator("#picture").press("Enter")
             expect(page.locator("#neighbors tr")).to_have_count(5)
             expect(page.locator("#probe-state")).to_have_value("6, 6")
