@@ -59,6 +59,39 @@ fn cut_short(mix: &str, verb: &str) -> (ProcessOutput, String) {
     (ended, report)
 }
 
+/// Points of a fill that fails are removed, also if the run has no inserts.
+#[test]
+fn a_fill_that_fails_leaves_nothing() {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command.args([
+        "--grpc",
+        "127.0.0.1:0",
+        "--data",
+        "memory",
+        "--zenoh",
+        "off",
+    ]);
+    command.env("WAYFOLD_LIMITS__MAX_POINTS_PER_INDEX", "1500");
+    let server = ServerProcess::ready(Process::spawn(&mut command));
+    let wayfold = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_cli-process"));
+        command.args(["--server", server.uri(), "--output", "json"]);
+        Process::spawn(command.args(arguments)).finish()
+    };
+    wayfold(&["create", "arm", "--space", "R1"]);
+    let load = [
+        "load", "arm", "--mix", "knn=1", "--fill", "2500", "--calls", "1",
+    ];
+    let refused = wayfold(&load);
+    assert!(
+        refused.stderr.contains("QUOTA_EXCEEDED"),
+        "{}",
+        refused.stderr
+    );
+    let info: Value = serde_json::from_str(&wayfold(&["info", "arm"]).stdout.concat()).unwrap();
+    assert_eq!(info["point_count"], 0, "{info}");
+}
+
 fn result(ended: &ProcessOutput) -> Value {
     let result: Value = serde_json::from_str(&ended.stdout.concat()).unwrap();
     let total = &result["total"];

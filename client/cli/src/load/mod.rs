@@ -21,7 +21,12 @@ mod table;
 mod target;
 mod worker;
 
-use std::{path::PathBuf, thread, time::Duration};
+use std::{
+    path::PathBuf,
+    sync::{Arc, atomic::Ordering::Relaxed},
+    thread,
+    time::Duration,
+};
 
 use tokio::sync::{oneshot, watch};
 
@@ -127,19 +132,27 @@ pub(crate) async fn load(
         keep: settings.keep(),
         timeout,
         tag: run::fresh_tag(),
+        may_leave: Arc::default(),
     };
     let report = args.report.as_deref().map(ReportFile::open).transpose()?;
     let (outcome, cleaned) = run_until_signal(plan).await?;
-    let report = report.map(|report| report.write(&report::page(&outcome)));
+    let told = tell(&outcome, report, output);
+    // Points that are left behind matter more than figures that cannot be written.
+    cleaned.and(told).and_then(|()| complete(&outcome))
+}
+
+/// Writes the figures, and the report if there is one.
+fn tell(outcome: &Outcome, report: Option<ReportFile>, output: &mut Output) -> Result<(), Failure> {
+    let report = report.map(|report| report.write(&report::page(outcome)));
     match output.format {
-        Format::Json => output.json(&json::object(&outcome))?,
-        Format::Text => table::print(&outcome, output)?,
+        Format::Json => output.json(&json::object(outcome))?,
+        Format::Text => table::print(outcome, output)?,
     }
     // The figures are printed, even if the page cannot be written.
     if let (Some(path), Format::Text) = (report.transpose()?, output.format) {
         output.text(format_args!("the report is in {}", path.display()))?;
     }
-    cleaned.and_then(|()| complete(&outcome))
+    Ok(())
 }
 
 /// Runs a plan on a thread of its own. The first signal ends the run, the second also the removal of its points.
@@ -148,7 +161,7 @@ async fn run_until_signal(plan: Plan) -> Result<(Outcome, Result<(), Failure>), 
     let (stop, stopped) = watch::channel(false);
     let (send, mut done) = oneshot::channel();
     let line = progress::line();
-    let (index, tag) = (plan.index.clone(), plan.tag);
+    let (index, tag, may_leave) = (plan.index.clone(), plan.tag, Arc::clone(&plan.may_leave));
     let run_line = line.clone();
     let spawned = thread::Builder::new()
         .name("load".to_owned())
@@ -166,7 +179,10 @@ async fn run_until_signal(plan: Plan) -> Result<(Outcome, Result<(), Failure>), 
                 ended = &mut done => ended,
                 () = interrupted => {
                     let problem = "a second signal ended the command".to_owned();
-                    return Err(LoadError::Left { index, tag, problem }.into());
+                    return Err(match may_leave.load(Relaxed) {
+                        true => LoadError::Left { index, tag, problem },
+                        false => LoadError::Interrupted,
+                    }.into());
                 }
             }
         }

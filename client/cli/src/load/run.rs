@@ -2,7 +2,11 @@
 
 use std::{
     hash::{BuildHasher, RandomState},
-    sync::{Arc, mpsc},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+        mpsc,
+    },
     thread,
     time::{Duration, Instant, SystemTime},
 };
@@ -39,6 +43,15 @@ pub(super) struct Plan {
     pub(super) timeout: Duration,
     /// The tag of the points that the run stores.
     pub(super) tag: u64,
+    /// Set once points may be stored that the run has to remove.
+    pub(super) may_leave: Arc<AtomicBool>,
+}
+
+impl Plan {
+    /// Notes that points may be stored from now on.
+    fn begin_to_store(&self) {
+        self.may_leave.store(!self.keep, Relaxed);
+    }
 }
 
 /// A tag that no other run has.
@@ -79,11 +92,16 @@ pub(super) fn run(
         is_interrupted: false,
     };
     let sampler = Sampler::new(&space, plan.range, plan.seed);
+    let filled = fill(
+        &plan,
+        &sampler,
+        first.as_mut(),
+        &mut outcome.points,
+        &stopped,
+        line,
+    );
     let measured =
-        fill(&plan, &sampler, first.as_mut(), before, &stopped, line).and_then(|filled| {
-            outcome.points.filled = filled;
-            measure(&plan, sampler, first.as_mut(), &stopped, line, &mut outcome)
-        });
+        filled.and_then(|()| measure(&plan, sampler, first.as_mut(), &stopped, line, &mut outcome));
     outcome.is_interrupted = *stopped.borrow();
     line.set_message("settling");
     drop(first);
@@ -96,30 +114,30 @@ pub(super) fn run(
     Ok((outcome, cleaned))
 }
 
-/// Stores points before the run, and returns their number.
+/// Stores points before the run, and counts them.
 fn fill(
     plan: &Plan,
     sampler: &Sampler,
     target: &mut dyn Target,
-    before: u64,
+    points: &mut PointCounts,
     stopped: &watch::Receiver<bool>,
     line: &ProgressBar,
-) -> Result<u64, Failure> {
+) -> Result<(), Failure> {
     const ROWS: u64 = 1_000;
     const IF_EMPTY: u64 = 1_000;
     let reads = |phase: &Phase| Verb::ALL[1..].iter().any(|verb| phase.mix.has(*verb));
-    let is_wanted = before == 0 && plan.phases.iter().any(reads);
+    let is_wanted = points.before == 0 && plan.phases.iter().any(reads);
     let count = plan.fill.unwrap_or(if is_wanted { IF_EMPTY } else { 0 });
     let mut rng = sampler.stream(FILL_STREAM);
-    let mut stored = 0;
-    while stored < count && !*stopped.borrow() {
-        line.set_message(format!("storing {count} points: {stored}"));
-        let rows = ROWS.min(count - stored);
+    while points.filled < count && !*stopped.borrow() {
+        line.set_message(format!("storing {count} points: {}", points.filled));
+        let rows = ROWS.min(count - points.filled);
         let states = sampler.rows(&mut rng, rows as usize);
+        plan.begin_to_store();
         target.store(&states, plan.tag)?;
-        stored += rows;
+        points.filled += rows;
     }
-    Ok(stored)
+    Ok(())
 }
 
 /// The random numbers of the points stored first, and of the probes of the radius; no call has these.
@@ -157,6 +175,9 @@ fn measure(
             target: target::open(&plan.address, &plan.index, plan.timeout)?,
             stopped: stopped.clone(),
         });
+    }
+    if phases.iter().any(|phase| phase.mix.has(Verb::Insert)) {
+        plan.begin_to_store();
     }
     let mut runner = Runner {
         workers,
@@ -330,8 +351,7 @@ impl Runner<'_> {
 /// Removes the points of the run, unless they are to stay, and counts what the index holds then. A count that cannot be had
 /// is left out.
 fn clean(plan: &Plan, points: &mut PointCounts) -> Result<(), Failure> {
-    let stores = plan.phases.iter().any(|phase| phase.mix.has(Verb::Insert));
-    let removes = !plan.keep && (stores || points.filled > 0);
+    let removes = plan.may_leave.load(Relaxed);
     // A shared index of its own reads what all others wrote.
     let mut clean = || {
         let mut target = target::open(&plan.address, &plan.index, plan.timeout)?;
