@@ -37,7 +37,7 @@ class Builds:
         return [program]
 
     def cpp(self, directory, text):
-        """What it includes stands first, and its statements in `main`."""
+        """A program whose includes stand first, and whose statements stand in `main`."""
         source, program = directory / "main.cpp", directory / "main"
         lines = text.splitlines()
         included = [line for line in lines if line.startswith("#include")]

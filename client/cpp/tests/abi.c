@@ -113,7 +113,7 @@ int main(void) {
     CHECK(wayfold_index_insert_with(index, states, 3, &point, &id, &search, 4, near, distances, found, &later) ==
           WAYFOLD_CODE_OK);
     CHECK(id == 1000 && found[0] == 1 && near[0] == ids[1] && later > revision);
-    // What the first search could not see: the moved point and the new one.
+    // The first search could not see the moved point and the new one.
     search.k = 0;
     search.since = revision;
     CHECK(wayfold_index_search(index, states, 1, 3, &search, 4, near, NULL, found, NULL) == WAYFOLD_CODE_OK);
