@@ -196,14 +196,13 @@ impl Schedule {
             file.sync_all()?;
             fs::rename(&unfinished, &path)?;
             File::open(&directory)?.sync_all()?;
-            // Another uid is that of a deleted index of the name.
+            // The others are of a deleted index of the name, or of a history that this one lost.
             let uid = format!("-{}-", hosted.uid_text());
-            let own = before.iter().filter(|name| name.contains(&uid));
-            let old = own
-                .clone()
-                .count()
-                .saturating_sub(self.keep.saturating_sub(1));
-            for name in own.take(old) {
+            let (own, others): (Vec<_>, Vec<_>) =
+                before.iter().partition(|name| name.contains(&uid));
+            let old = own.len().saturating_sub(self.keep.saturating_sub(1));
+            let former = others.len().saturating_sub(self.keep);
+            for name in own.iter().take(old).chain(others.iter().take(former)) {
                 fs::remove_file(directory.join(name))?;
             }
             Ok(())

@@ -41,7 +41,7 @@ pub(super) struct ConnectionArgs {
     )]
     token: Option<String>,
 
-    /// A file with the token, which counts if --token is not given
+    /// A file with the token, which counts if neither --token nor WAYFOLD_TOKEN is given
     #[arg(
         long,
         global = true,

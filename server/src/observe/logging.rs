@@ -82,9 +82,12 @@ pub(crate) fn start(filter: &str, format: LogFormat) -> Result<(), LoggingError>
 }
 
 /// At the levels debug and trace, Zenoh writes its configuration and whole messages, and the client of NATS its address:
-/// passwords and tokens of callers are parts of them.
+/// passwords and tokens of callers are parts of them. The part of Zenoh that opens links writes their locators at any level,
+/// which may carry a private key; the server's own lines tell the same without it.
 fn has_no_secrets(lines: &Metadata<'_>) -> bool {
+    const OPENS_LINKS: &str = "zenoh::net::runtime::orchestrator";
     let library = lines.target();
-    *lines.level() < Level::DEBUG
-        || !(library.starts_with("zenoh") || library.starts_with("async_nats"))
+    let is_of = |name| library.starts_with(name);
+    !is_of(OPENS_LINKS)
+        && (*lines.level() < Level::DEBUG || !(is_of("zenoh") || is_of("async_nats")))
 }

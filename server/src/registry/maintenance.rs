@@ -116,7 +116,7 @@ impl Registry {
     /// True if mutations that add points are accepted now: the store has not failed, the journal can be reached, and
     /// memory and disk are below their watermarks.
     pub fn accepts_growth(&self) -> bool {
-        self.failure().is_none() && !self.is_cut_off() && self.host.watermarks.accept_growth()
+        self.failure().is_none() && !self.is_cut_off() && self.host.watermarks.check().is_ok()
     }
 
     /// The error of a log that has stopped accepting writes.

@@ -28,7 +28,7 @@ impl Registry {
             Some(state) if state.uid() == uid => {}
             _ => return Err(RegistryError::Deleted),
         }
-        self.host.watermarks.admit(0)?;
+        self.host.watermarks.check()?;
         Ok(Restore {
             stored: self.host.log.points.replace(entry.clone(), origin)?,
             loader: Loader::new(&self.host, &entry.space),

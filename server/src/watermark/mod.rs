@@ -258,9 +258,9 @@ impl Watermarks {
         })
     }
 
-    /// True if a call that grows the server is admitted now.
-    pub(crate) fn accept_growth(&self) -> bool {
-        self.all().all(|it| it.admit(0).is_ok())
+    /// Fails if a call that grows the server would be refused now.
+    pub(crate) fn check(&self) -> Result<(), Full> {
+        self.all().try_for_each(|it| it.admit(0))
     }
 
     /// The measurements of the resources that can be measured, by name.

@@ -169,7 +169,8 @@ impl ClientBuilder {
         let has_certificate = self.credentials.has_client_certificate();
         let connect = async {
             let channel = endpoint.connect().await?;
-            if has_certificate {
+            if has_certificate && first_answer(channel.clone()).await.is_err() {
+                // One connection may be cut by chance, and the channel makes another.
                 first_answer(channel.clone()).await?;
             }
             Ok(channel)

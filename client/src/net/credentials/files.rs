@@ -23,7 +23,7 @@ const KEY: &str = "the client's private key";
 const TOKEN: &str = "the token";
 
 impl Credentials {
-    /// Those that the environment names, as for the command `wayfold`: the files `WAYFOLD_CA`, `WAYFOLD_CERT` and
+    /// Those that the environment names by the variables of the command `wayfold`: the files `WAYFOLD_CA`, `WAYFOLD_CERT` and
     /// `WAYFOLD_KEY` in PEM, and `WAYFOLD_TOKEN`, or the file `WAYFOLD_TOKEN_FILE`. An empty variable counts as unset.
     ///
     /// # Errors

@@ -55,6 +55,31 @@ fn a_key_in_an_endpoint_of_zenoh_is_in_no_line() {
     assert!(!ended.stdout.concat().contains(PASSWORD));
 }
 
+/// Zenoh itself warns of links that do not open, and names their locators.
+#[test]
+fn a_key_in_a_locator_that_fails_is_in_no_line() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port();
+    let option = |name: &str| format!("tls/127.0.0.1:{port}#{name}_private_key_base64={PASSWORD}");
+    let client = serde_json::json!({
+        "mode": "client",
+        "connect": { "endpoints": [option("connect")], "timeout_ms": 0 },
+    });
+    for (listen, config) in [
+        (option("listen"), "{}".to_owned()),
+        ("tcp/127.0.0.1:0".to_owned(), client.to_string()),
+    ] {
+        let mut command = talkative(&["--zenoh", &listen]);
+        command
+            .env("WAYFOLD_ZENOH__CONFIG", config)
+            .env("WAYFOLD_LOG__FILTER", "info,zenoh=warn");
+        let ended = Process::spawn(&mut command).finish();
+        assert_eq!(ended.status.code(), Some(1), "{}", ended.stderr);
+        assert!(ended.stderr.contains("Zenoh"), "{}", ended.stderr);
+        assert!(!ended.stderr.contains(PASSWORD), "{}", ended.stderr);
+    }
+}
+
 #[test]
 fn a_password_for_nats_is_in_no_line() {
     // The listener is dropped at once: no server answers at its port.
