@@ -7,6 +7,9 @@ use wayfold_tests::{Process, ProcessOutput, ServerProcess, Signal};
 
 use crate::metrics::{calls, figures};
 
+/// The most looks at the counts of a server.
+const MAX_LOOKS: usize = 20_000;
+
 /// Runs a load with this mix, and kills its server once that has answered a call. Returns what it printed and its report.
 fn cut_short(mix: &str, verb: &str) -> (ProcessOutput, String) {
     let program = env!("CARGO_BIN_EXE_server-process");
@@ -24,7 +27,7 @@ fn cut_short(mix: &str, verb: &str) -> (ProcessOutput, String) {
     let report = directory.path().join("report.html");
     let wayfold = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_cli-process"));
-        command.args(["--server", server.uri(), "--timeout", "500ms"]);
+        command.args(["--server", server.uri(), "--timeout", "5s"]);
         command.args(arguments);
         Process::spawn(&mut command)
     };
@@ -34,7 +37,7 @@ fn cut_short(mix: &str, verb: &str) -> (ProcessOutput, String) {
         "--rate",
         "50",
         "--duration",
-        "2s",
+        "6s",
         "--fill",
         "0",
         "--json",
@@ -52,7 +55,10 @@ fn cut_short(mix: &str, verb: &str) -> (ProcessOutput, String) {
     );
     let answered = calls("grpc", verb, "arm", "OK");
     // The first calls open the workers.
-    while figures(&pages).get(&answered) < Some(&10.0) {}
+    let mut looks = 0..MAX_LOOKS;
+    while figures(&pages).get(&answered) < Some(&10.0) {
+        assert!(looks.next().is_some(), "the load makes no calls");
+    }
     server.stop(Signal::Kill);
     let ended = load.finish();
     let report = std::fs::read_to_string(report).unwrap_or_else(|_| panic!("{ended:?}"));
