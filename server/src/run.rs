@@ -213,7 +213,13 @@ pub(crate) async fn serve(
     // The service refuses new calls first, so that all of them fail once the phase announces the shutdown.
     service.begin_shutdown();
     lifecycle.advance(Phase::Stopping);
-    drain(serving, zenoh, under_way, cut, config.shutdown.grace_ms).await
+    let drained = drain(serving, zenoh, under_way, cut, config.shutdown.grace_ms).await;
+    // The pages and calls that were cut may hold the store for longer than the process lives.
+    let closed = tokio::task::spawn_blocking(move || service.close()).await;
+    if let Err(error) = closed {
+        error!(%error, "the store was not closed in order");
+    }
+    drained
 }
 
 /// The listener of the pages for operators, unless they are off.

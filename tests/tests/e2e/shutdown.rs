@@ -1,5 +1,11 @@
 //! Starting and stopping: a stopping server finishes what it accepted, and takes nothing more.
 
+use std::{
+    io::{Read, Write},
+    net::TcpStream,
+    process::Command,
+};
+
 use tonic::{Code, Streaming, transport::Channel};
 use tonic_health::pb::{
     HealthCheckRequest, HealthCheckResponse, health_check_response::ServingStatus,
@@ -7,7 +13,7 @@ use tonic_health::pb::{
 };
 use wayfold_index::Space;
 use wayfold_proto::v1::{InsertRequest, KnnRequest, ScanRequest, knn_request::KForm};
-use wayfold_tests::{Signal, States, Stubs, row_states, server};
+use wayfold_tests::{Process, ServerProcess, Signal, States, Stubs, page, row_states, server};
 
 const ROWS: usize = 1_000;
 const BATCHES: usize = 20;
@@ -49,6 +55,42 @@ async fn serving(uri: &str) -> Streaming<HealthCheckResponse> {
 #[tokio::test]
 async fn accepted_calls_finish_after_sigterm() {
     stops_gracefully(Signal::Terminate).await;
+}
+
+/// With `none`, only an orderly stop keeps the mutations: also of a server at which an operator looks.
+#[tokio::test]
+async fn an_orderly_stop_keeps_the_mutations_while_a_page_is_open() {
+    let directory = tempfile::tempdir().unwrap();
+    let serve = || {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+        command
+            .args(["--grpc", "127.0.0.1:0", "--http", "127.0.0.1:0", "--data"])
+            .arg(directory.path())
+            .args(["--zenoh", "tcp/127.0.0.1:0"])
+            .env("WAYFOLD_DATA__DURABILITY", "none");
+        ServerProcess::ready(Process::spawn(&mut command))
+    };
+    let mut server = serve();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    filled(&mut stubs).await;
+    let stored = stubs.describe("roadmap").await;
+    server.zenoh();
+    let pages = server.pages();
+    assert_eq!(page(&pages, "/metrics", "").0, 200);
+    let mut open = TcpStream::connect(&pages).unwrap();
+    open.write_all(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        .unwrap();
+    assert_ne!(open.read(&mut [0; 64]).unwrap(), 0);
+    let finished = server.stop(Signal::Terminate);
+    assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+
+    let server = serve();
+    let again = Stubs::connect(server.uri()).await.describe("roadmap").await;
+    assert_eq!(
+        (again.revision, again.point_count),
+        (stored.revision, stored.point_count)
+    );
+    drop(open);
 }
 
 #[tokio::test]

@@ -40,7 +40,7 @@ mod unclean_marker;
 mod usage;
 mod view;
 
-use std::{io, path::Path, sync::Arc};
+use std::{io, mem, path::Path, sync::Arc};
 
 use futures_util::{StreamExt, stream};
 use parking_lot::{Mutex, RwLock};
@@ -96,7 +96,7 @@ impl TryFrom<String> for Durability {
 
 /// A log in a directory: journal, points and catalogue.
 ///
-/// Dropping it syncs all appended records and closes its views.
+/// Closing or dropping it syncs all appended records and closes its views.
 pub struct FjallLog {
     // Dropped before the directory is unlocked.
     opened: RwLock<Opened>,
@@ -210,9 +210,7 @@ impl FjallLog {
 
 impl Drop for FjallLog {
     fn drop(&mut self) {
-        if let Ok(engine) = self.engine() {
-            engine.shut();
-        }
+        self.close();
     }
 }
 
@@ -254,6 +252,13 @@ impl Journal for FjallLog {
 }
 
 impl PointStore for FjallLog {
+    fn close(&self) {
+        let closed = Opened::Not(LogError::Closed, Marked::default());
+        if let Opened::Open(engine) = mem::replace(&mut *self.opened.write(), closed) {
+            engine.shut();
+        }
+    }
+
     fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
         self.engine()?.apply(uid, records)
     }
