@@ -183,7 +183,8 @@ pub trait PointStore: Send + Sync {
     /// submitted to this engine is in the store already and is not applied again. `records` is not empty.
     fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError>;
 
-    /// Syncs what was applied, and ends: every later call fails. An orderly stop does so whoever still holds the store. Blocks.
+    /// Syncs the applied records and closes the store: every later call fails. An orderly stop closes it while others still
+    /// hold it. Blocks.
     fn close(&self) {}
 
     /// The points as they are stored now, pinned.

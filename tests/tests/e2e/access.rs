@@ -192,7 +192,7 @@ async fn a_certificate_or_a_token_is_an_identity_and_nothing_else_is() {
         }
     };
     let refused = tokio::time::timeout(Duration::from_secs(60), refused).await;
-    // A call that was under way is told that its identity was revoked.
+    // The server tells a call under way that it revoked the identity.
     assert_eq!(refused.unwrap().code(), Code::Unauthenticated);
     let refused = seen.info().await.unwrap_err();
     assert_eq!(refused.reason(), Some("WRONG_CREDENTIAL"));

@@ -1,4 +1,4 @@
-//! A load whose server dies: its figures are told all the same.
+//! A load prints its figures also after its server has died.
 
 use std::process::Command;
 
