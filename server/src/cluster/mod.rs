@@ -7,7 +7,11 @@
 
 mod members;
 
-use std::{net::SocketAddr, sync::Arc, time::Duration};
+use std::{
+    net::SocketAddr,
+    sync::{Arc, atomic::Ordering::Relaxed},
+    time::Duration,
+};
 
 use bytes::Bytes;
 use futures_util::future::BoxFuture;
@@ -69,6 +73,7 @@ pub(crate) fn advertised(
 
 /// This server among the members of its cluster.
 pub(crate) struct Cluster {
+    nats: async_nats::Client,
     members: Members,
     client: MemberClient,
 }
@@ -84,7 +89,8 @@ impl Cluster {
     ) -> Self {
         let subject = format!("{}.members", config.name);
         Self {
-            members: Members::join(nats, subject, own),
+            members: Members::join(nats.clone(), subject, own),
+            nats,
             client: MemberClient::new(config.peer_ca(), tls),
         }
     }
@@ -122,7 +128,7 @@ impl Owners for Cluster {
     }
 
     fn changes(&self) -> u64 {
-        self.members.changes()
+        self.members.changes() + self.nats.statistics().connects.load(Relaxed)
     }
 
     fn forward<'a>(

@@ -62,7 +62,8 @@ impl Registry {
 /// The first mutation of an index at a server: before it the server compares its records with those of the others.
 #[derive(Default)]
 pub(crate) struct FirstWrite {
-    /// The number of changes of the live servers as of which the records were compared; 0 if they never were.
+    /// The number of changes of the live servers and of NATS's connection as of which the records were compared; 0 if they
+    /// never were.
     pub(crate) compared: AtomicU64,
     /// Held while they are compared. It has the last failure.
     pub(crate) turn: Mutex<Option<Failed>>,

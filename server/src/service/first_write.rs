@@ -1,8 +1,9 @@
 //! Before its first mutation of an index a server asks the live members of its cluster what they have applied. NATS may have
 //! lost records that another member still has, and a record of this server would take their place for good.
 //!
-//! The members are asked again once they change: the owner of an index may have changed, and a member that joins may have
-//! other records. Later mutations compare two numbers.
+//! The members are asked again once they change, and once NATS is connected again: the owner of an index may have changed, a
+//! member that joins may have other records, and a server of NATS that restarts may have lost some. Later mutations compare
+//! two numbers.
 
 use std::{
     sync::{Arc, atomic::Ordering::Relaxed},

@@ -20,7 +20,8 @@ pub trait Owners: Send + Sync {
     /// The number of live servers that this one hears, itself among them; 0 if it is cut off.
     fn members(&self) -> usize;
 
-    /// The number of times that the live servers changed, from 1 on: so often the owner of an index may have.
+    /// The number of times that the live servers changed, or the journal was connected, from 1 on: so often the owner of an
+    /// index may have changed, or the journal may have lost records.
     fn changes(&self) -> u64;
 
     /// Sends a request, encoded, to `owner`, in the name of the caller and with the deadline of `call`. Returns the encoded
