@@ -90,11 +90,14 @@ def acknowledged():
     return table(["durable"], ["inserts a second", "server", "against", "its rate", "server / bare"], rows)
 
 
+def durable(part):
+    """The section of the durable figures whose title begins so."""
+    return next(section for title, section in of("durable").items() if title.startswith(part))
+
+
 def kept():
-    got = of("durable")
-    find = lambda part: next(section for title, section in got.items() if title.startswith(part))
-    latency, restart, disk, idle = map(find, ("one client", "restart", "disk", "idle"))
-    append = find("the disk")["append of 4 KiB and fdatasync, median"]["figure"]
+    latency, restart, disk, idle = map(durable, ("one client", "restart", "disk", "idle"))
+    append = durable("the disk")["append of 4 KiB and fdatasync, median"]["figure"]
     rows = [["an append of 4 KiB with fdatasync, p50", "–", f"{digits(append)} ms"]]
     rows += [["an insert of one state, one in flight, p50", digits(latency["Insert"]["figure"]) + " ms",
              f"two appends with fdatasync and a bare call: {digits(latency['Insert']['against'])} ms"]]
@@ -129,6 +132,8 @@ def pauses():
 SERVER = {
     "grpc": grpc, "loading": loading, "cluster": cluster, "writers": writers, "call-cost": call_cost, "zenoh": zenoh,
     "acknowledged": acknowledged, "kept": kept, "pauses": pauses,
+    "restart": lambda: digits(durable("restart")["from opening to ready"]["figure"]) + " seconds",
+    "loaded-bytes": lambda: digits(durable("while ")["on disk: resident bytes a point, right after the load"]["figure"]) + " bytes",
     "grpc-call": lambda: digits(of("network")["searches"]["one"]["server"]["p50_ms"]) + " ms",
     "zenoh-call": lambda: digits(of("robots")["forms"]["json"]["one_in_flight_p50_us"]["server"] / 1e3) + " ms",
 }
