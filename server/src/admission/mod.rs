@@ -4,28 +4,26 @@
 //! first byte of a request to the last byte of its answer that the caller reads.
 
 mod bytes;
+mod call_turns;
 mod turns;
 
 use std::{
-    cell::Cell,
-    future::poll_fn,
-    pin::{Pin, pin},
     sync::{
         Arc,
         atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed},
     },
-    task::{Context, Poll, Waker, ready},
     time::{Duration, Instant},
 };
 
+use serde::Deserialize;
 use tokio::time::interval;
 use tracing::warn;
 
 use self::{
     bytes::ByteBudget,
-    turns::{FlowNumber, MAX_AT_ONCE, Stage, TurnRequest, Turns},
+    turns::{FlowNumber, Turns},
 };
-use crate::config::AdmissionConfig;
+pub(crate) use call_turns::{CallTurns, end_slice};
 pub(crate) use turns::Overloaded;
 
 /// The setting of the bytes that calls hold.
@@ -42,6 +40,17 @@ const REPORT_INTERVAL: Duration = Duration::from_secs(10);
 
 /// A flow holds at most this part of all bytes, and so do all calls of administration.
 const SHARES: usize = 4;
+
+/// `[admission]`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct AdmissionConfig {
+    /// The time that a call waits to begin while the queue stands, in milliseconds.
+    pub queue_target_ms: u64,
+    /// The time that it waits otherwise, in milliseconds: a queue that was not empty for longer stands.
+    pub burst_ms: u64,
+    /// The most bytes that requests, calls and unread answers hold.
+    pub max_bytes: usize,
+}
 
 /// See the module. Clones share it.
 #[derive(Clone, Debug)]
@@ -225,25 +234,12 @@ impl Flow {
     /// The turns of a call.
     pub(crate) fn turns(self: &Arc<Self>) -> CallTurns {
         self.calls.fetch_add(1, Relaxed);
-        CallTurns {
-            flow: Arc::clone(self),
-            stage: Stage::New,
-            at_once: Duration::ZERO,
-            streams: false,
-            next: None,
-            asked: Instant::now(),
-            queued: Duration::ZERO,
-            computed: Duration::ZERO,
-        }
+        CallTurns::new(Arc::clone(self))
     }
 
     /// The turns of a request of a stream that has begun: it waits, and is not refused for it.
     pub(crate) fn turns_of_stream(self: &Arc<Self>) -> CallTurns {
-        CallTurns {
-            stage: Stage::GoesOn,
-            streams: true,
-            ..self.turns()
-        }
+        self.turns().of_stream()
     }
 }
 
@@ -305,115 +301,5 @@ impl HeldBytes {
 impl Drop for HeldBytes {
     fn drop(&mut self) {
         self.give_back(self.held.load(Relaxed));
-    }
-}
-
-/// The turns of one call, one for each slice of its work.
-#[derive(Debug)]
-pub(crate) struct CallTurns {
-    flow: Arc<Flow>,
-    stage: Stage,
-    /// Its work since it last went behind others of its flow.
-    at_once: Duration,
-    /// True if it is one of the calls of a stream, or answers with one.
-    streams: bool,
-    /// The turn of the next slice.
-    next: Option<TurnRequest>,
-    /// The time since which it asks for that turn.
-    asked: Instant,
-    /// The time that it has waited for turns.
-    queued: Duration,
-    /// The time that it has had in turns.
-    computed: Duration,
-}
-
-thread_local! {
-    /// The waker of work that is about to be pending and can go on at once.
-    static GOES_ON: Cell<Option<Waker>> = const { Cell::new(None) };
-}
-
-/// Ends a slice of work that goes on: others may have a turn before.
-pub(crate) async fn end_slice() {
-    poll_fn(|context| {
-        GOES_ON.set(Some(context.waker().clone()));
-        Poll::Ready(())
-    })
-    .await;
-    tokio::task::yield_now().await;
-}
-
-impl CallTurns {
-    /// Asks for the next turn: it is kept for the call, or the call waits for it from now on.
-    pub(crate) fn ask(&mut self) -> Result<(), Overloaded> {
-        if self.next.is_none() {
-            let Flow { turns, number, .. } = &*self.flow;
-            let now = Instant::now();
-            self.asked = now;
-            let behind = self.flow.behind(now);
-            self.next = Some(turns.ask(*number, self.stage, behind, now)?);
-        }
-        Ok(())
-    }
-
-    /// The time that the call has waited for turns, and the time that it has had in them.
-    pub(crate) fn times(&self) -> (Duration, Duration) {
-        (self.queued, self.computed)
-    }
-
-    /// Gives up the turn that was asked for.
-    pub(crate) fn give_up(&mut self) {
-        self.next = None;
-    }
-
-    /// Polls `work` in a turn. It is pending while the call waits for one, and the task is woken for it.
-    pub(crate) fn poll<T>(
-        &mut self,
-        context: &mut Context<'_>,
-        work: impl FnOnce(&mut Context<'_>) -> Poll<T>,
-    ) -> Poll<Result<T, Overloaded>> {
-        self.ask()?;
-        if let Some(TurnRequest::Waits(granted)) = &mut self.next {
-            let granted = ready!(Pin::new(granted).poll(context));
-            self.next = None;
-            // The sender is dropped only with the flow, which this call keeps.
-            let turn = granted.unwrap_or(Err(Overloaded(Duration::ZERO)))?;
-            self.next = Some(TurnRequest::Granted(turn));
-        }
-        let Some(TurnRequest::Granted(turn)) = self.next.take() else {
-            return Poll::Pending;
-        };
-        GOES_ON.set(None);
-        let began = Instant::now();
-        self.queued += began - self.asked;
-        let polled = work(context);
-        let took = began.elapsed();
-        self.computed += took;
-        self.asked = began + took;
-        self.at_once += took;
-        self.stage = Stage::GoesOn;
-        if self.at_once >= MAX_AT_ONCE {
-            self.at_once = Duration::ZERO;
-            self.stage = Stage::GoesBehind {
-                holds_part: !self.streams,
-            };
-        }
-        // A call that goes on after an answer sends a stream of them.
-        self.streams |= polled.is_ready();
-        // A task of its own polls its work with another waker.
-        let goes_on = GOES_ON
-            .take()
-            .is_some_and(|waker| waker.will_wake(context.waker()));
-        if polled.is_pending() && goes_on {
-            self.next = Some(self.flow.turns.give_way(turn, took, self.stage));
-        } else {
-            turn.end(took);
-        }
-        polled.map(Ok)
-    }
-
-    /// Does `work` in turns.
-    pub(crate) async fn run<F: Future>(&mut self, work: F) -> Result<F::Output, Overloaded> {
-        let mut work = pin!(work);
-        poll_fn(|context| self.poll(context, |context| work.as_mut().poll(context))).await
     }
 }

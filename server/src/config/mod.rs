@@ -8,6 +8,7 @@ use std::{collections::BTreeMap, path::Path, time::Duration};
 
 use serde::Deserialize;
 
+pub use crate::admission::AdmissionConfig;
 pub use error::ConfigError;
 
 use crate::{
@@ -171,17 +172,6 @@ impl ZenohConfig {
 pub struct HttpConfig {
     /// The address to listen on, as `host:port`, or [`OFF`].
     pub listen: String,
-}
-
-/// `[admission]`
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-pub struct AdmissionConfig {
-    /// The time that a call waits to begin while the queue stands, in milliseconds.
-    pub queue_target_ms: u64,
-    /// The time that it waits otherwise, in milliseconds: a queue that was not empty for longer stands.
-    pub burst_ms: u64,
-    /// The most bytes that requests, calls and unread answers hold.
-    pub max_bytes: usize,
 }
 
 /// `[index]`

@@ -1,0 +1,147 @@
+//! The turns of a call: its work is polled in slices, each in a turn.
+
+use std::{
+    cell::Cell,
+    future::poll_fn,
+    pin::{Pin, pin},
+    sync::Arc,
+    task::{Context, Poll, Waker, ready},
+    time::{Duration, Instant},
+};
+
+use super::{
+    Flow, Overloaded,
+    turns::{MAX_AT_ONCE, Stage, TurnRequest},
+};
+
+/// The turns of one call, one for each slice of its work.
+#[derive(Debug)]
+pub(crate) struct CallTurns {
+    flow: Arc<Flow>,
+    stage: Stage,
+    /// Its work since it last went behind others of its flow.
+    at_once: Duration,
+    /// True if it is one of the calls of a stream, or answers with one.
+    streams: bool,
+    /// The turn of the next slice.
+    next: Option<TurnRequest>,
+    /// The time since which it waits for that turn.
+    requested_at: Instant,
+    /// The time that it has waited for turns.
+    queued: Duration,
+    /// The time that it has had in turns.
+    computed: Duration,
+}
+
+thread_local! {
+    /// The waker of work that is about to be pending and can go on at once.
+    static GOES_ON: Cell<Option<Waker>> = const { Cell::new(None) };
+}
+
+/// Ends a slice of work that goes on: others may have a turn before.
+pub(crate) async fn end_slice() {
+    poll_fn(|context| {
+        GOES_ON.set(Some(context.waker().clone()));
+        Poll::Ready(())
+    })
+    .await;
+    tokio::task::yield_now().await;
+}
+
+impl CallTurns {
+    pub(super) fn new(flow: Arc<Flow>) -> Self {
+        Self {
+            flow,
+            stage: Stage::New,
+            at_once: Duration::ZERO,
+            streams: false,
+            next: None,
+            requested_at: Instant::now(),
+            queued: Duration::ZERO,
+            computed: Duration::ZERO,
+        }
+    }
+
+    /// The same for a request of a stream that has begun.
+    pub(super) fn of_stream(self) -> Self {
+        Self {
+            stage: Stage::GoesOn,
+            streams: true,
+            ..self
+        }
+    }
+
+    /// Asks for the next turn: it is kept for the call, or the call waits for it from now on.
+    pub(crate) fn ask(&mut self) -> Result<(), Overloaded> {
+        if self.next.is_none() {
+            let Flow { turns, number, .. } = &*self.flow;
+            let now = Instant::now();
+            self.requested_at = now;
+            let behind = self.flow.behind(now);
+            self.next = Some(turns.ask(*number, self.stage, behind, now)?);
+        }
+        Ok(())
+    }
+
+    /// The time that the call has waited for turns, and the time that it has had in them.
+    pub(crate) fn times(&self) -> (Duration, Duration) {
+        (self.queued, self.computed)
+    }
+
+    /// Gives up the turn that was requested.
+    pub(crate) fn give_up(&mut self) {
+        self.next = None;
+    }
+
+    /// Polls `work` in a turn. It is pending while the call waits for one, and the task is woken for it.
+    pub(crate) fn poll<T>(
+        &mut self,
+        context: &mut Context<'_>,
+        work: impl FnOnce(&mut Context<'_>) -> Poll<T>,
+    ) -> Poll<Result<T, Overloaded>> {
+        self.ask()?;
+        if let Some(TurnRequest::Waits(granted)) = &mut self.next {
+            let granted = ready!(Pin::new(granted).poll(context));
+            self.next = None;
+            // The sender is dropped only with the flow, which this call keeps.
+            let turn = granted.unwrap_or(Err(Overloaded(Duration::ZERO)))?;
+            self.next = Some(TurnRequest::Granted(turn));
+        }
+        let Some(TurnRequest::Granted(turn)) = self.next.take() else {
+            return Poll::Pending;
+        };
+        GOES_ON.set(None);
+        let began = Instant::now();
+        self.queued += began - self.requested_at;
+        let polled = work(context);
+        let took = began.elapsed();
+        self.computed += took;
+        self.requested_at = began + took;
+        self.at_once += took;
+        self.stage = Stage::GoesOn;
+        if self.at_once >= MAX_AT_ONCE {
+            self.at_once = Duration::ZERO;
+            self.stage = Stage::GoesBehind {
+                holds_part: !self.streams,
+            };
+        }
+        // A call that goes on after an answer sends a stream of them.
+        self.streams |= polled.is_ready();
+        // A task of its own polls its work with another waker.
+        let goes_on = GOES_ON
+            .take()
+            .is_some_and(|waker| waker.will_wake(context.waker()));
+        if polled.is_pending() && goes_on {
+            self.next = Some(self.flow.turns.give_way(turn, took, self.stage));
+        } else {
+            turn.end(took);
+        }
+        polled.map(Ok)
+    }
+
+    /// Does `work` in turns.
+    pub(crate) async fn run<F: Future>(&mut self, work: F) -> Result<F::Output, Overloaded> {
+        let mut work = pin!(work);
+        poll_fn(|context| self.poll(context, |context| work.as_mut().poll(context))).await
+    }
+}
