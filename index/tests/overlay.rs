@@ -41,7 +41,7 @@ proptest! {
         base in changes(),
         added in prop::collection::btree_map(150..170u64, (0..8u8).prop_map(Some), 0..20),
         layers in prop::collection::vec(changes(), 0..4),
-        asked in 0..8u8,
+        query in 0..8u8,
         k in prop_oneof![0..6usize, Just(usize::MAX)],
         radius in prop_oneof![(0..5u8).prop_map(f64::from), Just(f64::INFINITY)],
         tagged in any::<bool>(),
@@ -94,10 +94,10 @@ proptest! {
             excluded: &sets,
             ..Search::nearest_k(k)
         };
-        let asked = [f64::from(asked)];
+        let query = [f64::from(query)];
         let snapshot = forest.snapshot();
-        let found = search_overlaid(&snapshot, &overlays, None, &asked, &search).unwrap();
-        let truth = linear.search(&asked, &search).unwrap().neighbors;
+        let found = search_overlaid(&snapshot, &overlays, None, &query, &search).unwrap();
+        let truth = linear.search(&query, &search).unwrap().neighbors;
         prop_assert_eq!(&found, &truth);
 
         // With the neighbours of the snapshot, or of an earlier one. The oldest overlay has points of the snapshot.
@@ -110,9 +110,9 @@ proptest! {
             let overlays: Vec<&Overlay> = [&oldest].into_iter().chain(overlays).collect();
             let wider = Search { k: k.saturating_add(1), ..search };
             for known in [&earlier, &snapshot] {
-                let neighbors = known.search(&asked, &wider).unwrap().neighbors;
+                let neighbors = known.search(&query, &wider).unwrap().neighbors;
                 let known = Known { revision: known.revision(), neighbors: &neighbors };
-                let found = search_overlaid(&snapshot, &overlays, Some(known), &asked, &search);
+                let found = search_overlaid(&snapshot, &overlays, Some(known), &query, &search);
                 prop_assert_eq!(&found.unwrap(), &truth);
             }
         }

@@ -26,14 +26,14 @@ fn main() -> Result<(), Box<dyn Error>> {
         .collect();
     let index = Index::in_memory_inline(&"R3*SO3:0.15".parse()?)?;
     let width = 7;
-    let (stored, asked) = numbers.split_at(points * width);
+    let (stored, queries) = numbers.split_at(points * width);
     for row in stored.chunks_exact(width) {
         index.insert(row)?;
     }
     let search = Search::k(k);
     let (mut found, mut sum) = (Vec::new(), 0_u64);
     let began = own_seconds();
-    for row in asked.chunks_exact(width) {
+    for row in queries.chunks_exact(width) {
         if k == 1 {
             let nearest = index.nearest(row)?.ok_or("no points")?;
             sum = sum.wrapping_mul(31).wrapping_add(nearest.id);
@@ -44,7 +44,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             sum = sum.wrapping_mul(31).wrapping_add(neighbor.id);
         }
     }
-    let seconds = (own_seconds() - began) * width as f64 / asked.len() as f64;
+    let seconds = (own_seconds() - began) * width as f64 / queries.len() as f64;
     println!("{{\"seconds\": {seconds}, \"sum\": \"{sum}\"}}");
     Ok(())
 }

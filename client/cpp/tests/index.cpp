@@ -72,12 +72,12 @@ int main() {
     CHECK(message_of<wayfold::Error>([] { wayfold::Search::k(1).timeout(0); }).find("timeout") == 0);
 
     // Many states in a call have the answers of each alone.
-    std::vector<double> asked;
+    std::vector<double> queries;
     for (int at = 0; at < 20; at++) {
-        asked.insert(asked.end(), rows[at].begin(), rows[at].end());
+        queries.insert(queries.end(), rows[at].begin(), rows[at].end());
     }
     for (const auto &search : {wayfold::Search::k(3), wayfold::Search::within(1), wayfold::Search::within(0)}) {
-        const auto answers = index.search_many(asked.data(), 20, search);
+        const auto answers = index.search_many(queries.data(), 20, search);
         CHECK(answers.size() == 20 && answers[0].front().distance == 0);
         for (int at = 0; at < 20; at++) {
             CHECK(answers[at] == index.search(rows[at], search));

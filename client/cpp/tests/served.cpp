@@ -93,10 +93,10 @@ int main(int count, char **arguments) {
     const std::vector<double> here{1, 2, 3};
     const auto own = shared.insert(here.data(), 0, "own", wayfold::Search::k(600), 600, near);
     const bool has_seen = std::find(near.begin(), near.end(), id) != near.end();
-    const auto told = shared.meanwhile(30000);
-    CHECK(told.answers.size() == 1 && told.open == 0 && !told.has_dropped);
-    CHECK(told.answers[0].id == own && told.answers[0].points_before == memory.size() + 1);
-    const auto &later = told.answers[0].neighbors;
+    const auto taken = shared.meanwhile(30000);
+    CHECK(taken.answers.size() == 1 && taken.open == 0 && !taken.has_dropped);
+    CHECK(taken.answers[0].id == own && taken.answers[0].points_before == memory.size() + 1);
+    const auto &later = taken.answers[0].neighbors;
     CHECK(later.size() == (has_seen ? 0 : 1) && (has_seen || later[0].id == id) && near.size() >= memory.size());
     CHECK(shared.payloads({own, id, 900000}) ==
           (std::vector<std::optional<std::string>>{"own", "by another", std::nullopt}));

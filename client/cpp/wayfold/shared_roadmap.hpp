@@ -108,14 +108,14 @@ protected:
 
     // Vertices that others stored before an own one, and that its insert could not see.
     void take_answers(std::chrono::milliseconds timeout) {
-        const MeanwhileAnswers told = index_.meanwhile(static_cast<std::uint64_t>(timeout.count()));
-        for (const Meanwhile &answer : told.answers) {
+        const MeanwhileAnswers taken = index_.meanwhile(static_cast<std::uint64_t>(timeout.count()));
+        for (const Meanwhile &answer : taken.answers) {
             for (const Neighbor &near : answer.neighbors) {
                 late_.emplace_back(answer.id, near.id);
             }
         }
-        unanswered_ = told.open;
-        if (told.has_dropped) {
+        unanswered_ = taken.open;
+        if (taken.has_dropped) {
             OMPL_WARN("%s: edges to vertices of other processes are missed: none were asked for in time",
                       getName().c_str());
         }

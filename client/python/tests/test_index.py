@@ -118,12 +118,12 @@ def test_searches_release_the_interpreters_lock() -> None:
     rng = np.random.default_rng(1)
     index = wayfold.Index("R6")
     index.insert_many(rng.uniform(size=(20_000, 6)))
-    asked = rng.uniform(size=(3_000, 6))
-    thread = threading.Thread(target=lambda: index.query(asked, 50))
+    queries = rng.uniform(size=(3_000, 6))
+    thread = threading.Thread(target=lambda: index.query(queries, 50))
     steps = 0
     thread.start()
     while thread.is_alive():
-        index.insert(asked[steps % len(asked)])
+        index.insert(queries[steps % len(queries)])
         steps += 1
     # With the lock held, the search would end before this thread gets its turn.
     assert steps > 20

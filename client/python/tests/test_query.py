@@ -71,16 +71,16 @@ def brute_force(name: str, state: Floats, points: Floats) -> Floats:
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 300), k=st.integers(1, 20), removed=st.integers(0, 50))
 def test_query_equals_brute_force(name: str, seed: int, n: int, k: int, removed: int) -> None:
     rng = np.random.default_rng(seed)
-    points, asked = random_states(rng, name, n), random_states(rng, name, 4)
+    points, queries = random_states(rng, name, n), random_states(rng, name, 4)
     index = wayfold.Index(SPACES[name], inline=bool(seed % 2))
     ids = index.insert_many(points)
     gone = set(rng.integers(0, n, removed).tolist())
     for id in gone:
         assert index.remove(id)
     kept = np.array([id not in gone for id in ids], dtype=bool)
-    distances, found = index.query(asked, k)
+    distances, found = index.query(queries, k)
     assert distances.shape == found.shape == ((4, k) if k > 1 else (4,))
-    for row, state in enumerate(asked):
+    for row, state in enumerate(queries):
         expected = np.sort(brute_force(name, state, points[kept]))[:k] if kept.any() else np.empty(0)
         row_distances, row_ids = np.atleast_1d(distances[row]), np.atleast_1d(found[row])
         count = len(expected)
@@ -107,19 +107,19 @@ def test_query_equals_scipy_in_r3(
     seed: int, n: int, k: Any, bound: float, shape: tuple[int, ...], workers: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    points, asked = rng.uniform(-1, 1, (n, 3)), rng.uniform(-1, 1, (*shape, 3))
+    points, queries = rng.uniform(-1, 1, (n, 3)), rng.uniform(-1, 1, (*shape, 3))
     tree, index = cKDTree(points), wayfold.Index("R3")
     index.insert_many(points)
-    expected, expected_ids = tree.query(asked, k, distance_upper_bound=bound)
-    distances, ids = index.query(asked, k, distance_upper_bound=bound, workers=workers)
+    expected, expected_ids = tree.query(queries, k, distance_upper_bound=bound)
+    distances, ids = index.query(queries, k, distance_upper_bound=bound, workers=workers)
     assert np.shape(distances) == np.shape(expected) and np.shape(ids) == np.shape(expected_ids)
     np.testing.assert_allclose(distances, expected, rtol=1e-13)
     np.testing.assert_array_equal(ids, np.where(np.isinf(expected), -1, expected_ids))
     radius = rng.uniform(0, 1, shape) if seed % 2 else float(rng.uniform(0, 1))
-    lengths = index.query_ball_point(asked, radius, return_length=True, workers=workers)
-    np.testing.assert_array_equal(lengths, tree.query_ball_point(asked, radius, return_length=True))
-    found = index.query_ball_point(asked, radius, return_sorted=True, workers=workers)
-    expected_balls: Any = tree.query_ball_point(asked, radius, return_sorted=True)
+    lengths = index.query_ball_point(queries, radius, return_length=True, workers=workers)
+    np.testing.assert_array_equal(lengths, tree.query_ball_point(queries, radius, return_length=True))
+    found = index.query_ball_point(queries, radius, return_sorted=True, workers=workers)
+    expected_balls: Any = tree.query_ball_point(queries, radius, return_sorted=True)
     if shape == ():
         assert found == expected_balls
     else:
@@ -192,8 +192,8 @@ def test_eps_stays_within_its_factor() -> None:
     rng = np.random.default_rng(7)
     index = wayfold.Index(SPACES["SE3"])
     index.insert_many(random_states(rng, "SE3", 2000))
-    asked = random_states(rng, "SE3", 50)
-    exact, near = index.query(asked)[0], index.query(asked, eps=0.5)[0]
+    queries = random_states(rng, "SE3", 50)
+    exact, near = index.query(queries)[0], index.query(queries, eps=0.5)[0]
     assert np.all(near >= exact) and np.all(near <= 1.5 * exact)
 
 

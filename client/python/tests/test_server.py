@@ -25,7 +25,7 @@ def wait_for_length(index: wayfold.Index, length: int) -> None:
 def test_all_forms_answer_alike(server: Server) -> None:
     rng = np.random.default_rng(5)
     states = np.column_stack([rng.uniform(-1, 1, (500, 2)), rng.uniform(-3, 3, 500)])
-    asked = states[:20] + 0.01
+    queries = states[:20] + 0.01
     memory = wayfold.Index("R2*SO2")
     shared = wayfold.shared(server.url, "alike", create=wayfold.spaces.SE2())
     ids = shared.insert_many(states)
@@ -38,12 +38,12 @@ def test_all_forms_answer_alike(server: Server) -> None:
     for index in (shared, remote):
         assert len(index) == 500 and index.space == memory.space
         for k in (1, 7, [2, 3]):
-            for ours, theirs in zip(memory.query(asked, k), index.query(asked, k), strict=True):
+            for ours, theirs in zip(memory.query(queries, k), index.query(queries, k), strict=True):
                 np.testing.assert_array_equal(ours, theirs)
-        assert index.query(asked[0]) == memory.query(asked[0])
-        for radius in (0.3, np.linspace(0.0, 0.5, len(asked))):
-            balls = index.query_ball_point(asked, radius, workers=2)
-            assert balls.tolist() == memory.query_ball_point(asked, radius).tolist()
+        assert index.query(queries[0]) == memory.query(queries[0])
+        for radius in (0.3, np.linspace(0.0, 0.5, len(queries))):
+            balls = index.query_ball_point(queries, radius, workers=2)
+            assert balls.tolist() == memory.query_ball_point(queries, radius).tolist()
         _, _, rows = index.scan().columns()
         np.testing.assert_array_equal(rows, memory.scan().columns()[2])
     assert shared.close() == []

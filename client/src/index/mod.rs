@@ -17,7 +17,7 @@ mod runtime;
 mod scan;
 mod search;
 #[cfg(feature = "net")]
-mod served;
+mod server_methods;
 #[cfg(feature = "net")]
 mod shared;
 

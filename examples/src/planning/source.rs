@@ -134,11 +134,11 @@ impl Form {
     fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Vec<Neighbor>, PlanningError> {
         match self {
             Form::Index(index) => {
-                let asked = match u32::try_from(search.k) {
+                let search_k = match u32::try_from(search.k) {
                     Ok(k) => wayfold::Search::k(k).radius(search.radius),
                     Err(_) => wayfold::Search::within(search.radius),
                 };
-                Ok(index.search(state, &asked)?.neighbors)
+                Ok(index.search(state, &search_k)?.neighbors)
             }
             Form::Scan(forest) => {
                 let answer = forest.search(state, search).expect("canonical states");

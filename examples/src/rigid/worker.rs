@@ -71,7 +71,7 @@ struct Unplaced {
     /// Its nearest milestones at its insert.
     found: Vec<Neighbor>,
     /// The number of these that the insert asked for.
-    asked: usize,
+    max_k: usize,
 }
 
 impl CheckedState {
@@ -199,11 +199,11 @@ impl<'a> Worker<'a> {
             return self.insert_apart(checked, tag, payload).await;
         }
         let options = InsertOptions::new().tag(tag).payload(&payload);
-        let (asked, ask) = match self.is_shared {
+        let (max_k, ask) = match self.is_shared {
             true => {
                 // Enough, unless the roadmap more than doubles until the place is known.
-                let asked = k(2 * self.index.len()? + 100);
-                (asked, Search::k(u32::try_from(asked).unwrap_or(u32::MAX)))
+                let max_k = k(2 * self.index.len()? + 100);
+                (max_k, Search::k(u32::try_from(max_k).unwrap_or(u32::MAX)))
             }
             // The server knows n.
             false => (0, Search::k_factor(Scaling::K_FACTOR)),
@@ -219,7 +219,7 @@ impl<'a> Worker<'a> {
                 let unplaced = Unplaced {
                     checked,
                     found,
-                    asked,
+                    max_k,
                 };
                 self.unplaced.insert(id, unplaced);
             }

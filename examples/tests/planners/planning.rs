@@ -287,18 +287,18 @@ fn all_sources_answer_all_searches_alike() {
     for _ in 0..300 {
         states.push(draw()).unwrap();
     }
-    let asked: Vec<Vec<f64>> = (0..20).map(|_| draw()).collect();
+    let queries: Vec<Vec<f64>> = (0..20).map(|_| draw()).collect();
     let both = Search {
         radius: 1.5,
         ..Search::nearest_k(9)
     };
     let answers = |source| -> Vec<Vec<Neighbor>> {
         let mut source = TimedIndex::new(source, problem.space(), Some(&host)).unwrap();
-        assert_eq!(source.nearest(&asked[0]).unwrap(), None);
+        assert_eq!(source.nearest(&queries[0]).unwrap(), None);
         source.insert(&states).unwrap();
         let searches = [Search::nearest_k(1), Search::nearest_k(7), both];
         let searches = searches.into_iter().chain([Search::nearest_r(1.0)]);
-        let each = searches.flat_map(|search| asked.iter().map(move |state| (state, search)));
+        let each = searches.flat_map(|search| queries.iter().map(move |state| (state, search)));
         each.map(|(state, search)| source.search(state, &search).unwrap())
             .collect()
     };

@@ -66,11 +66,11 @@ fn are_trees(shared: &SharedTrees) {
 /// some revision, which never goes back. Returns these revisions where they are known: where the vertex is another's.
 fn are_nearest(shared: &SharedTrees, worker: usize, searches: &[SearchRecord]) -> Vec<u64> {
     let (mut read, mut known) = ([0, 0], Vec::new());
-    for asked in searches {
-        let (nodes, tree) = (&shared.trees[asked.tree], asked.tree);
+    for search in searches {
+        let (nodes, tree) = (&shared.trees[search.tree], search.tree);
         let (revisions, makers) = (&shared.revisions[tree], &shared.makers[tree]);
         let is_own = |node: usize| makers[node] == worker && nodes.ids[node] != ROOTS[tree];
-        let found = nodes.node(asked.found.id).unwrap();
+        let found = nodes.node(search.found.id).unwrap();
         if !is_own(found) {
             read[tree] = revisions[found].max(read[tree]);
             known.push(read[tree]);
@@ -80,15 +80,15 @@ fn are_nearest(shared: &SharedTrees, worker: usize, searches: &[SearchRecord]) -
         let seen = (0..nodes.len()).filter(|&node| match is_own(node) {
             true => {
                 own += 1;
-                own <= asked.own
+                own <= search.own
             }
             false => revisions[node] <= read[tree],
         });
         let measured = seen.map(|node| Neighbor {
-            distance: MAZE.space().distance(&asked.state, nodes.states.row(node)),
+            distance: MAZE.space().distance(&search.state, nodes.states.row(node)),
             id: nodes.ids[node],
         });
-        assert_eq!(Some(asked.found), measured.min(), "{asked:?}");
+        assert_eq!(Some(search.found), measured.min(), "{search:?}");
     }
     known
 }

@@ -82,7 +82,7 @@ impl KnnStreams {
             max_message_bytes: self.max_message_bytes,
             ended: false,
         };
-        let ahead = UnreadAnswers {
+        let unread = UnreadAnswers {
             service: self.service.clone(),
             flow: Arc::clone(&flow),
             others: Arc::new(()),
@@ -93,7 +93,7 @@ impl KnnStreams {
             latency_gate: Arc::new(LatencyGate::new(MAX_SEARCH_TIME)),
         };
         stream::unfold(reader, Reader::next)
-            .then(move |read| ahead.clone().hold(read))
+            .then(move |read| unread.clone().hold(read))
             .map(move |(read, held)| {
                 let answered = searches.clone().answer(call.clone(), read);
                 answered.map(move |answer| (answer, held))

@@ -157,8 +157,8 @@ async fn all_frames(router: &mut Router, query: &str) -> Vec<(Value, Vec<u64>, V
 #[tokio::test]
 async fn verbs_that_read_answer_as_over_zenoh() {
     let mut router = router(&service().await, Identities::default());
-    let asked = json!({ "states": [[3.2, 0.5]], "k": 2 });
-    let (status, answer) = post(&mut router, "arm/knn", asked).await;
+    let body = json!({ "states": [[3.2, 0.5]], "k": 2 });
+    let (status, answer) = post(&mut router, "arm/knn", body).await;
     assert_eq!(status, StatusCode::OK);
     assert_eq!(answer["ids"], json!([[3, 4]]));
     let (_, listed) = post(&mut router, "list", json!({})).await;

@@ -30,7 +30,7 @@ pub(crate) struct Stored {
     /// The newest record that it has applied.
     pub(crate) applied: Tip,
     /// The record of the revision that was asked for, if the server keeps it.
-    pub(crate) asked: Option<Tip>,
+    pub(crate) requested: Option<Tip>,
 }
 
 impl Registry {
@@ -42,10 +42,10 @@ impl Registry {
 
     /// The stored revisions of this server's indices with these uids. A revision beside a uid asks for the record of that
     /// revision too. Blocks.
-    pub(crate) fn stored(&self, asked: &BTreeMap<Uid, Option<u64>>) -> HashMap<Uid, Stored> {
+    pub(crate) fn stored(&self, requested: &BTreeMap<Uid, Option<u64>>) -> HashMap<Uid, Stored> {
         let hosted = self.hosted().into_iter();
         let stored = hosted.filter_map(|hosted| {
-            let revision = asked.get(&hosted.uid())?;
+            let revision = requested.get(&hosted.uid())?;
             Some((hosted.uid(), hosted.stored(*revision).ok()?))
         });
         stored.collect()
@@ -85,10 +85,10 @@ impl Hosted {
         &self.first_write
     }
 
-    fn stored(&self, asked: Option<u64>) -> Result<Stored, RegistryError> {
+    fn stored(&self, requested: Option<u64>) -> Result<Stored, RegistryError> {
         let tip = self.published().view.tip();
         let applied = tip.revision;
-        let asked = match asked {
+        let requested = match requested {
             Some(revision) => self
                 .digest_at(revision)?
                 .map(|digest| Tip { revision, digest }),
@@ -101,7 +101,7 @@ impl Hosted {
             is_durable: durable.is_some() && self.follows(),
             oldest: self.host.log.journal.oldest_kept(self.uid())?,
             applied: tip,
-            asked,
+            requested,
         })
     }
 

@@ -61,7 +61,7 @@ async fn compare_in_turn(
     peers: Arc<dyn Peers>,
     hosted: Arc<Hosted>,
 ) -> Result<(), Error> {
-    let asked = Instant::now();
+    let began = Instant::now();
     let first_write = hosted.first_write();
     let mut turn = first_write.turn.lock().await;
     peers.heard_all().await;
@@ -71,7 +71,7 @@ async fn compare_in_turn(
         return Ok(());
     }
     // Calls that waited for their turn do not wait for the same again.
-    if let Some(failed) = turn.as_ref().filter(|failed| failed.at > asked) {
+    if let Some(failed) = turn.as_ref().filter(|failed| failed.at > began) {
         let what = failed.what.clone();
         return Err(match failed.is_loss {
             true => Error::DataLoss { what },
@@ -97,11 +97,11 @@ async fn compare(peers: &dyn Peers, hosted: &Arc<Hosted>) -> Result<(), Error> {
     let asking = members.iter().map(|member| ask(peers, member, hosted, own));
     let answers = join_all(asking).await;
     for (member, answer) in members.iter().zip(&answers) {
-        let Some((applied, asked)) = answer else {
+        let Some((applied, requested)) = answer else {
             continue;
         };
-        if let Some(asked) = asked.filter(|asked| asked.revision == own.revision) {
-            agree(hosted, member, asked, Some(own.digest))?;
+        if let Some(requested) = requested.filter(|requested| requested.revision == own.revision) {
+            agree(hosted, member, requested, Some(own.digest))?;
         }
         if applied.revision > own.revision {
             let arrival = timeout(ARRIVAL_TIME, hosted.reached(applied.revision)).await;
@@ -142,8 +142,8 @@ async fn ask(
     };
     let is_it = |index: &StoredIndex| index.uid == hosted.uid_text();
     let index = answer.indexes.into_iter().find(is_it)?;
-    let asked = index.asked.and_then(|asked| asked.tip());
-    Some((index.applied?.tip()?, asked))
+    let requested = index.requested.and_then(|requested| requested.tip());
+    Some((index.applied?.tip()?, requested))
 }
 
 /// The digest of this server's record of a revision, if it keeps that.

@@ -200,8 +200,8 @@ async fn heal_index(
         if late.contains(member) {
             continue;
         }
-        let asked = (index, &request, must_compare);
-        let copied = copy_from(registry, service, (peers, member), asked).await;
+        let copy = (index, &request, must_compare);
+        let copied = copy_from(registry, service, (peers, member), copy).await;
         match copied {
             Ok((revision, compared)) => {
                 warn!(
@@ -244,8 +244,8 @@ async fn copy_from(
     (peers, member): (&dyn Peers, &str),
     (index, request, must_compare): (&Stopped, &CopyRequest, bool),
 ) -> Result<(u64, bool), Failure> {
-    let asked = timeout(PART_TIME, peers.copy(member, request.clone()));
-    let mut parts = asked.await??;
+    let answer = timeout(PART_TIME, peers.copy(member, request.clone()));
+    let mut parts = answer.await??;
     let start = match next(&mut parts).await? {
         CopyKind::Start(start) => start,
         CopyKind::Contradicts(revision) => return Err(Failure::Contradicts(revision)),
@@ -310,8 +310,8 @@ async fn blocking<T: Send + 'static>(
     uid: Uid,
 ) -> Result<T, Failure> {
     let registry = Arc::clone(registry);
-    let asked = tokio::task::spawn_blocking(move || ask(&registry, uid));
-    Ok(asked.await??)
+    let answer = tokio::task::spawn_blocking(move || ask(&registry, uid));
+    Ok(answer.await??)
 }
 
 fn out_of_order() -> Failure {

@@ -189,7 +189,7 @@ pub struct StoredIndex {
     pub applied: Option<Place>,
     /// The record of the revision that was asked for; absent if the member does not keep it.
     #[prost(message, optional, tag = "6")]
-    pub asked: Option<Place>,
+    pub requested: Option<Place>,
 }
 
 /// The parts of a copy as they arrive.

@@ -108,16 +108,16 @@ impl Service {
     pub(crate) async fn stored(&self, request: StoredRequest) -> Result<StoredResponse, Error> {
         let revisions = request.revisions.iter().copied().map(Some);
         let revisions = revisions.chain(repeat(None));
-        let asked = request.uids.iter().zip(revisions);
-        let asked = asked.filter_map(|(uid, revision)| Some((uid.parse().ok()?, revision)));
-        let stored = stored(self.registry()?, asked.collect()).await;
+        let requested = request.uids.iter().zip(revisions);
+        let requested = requested.filter_map(|(uid, revision)| Some((uid.parse().ok()?, revision)));
+        let stored = stored(self.registry()?, requested.collect()).await;
         let stored = stored.into_iter().map(|(uid, stored)| StoredIndex {
             uid: uid.to_string(),
             revision: stored.revision,
             is_durable: stored.is_durable,
             oldest: stored.oldest,
             applied: Some(stored.applied.into()),
-            asked: stored.asked.map(Into::into),
+            requested: stored.requested.map(Into::into),
         });
         Ok(StoredResponse {
             indexes: stored.collect(),
@@ -128,10 +128,10 @@ impl Service {
 /// The stored revisions of some indices of this server.
 async fn stored(
     registry: &Arc<Registry>,
-    asked: BTreeMap<Uid, Option<u64>>,
+    requested: BTreeMap<Uid, Option<u64>>,
 ) -> HashMap<Uid, Stored> {
     let registry = Arc::clone(registry);
-    let stored = tokio::task::spawn_blocking(move || registry.stored(&asked)).await;
+    let stored = tokio::task::spawn_blocking(move || registry.stored(&requested)).await;
     // The join fails only if the task panicked; the panic hook has printed it.
     stored.unwrap_or_default()
 }

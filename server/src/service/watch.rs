@@ -197,8 +197,8 @@ impl Watch {
                 1.. if session == self.own_session => (v1::Mutation::default(), 0),
                 _ => piece(&record, sent, self.include, &mut left),
             };
-            let told = self.sent.0..sent.min(record.effects().stored().len());
-            self.replaced.extend(replaced(&record, told));
+            let sent_rows = self.sent.0..sent.min(record.effects().stored().len());
+            self.replaced.extend(replaced(&record, sent_rows));
             let piece = v1::Mutation {
                 revision: Some(revision(&self.hosted, record.revision())),
                 time_ms: record.time_ms(),

@@ -15,4 +15,4 @@ pub(crate) use message::Named;
 pub(crate) use request::Request;
 pub(crate) use verb::Target;
 #[cfg(test)]
-pub(crate) use verb::{IndexVerb, PointVerb};
+pub(crate) use verb::{IndexVerb, PointVerb, Verb};

@@ -117,6 +117,4 @@ fn read_timeout(text: &str, arrived: Instant) -> Result<Option<Instant>, Error> 
 }
 
 #[cfg(test)]
-mod access_tests;
-#[cfg(test)]
 mod tests;

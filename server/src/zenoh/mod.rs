@@ -27,8 +27,6 @@ use tokio_util::{
 use tracing::{debug, info, warn};
 use zenoh::{Session, key_expr::KeyExpr, query::Queryable};
 
-#[cfg(test)]
-pub(crate) use queries::{attached, caller};
 pub use session::ZenohError;
 pub(crate) use session::exposed;
 
@@ -224,5 +222,7 @@ fn check_prefix(prefix: &str) -> Result<(), ZenohError> {
     Ok(())
 }
 
+#[cfg(test)]
+mod access_tests;
 #[cfg(test)]
 mod tests;

@@ -190,13 +190,13 @@ impl Queries {
             &call,
         );
         let span = record.span().clone();
-        let asked = async {
+        let evaluation = async {
             if !held.has_room() {
                 return Err(status::too_many_bytes(held.flow().max_bytes()));
             }
             self.ask(&query, form, target, (arrived, call)).await
         };
-        let answering = AssertUnwindSafe(turns.run(asked)).catch_unwind();
+        let answering = AssertUnwindSafe(turns.run(evaluation)).catch_unwind();
         let result = match answering.instrument(span).await {
             Ok(Ok(answer)) => answer,
             Ok(Err(late)) => Err(status::overloaded(late)),

@@ -237,9 +237,9 @@ impl Model {
         if !missing.is_empty() {
             return Err(Refused::Missing(missing));
         }
-        let asked = request.ids.iter().map(|id| (id, &self.points[id]));
+        let requested = request.ids.iter().map(|id| (id, &self.points[id]));
         Ok(v1::GetResponse {
-            points: Some(columns(asked, request.include)),
+            points: Some(columns(requested, request.include)),
             revision: revision(&self.uid, self.revision),
         })
     }

@@ -42,16 +42,16 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
     ];
     let rows = cube(5, 30);
     let calls = rows.iter().zip(scalings.iter().cycle());
-    let calls = calls.map(async |(row, asked)| {
+    let calls = calls.map(async |(row, forms)| {
         let request = v1::InsertRequest {
             neighbor_spec: Some(v1::NeighborSpec {
-                k_form: asked.0,
-                radius_form: asked.1,
+                k_form: forms.0,
+                radius_form: forms.1,
                 ..Default::default()
             }),
             ..insertion(&[*row], &[])
         };
-        (row, asked, service.insert(&CALL, request).await.unwrap())
+        (row, forms, service.insert(&CALL, request).await.unwrap())
     });
     // All calls are polled at once, so that none waits for a call that is not polled.
     let (long, waiting, responses) = tokio::join!(long, waiting, join_all(calls));
@@ -67,7 +67,7 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
         let rows = rows.chunks_exact(3).map(<[f64]>::to_vec);
         points.extend(ids.zip(rows));
     }
-    for (row, asked, response) in responses {
+    for (row, forms, response) in responses {
         let mut before = Linear::new("R3".parse().unwrap());
         for ((id, revision), row) in &points {
             if *revision < response.revision.number() {
@@ -83,10 +83,10 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
         }
         let n = before.len() as f64;
         let mut search = Search::nearest_k(usize::MAX);
-        if let Some(KForm::KFactor(factor)) = asked.0 {
+        if let Some(KForm::KFactor(factor)) = forms.0 {
             search.k = (factor * n.ln()).ceil() as usize;
         }
-        if let Some(RadiusForm::ScaledRadius(scaled)) = asked.1 {
+        if let Some(RadiusForm::ScaledRadius(scaled)) = forms.1 {
             let radius = scaled.factor * (n.ln() / n).powf(1.0 / 3.0);
             search.radius = radius.min(scaled.max.unwrap_or(f64::INFINITY));
         }
@@ -94,7 +94,7 @@ async fn an_insert_counts_the_points_at_its_turn_and_not_when_it_searched_ahead(
         let expected: Vec<u64> = expected.iter().map(|neighbor| neighbor.id).collect();
         assert!(!expected.is_empty());
         let found = response.neighbors.unwrap().ids;
-        assert_eq!(found, expected, "{n} points, {asked:?}");
+        assert_eq!(found, expected, "{n} points, {forms:?}");
     }
 }
 

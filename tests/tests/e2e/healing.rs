@@ -210,9 +210,9 @@ async fn a_server_ahead_of_another_history_stays_stopped() {
 
     let mut server = cluster.start(0);
     let log = server.log_until("two servers contradict each other");
-    let told = log.last().unwrap();
+    let line = log.last().unwrap();
     for part in ["ERROR", "another record of revision 6", "reseed"] {
-        assert!(told.contains(part), "{told}");
+        assert!(line.contains(part), "{line}");
     }
     let mut stubs = Stubs::connect(server.uri()).await;
     let until = Instant::now() + Duration::from_secs(5);

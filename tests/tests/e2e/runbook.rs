@@ -85,8 +85,8 @@ async fn only_read(stubs: &mut Stubs, id: u64) {
         assert_eq!(refused.code(), Code::Unavailable, "{refused}");
     }
     let reasons = ["NATS does not answer", "the answer to the record"];
-    let told = reasons.iter().any(|why| inserted.message().contains(why));
-    assert!(told, "{inserted}");
+    let is_named = reasons.iter().any(|why| inserted.message().contains(why));
+    assert!(is_named, "{inserted}");
     let content = Content::read(stubs, "arm").await.unwrap();
     assert!(content.points.keys().copied().eq(0..POINTS));
 }

@@ -41,7 +41,7 @@ impl MutedPeer {
             let mut server = socket.connect(server).await.unwrap();
             let ((mut from_peer, mut to_peer), (mut from_server, mut to_server)) =
                 (peer.split(), server.split());
-            let asked = copy(&mut from_peer, &mut to_server);
+            let requests = copy(&mut from_peer, &mut to_server);
             let answered = async {
                 let mut buffer = [0; SMALL_BUFFER as usize];
                 loop {
@@ -56,7 +56,7 @@ impl MutedPeer {
             };
             tokio::select! {
                 // If the other side no longer reads, the peer's next write fails, at the latest its next keep-alive.
-                _ = asked => {}
+                _ = requests => {}
                 () = answered => {}
             }
         });

@@ -251,19 +251,19 @@ async fn a_flood_of_malformed_queries_is_refused_one_by_one() {
     ];
     let mut refused = 0;
     for _ in 0..20 {
-        let mut asked = Vec::new();
+        let mut replies = Vec::new();
         for verb in verbs {
             for (payload, encoding) in &payloads {
                 let selector = format!("wayfold/v1/{verb}");
                 let flood = &flood;
-                asked.push(async move {
+                replies.push(async move {
                     flood
                         .ask(&selector, payload.to_vec(), encoding.clone())
                         .await
                 });
             }
         }
-        for reply in join_all(asked).await {
+        for reply in join_all(replies).await {
             assert!(reply.is_err(), "{reply:?}");
             refused += 1;
         }

@@ -57,11 +57,11 @@ pub unsafe extern "C" fn wayfold_index_meanwhile(
         unsafe { put(ptr::null_mut(), answers, "answers") }?;
         // SAFETY: the caller's promise.
         let index = unsafe { index_of(index) }?;
-        let told = match timeout_ms {
+        let taken = match timeout_ms {
             0 => index.meanwhile(),
             timeout => index.wait_meanwhile(Duration::from_millis(timeout)),
         };
-        let all = Box::into_raw(Box::new(WayfoldAnswers::of(told)));
+        let all = Box::into_raw(Box::new(WayfoldAnswers::of(taken)));
         // SAFETY: the caller's promise.
         unsafe { put(all, answers, "answers") }
     })
@@ -129,8 +129,8 @@ pub unsafe extern "C" fn wayfold_answers_free(answers: *mut WayfoldAnswers) {
 }
 
 impl WayfoldAnswers {
-    fn of(told: MeanwhileAnswers) -> WayfoldAnswers {
-        let columns: Vec<(Vec<u64>, Vec<f64>)> = told
+    fn of(taken: MeanwhileAnswers) -> WayfoldAnswers {
+        let columns: Vec<(Vec<u64>, Vec<f64>)> = taken
             .answers
             .iter()
             .map(|answer| {
@@ -138,7 +138,7 @@ impl WayfoldAnswers {
                 near.map(|near| (near.id, near.distance)).unzip()
             })
             .collect();
-        let answers = told.answers.iter().zip(&columns);
+        let answers = taken.answers.iter().zip(&columns);
         let answers = answers.map(|(answer, (ids, distances))| WayfoldAnswer {
             id: answer.id,
             points_before: answer.points_before,
@@ -149,8 +149,8 @@ impl WayfoldAnswers {
         });
         WayfoldAnswers {
             answers: answers.collect(),
-            open: told.open,
-            has_dropped: told.has_dropped,
+            open: taken.open,
+            has_dropped: taken.has_dropped,
             _columns: columns,
         }
     }

@@ -136,9 +136,9 @@ pub(crate) async fn load(
     };
     let report = args.report.as_deref().map(ReportFile::open).transpose()?;
     let (outcome, cleaned) = run_until_signal(plan).await?;
-    let told = tell(&outcome, report, output);
+    let reported = tell(&outcome, report, output);
     // Points that are left behind matter more than figures that cannot be written.
-    cleaned.and(told).and_then(|()| complete(&outcome))
+    cleaned.and(reported).and_then(|()| complete(&outcome))
 }
 
 /// Writes the figures, and the report if there is one.

@@ -250,7 +250,7 @@ impl Core {
         for answerable in questions {
             let keep = || {
                 for answer in answerable.answers(&self.space) {
-                    self.writer.lock().arrivals.add(answer);
+                    self.writer.lock().open_questions.add(answer);
                 }
             };
             match answerable.is_long() {
@@ -265,14 +265,14 @@ impl Core {
     pub(super) fn wait_meanwhile(&self, timeout: Duration) -> MeanwhileAnswers {
         let until = deadline(timeout);
         let mut writer = self.writer.lock();
-        while writer.arrivals.are_awaited() && !self.has_ended() {
+        while writer.open_questions.are_awaited() && !self.has_ended() {
             self.wake(&mut writer);
             self.urgent.notify_one();
             if self.progress.wait_until(&mut writer, until).timed_out() {
                 break;
             }
         }
-        writer.arrivals.take()
+        writer.open_questions.take()
     }
 
     /// Gives back the writes that the server did not take, after which writing begins again.

@@ -118,7 +118,7 @@ struct Arrival {
 
 /// Questions under way, what others stored meanwhile, and answers for the caller.
 #[derive(Debug, Default)]
-pub(super) struct Arrivals {
+pub(super) struct OpenQuestions {
     open: usize,
     /// The points that others stored since the oldest open question.
     stored: VecDeque<Arrival>,
@@ -144,7 +144,7 @@ pub(super) struct Answerable {
     snapshot: Option<Snapshot>,
 }
 
-impl Arrivals {
+impl OpenQuestions {
     /// A question is under way.
     pub(super) fn open(&mut self) {
         self.open += 1;

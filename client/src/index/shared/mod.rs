@@ -80,7 +80,7 @@ impl SharedIndex {
         if self.core.is_forked() {
             return MeanwhileAnswers::default();
         }
-        self.core.writer.lock().arrivals.take()
+        self.core.writer.lock().open_questions.take()
     }
 
     pub(super) fn wait_meanwhile(&self, timeout: Duration) -> MeanwhileAnswers {
@@ -215,9 +215,9 @@ impl NearestNeighbors for SharedIndex {
                 return Err(Error::IdTaken { id });
             }
             if let Some(question) = question {
-                let asked = question.among(points.forest.len(), self.core.space.dimension());
-                *found = points.forest.search(point.row, &asked)?.neighbors;
-                search = Some(asked);
+                let scaled = question.among(points.forest.len(), self.core.space.dimension());
+                *found = points.forest.search(point.row, &scaled)?.neighbors;
+                search = Some(scaled);
             }
         }
         let id = match point.id {
@@ -302,7 +302,7 @@ impl NearestNeighbors for SharedIndex {
     fn payloads(&self, ids: &[u64]) -> Result<Vec<Option<Vec<u8>>>, Error> {
         self.core.check_readable()?;
         let mut payloads = vec![None; ids.len()];
-        let (mut positions, mut asked) = (Vec::new(), Vec::new());
+        let (mut positions, mut missing) = (Vec::new(), Vec::new());
         {
             let writer = self.core.writer.lock();
             let points = self.core.points.read();
@@ -313,17 +313,17 @@ impl NearestNeighbors for SharedIndex {
                 payloads[at] = writer.payload(id);
                 if payloads[at].is_none() {
                     positions.push(at);
-                    asked.push(id);
+                    missing.push(id);
                 }
             }
         }
-        if asked.is_empty() {
+        if missing.is_empty() {
             return Ok(payloads);
         }
         let core = Arc::clone(&self.core);
         let answers = wait_for(async move {
             let (index, at) = core.published.lock().clone();
-            core.link.payloads(&index, at, &asked).await
+            core.link.payloads(&index, at, &missing).await
         })?;
         for (at, answer) in positions.into_iter().zip(answers) {
             payloads[at] = answer;

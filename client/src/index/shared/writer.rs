@@ -15,7 +15,7 @@ use wayfold_proto::v1;
 use super::{
     batch::{Batch, Step, UnsentWrite},
     ids::ReservedIds,
-    meanwhile::{Arrivals, Question},
+    meanwhile::{OpenQuestions, Question},
     rebased::Rebased,
 };
 use crate::{Error, index::local::LocalPoints};
@@ -49,7 +49,7 @@ pub(super) struct Writer {
     pub(super) written: u64,
     /// The number of writes that the server has acknowledged, or that were given back.
     pub(super) settled: u64,
-    pub(super) arrivals: Arrivals,
+    pub(super) open_questions: OpenQuestions,
     /// The reason for which the server takes no more writes, until the caller has taken back those that it did not
     /// take.
     pub(super) refused: Option<Arc<Error>>,
@@ -79,7 +79,7 @@ impl Writer {
             wanted_ids: 0,
             written: 0,
             settled: 0,
-            arrivals: Arrivals::default(),
+            open_questions: OpenQuestions::default(),
             refused: None,
             refusals: 0,
             unsent: Vec::new(),
@@ -146,7 +146,7 @@ impl Writer {
             let step = batch.len() - 1;
             let question = Question::new((id, step), row, search, found, at);
             batch.questions.push(question);
-            self.arrivals.open();
+            self.open_questions.open();
         }
     }
 

@@ -19,20 +19,20 @@ impl Worker<'_> {
     /// for one.
     pub async fn settle(&mut self, is_waiting: bool) -> Result<(), PlanningError> {
         let start = Instant::now();
-        let told = match is_waiting {
+        let taken = match is_waiting {
             true => self.index.wait_meanwhile(TIMEOUT),
             false => self.index.meanwhile(),
         };
         self.account.times.waiting += start.elapsed();
-        if is_waiting && told.answers.is_empty() && told.open > 0 {
+        if is_waiting && taken.answers.is_empty() && taken.open > 0 {
             return Err(lost(self.number, "the server does not take its milestones"));
         }
-        for answer in told.answers {
+        for answer in taken.answers {
             let Some(mut unplaced) = self.unplaced.remove(&answer.id) else {
                 continue;
             };
             let k = k(answer.points_before);
-            if answer.is_superset || k > unplaced.asked {
+            if answer.is_superset || k > unplaced.max_k {
                 self.lost += 1;
                 continue;
             }
@@ -42,7 +42,7 @@ impl Worker<'_> {
             near.truncate(k);
             self.complete(answer.id, unplaced.checked, &near).await?;
         }
-        if told.open == 0 {
+        if taken.open == 0 {
             self.lost += self.unplaced.len();
             self.unplaced.clear();
         }

@@ -5,8 +5,8 @@ import { count, counted } from "./format.js";
 import { MAX_NEIGHBORS } from "./marks.js";
 import { snippets } from "./snippets.js";
 
-/** Shows an answer of `knn` or `query` to the search `asked`, and the texts of it for programs that reach `server`. */
-export function showAnswer(asked, answer, server) {
+/** Shows an answer of `knn` or `query` to the search `search`, and the texts of it for programs that reach `server`. */
+export function showAnswer(search, answer, server) {
   const [ids, distances, tags] = [answer.ids[0] ?? [], answer.distances[0] ?? [], answer.tags?.[0] ?? []];
   const rows = ids.map((id, i) => {
     const distance = Number(distances[i]);
@@ -23,7 +23,7 @@ export function showAnswer(asked, answer, server) {
   const drawn = ids.length > MAX_NEIGHBORS ? ` The nearest ${MAX_NEIGHBORS} are drawn.` : "";
   setText(byId("answer-about"), `${counted(ids.length, "neighbour")} at revision ${revision}, nearest first.${drawn}`);
   byId("answer").hidden = false;
-  showSnippets(asked, server);
+  showSnippets(search, server);
 }
 
 function shown(distance) {
@@ -34,8 +34,8 @@ function shown(distance) {
 // The language that was last chosen stays chosen.
 let chosen = "Command line";
 
-function showSnippets(asked, server) {
-  const all = snippets(asked, server);
+function showSnippets(search, server) {
+  const all = snippets(search, server);
   const tabs = all.map(({ name }, i) =>
     element("button", { type: "button", role: "tab", id: `tab-${i}`, "aria-controls": `snippet-${i}`, text: name, on: { click: () => choose(i) } }),
   );

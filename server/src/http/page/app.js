@@ -35,13 +35,13 @@ function route() {
 }
 
 function namesIn(hash) {
-  const asked = hash.replace(/^#\//, "").split(",").filter(Boolean);
+  const requested = hash.replace(/^#\//, "").split(",").filter(Boolean);
   // The names of indices need no encoding.
   const isName = (name) => /^[a-z0-9][a-z0-9_-]*$/.test(name);
-  const others = asked.filter((name) => !isName(name));
+  const others = requested.filter((name) => !isName(name));
   if (others.length > 0) report(ADDRESS, "live", `No index has the name ${others.join(", ")}: names have a to z, 0 to 9, _ and -.`);
   else forget(ADDRESS);
-  return [...new Set(asked.filter(isName))];
+  return [...new Set(requested.filter(isName))];
 }
 
 window.addEventListener("hashchange", () => {

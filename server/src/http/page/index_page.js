@@ -36,9 +36,9 @@ export class IndexPage {
   }
 
   /** Shows these indices. Those that are shown already keep their points. */
-  show(asked) {
-    const names = asked.slice(0, MAX_LAYERS);
-    if (names.length < asked.length) report(TOO_MANY, "live", `At most ${MAX_LAYERS} indices are shown in one picture.`);
+  show(requested) {
+    const names = requested.slice(0, MAX_LAYERS);
+    if (names.length < requested.length) report(TOO_MANY, "live", `At most ${MAX_LAYERS} indices are shown in one picture.`);
     else forget(TOO_MANY);
     const kept = this.#layers.filter((layer) => names.includes(layer.name));
     for (const layer of this.#layers) if (!kept.includes(layer)) layer.close();

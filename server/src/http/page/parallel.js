@@ -85,8 +85,8 @@ export class ParallelView {
     return drawn;
   }
 
-  /** The layer and slot of the line nearest to a place of the canvas within `reach` pixels, or null. */
-  pick({ layers, revision }, x, y, reach) {
+  /** The layer and slot of the line nearest to a place of the canvas within `maxPixels` pixels, or null. */
+  pick({ layers, revision }, x, y, maxPixels) {
     const { axes, top, bottom } = this.#layout ?? { axes: [] };
     const right = axes.findIndex((axis) => axis.x >= x - EDGE_PIXELS);
     if (right < 0) return null;
@@ -94,7 +94,7 @@ export class ParallelView {
     const [first, second] = [axes[to - 1], axes[to]];
     const along = Math.min(Math.max((x - first.x) / (second.x - first.x), 0), 1);
     let best = null;
-    let least = reach;
+    let least = maxPixels;
     for (const layer of layers) {
       const { born, died, rows, coordinates } = layer.cloud;
       for (const slot of this.#sampleOf(layer).slots) {

@@ -100,18 +100,18 @@ export class Probe {
       const refusal = this.#all.map((one) => one.refusal).find(Boolean);
       return this.#fail(refusal || "The page still waits for the server to describe the index. Search again then.");
     }
-    const asked = readForm(layer.space, (field, problem) => this.#fail(problem, field));
-    if (!asked) return;
+    const question = readForm(layer.space, (field, problem) => this.#fail(problem, field));
+    if (!question) return;
     byId("probe-run").disabled = true;
     try {
-      const verb = asked.k === undefined ? "query" : "knn";
-      const [answer, server] = await Promise.all([call(layer.name, verb, bodyOf(asked)), serverForPrograms()]);
+      const verb = question.k === undefined ? "query" : "knn";
+      const [answer, server] = await Promise.all([call(layer.name, verb, bodyOf(question)), serverForPrograms()]);
       if (search !== this.#searches) return;
       const states = answer.states?.[0] ?? [];
       const labels = (answer.distances[0] ?? []).map((distance) => digits(Number(distance)));
-      this.picture?.setMarks(asked.state, states, labels);
-      this.view.setProbed(asked.state);
-      showAnswer({ ...asked, index: layer.name }, answer, server);
+      this.picture?.setMarks(question.state, states, labels);
+      this.view.setProbed(question.state);
+      showAnswer({ ...question, index: layer.name }, answer, server);
       this.#answered = Number(answer.revision.number);
       this.showRevision(this.#shown);
     } catch (error) {
@@ -173,18 +173,18 @@ function readForm(space, fail) {
     if (number === undefined) return void fail("states", `states[0].coords[${i}]: "${text}" is no number (${space.names[i] ?? "one too many"})`);
     state.push(number);
   }
-  const asked = { state };
+  const question = { state };
   for (const name of ["k", "radius", "epsilon"]) {
     const text = byId(FIELDS[name]).value.trim();
     if (text === "") continue;
-    asked[name] = numberOf(text);
-    if (asked[name] === undefined) return void fail(name, `${name}: "${text}" is no number`);
+    question[name] = numberOf(text);
+    if (question[name] === undefined) return void fail(name, `${name}: "${text}" is no number`);
   }
   const [mask, value] = ["probe-mask", "probe-value"].map((id) => integerOf(byId(id).value.trim() || "0"));
   if (mask === undefined || value === undefined) return void fail("filter", "filter: a tag is a whole number, decimal or after 0x");
-  if (mask !== 0n || value !== 0n) asked.tag = { mask, value };
-  if (asked.k === undefined && asked.radius === undefined) return void fail("k", "k: give k, a radius, or both");
-  return asked;
+  if (mask !== 0n || value !== 0n) question.tag = { mask, value };
+  if (question.k === undefined && question.radius === undefined) return void fail("k", "k: give k, a radius, or both");
+  return question;
 }
 
 function numberOf(text) {

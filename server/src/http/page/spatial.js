@@ -41,8 +41,8 @@ export class SpatialView {
   lookAtProbe({ marks: { probe, neighbors } }) {
     if (!probe || !this.#fit) return;
     const center = this.#place(probe);
-    const reach = (row) => Math.hypot(...this.#place(row).map((at, axis) => at - center[axis]));
-    this.camera.lookAt(center, Math.max(1e-4, ...neighbors.map(reach)));
+    const distance = (row) => Math.hypot(...this.#place(row).map((at, axis) => at - center[axis]));
+    this.camera.lookAt(center, Math.max(1e-4, ...neighbors.map(distance)));
   }
 
   /** Brings the box up to date with the points. */
@@ -96,9 +96,9 @@ export class SpatialView {
     return drawn;
   }
 
-  /** The layer and slot of the point nearest to a place of the canvas within `reach` pixels, or null. */
-  pick({ layers, revision, width, height }, x, y, reach) {
-    return pick(layers, { matrix: this.camera.matrix(), box: this.#box, revision, width, height }, x, y, reach);
+  /** The layer and slot of the point nearest to a place of the canvas within `maxPixels` pixels, or null. */
+  pick({ layers, revision, width, height }, x, y, maxPixels) {
+    return pick(layers, { matrix: this.camera.matrix(), box: this.#box, revision, width, height }, x, y, maxPixels);
   }
 
   #encode(layer, coloring) {

@@ -138,8 +138,8 @@ async fn an_index_ahead_of_another_history_is_contradicted() {
     let (journal, registry, hosted) = stopped(true).await;
     registry.resume_unsettled(&hosted).await;
     let why = hosted.damage().unwrap().to_string();
-    let told = "another server has applied another record of revision 1";
-    assert!(why.contains(told) && why.contains("reseed"), "{why}");
+    let expected = "another server has applied another record of revision 1";
+    assert!(why.contains(expected) && why.contains("reseed"), "{why}");
     // No copy takes its place, and it does not resume once the journal is longer.
     assert!(registry.stopped().is_empty() && !hosted.is_unsettled());
     journal.head.store(APPLIED, SeqCst);

@@ -25,7 +25,7 @@ const RECORDS: u64 = 4;
 /// The others of a cluster, by what each has applied; None for one that does not answer.
 struct Others {
     changes: AtomicU64,
-    asked: AtomicUsize,
+    requests: AtomicUsize,
     members: Mutex<Vec<Option<Arc<MemoryLog>>>>,
     /// False while the members are not known yet.
     are_heard: watch::Sender<bool>,
@@ -75,7 +75,7 @@ impl Peers for Others {
         member: &'a str,
         request: StoredRequest,
     ) -> BoxFuture<'a, Result<StoredResponse, Unanswered>> {
-        self.asked.fetch_add(1, SeqCst);
+        self.requests.fetch_add(1, SeqCst);
         let number: usize = member.parse().unwrap();
         let Some(points) = self.members.lock()[number].clone() else {
             let what = "it is busy".into();
@@ -91,7 +91,7 @@ impl Peers for Others {
                 is_durable: false,
                 oldest: None,
                 applied: Some(tip.into()),
-                asked: kept.map(|kept| kept.tip().into()),
+                requested: kept.map(|kept| kept.tip().into()),
             };
             Ok(StoredResponse {
                 indexes: vec![index],
@@ -153,7 +153,7 @@ impl Server {
         service.set_ready();
         let others = Arc::new(Others {
             changes: AtomicU64::new(1),
-            asked: AtomicUsize::new(0),
+            requests: AtomicUsize::new(0),
             members: Mutex::default(),
             are_heard: watch::Sender::new(true),
         });
@@ -208,11 +208,11 @@ async fn the_members_are_asked_once_until_they_change() {
     server.set(vec![Some(behind), Some(engine(&entry, &records)), None]);
     for written in 1..=3 {
         assert_eq!(server.insert().await.unwrap(), RECORDS + written);
-        assert_eq!(server.others.asked.load(SeqCst), 3);
+        assert_eq!(server.others.requests.load(SeqCst), 3);
     }
     server.others.changes.fetch_add(1, SeqCst);
     server.insert().await.unwrap();
-    assert_eq!(server.others.asked.load(SeqCst), 6);
+    assert_eq!(server.others.requests.load(SeqCst), 6);
 }
 
 #[tokio::test]
@@ -262,11 +262,11 @@ async fn a_call_that_leaves_does_not_end_the_comparison() {
             .is_err()
     );
     server.others.are_heard.send_replace(true);
-    while server.others.asked.load(SeqCst) == 0 {
+    while server.others.requests.load(SeqCst) == 0 {
         tokio::task::yield_now().await;
     }
     server.insert().await.unwrap();
-    assert_eq!(server.others.asked.load(SeqCst), 1);
+    assert_eq!(server.others.requests.load(SeqCst), 1);
 }
 
 #[tokio::test(start_paused = true)]
@@ -285,7 +285,7 @@ async fn a_mutation_waits_for_the_records_of_a_member_that_is_ahead() {
     }
 
     let repaired = async {
-        while server.others.asked.load(SeqCst) < 2 {
+        while server.others.requests.load(SeqCst) < 2 {
             tokio::task::yield_now().await;
         }
         server.own.submit(entry.uid, Arc::clone(&all[4])).unwrap();

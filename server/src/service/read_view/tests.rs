@@ -26,7 +26,7 @@ struct Silent {
     /// It does not answer while this is locked.
     gate: Mutex<()>,
     /// The number of times that it was asked for its oldest record.
-    asked: AtomicUsize,
+    requests: AtomicUsize,
 }
 
 impl Journal for Silent {
@@ -48,7 +48,7 @@ impl Journal for Silent {
     }
 
     fn oldest(&self, _: Uid) -> Result<Option<u64>, LogError> {
-        self.asked.fetch_add(1, SeqCst);
+        self.requests.fetch_add(1, SeqCst);
         drop(self.gate.blocking_lock());
         Ok(self.oldest)
     }
@@ -77,7 +77,7 @@ fn server(records: u64, oldest: Option<u64>) -> (Service, Arc<Silent>) {
         local: Arc::clone(&local),
         oldest,
         gate: Mutex::default(),
-        asked: AtomicUsize::new(0),
+        requests: AtomicUsize::new(0),
     });
     let log = Log {
         journal: Arc::clone(&journal) as Arc<dyn Journal>,
@@ -130,11 +130,11 @@ async fn the_journal_of_an_empty_index_is_asked_once() {
         for _ in 0..3 {
             assert_eq!(read(&service, &Call::default()).await.unwrap(), 0);
         }
-        assert_eq!(journal.asked.load(SeqCst), 1);
+        assert_eq!(journal.requests.load(SeqCst), 1);
     }
     let (service, journal) = server(2, Some(8));
     assert_eq!(read(&service, &Call::default()).await.unwrap(), 2);
-    assert_eq!(journal.asked.load(SeqCst), 0);
+    assert_eq!(journal.requests.load(SeqCst), 0);
 }
 
 #[tokio::test(flavor = "multi_thread")]

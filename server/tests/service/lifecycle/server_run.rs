@@ -123,15 +123,15 @@ impl<'a> ServerRun<'a> {
         let name = self.world.pick(&NAMES).to_owned();
         let held = self.world.indexes.get(&name).map(|kept| &kept.model);
         let uid = held.map_or(String::new(), |model| model.uid.clone());
-        let asked = self.world.pick(&["", "another", &uid]).to_owned();
+        let requested = self.world.pick(&["", "another", &uid]).to_owned();
         let request = v1::DeleteIndexRequest {
             index_name: name.clone(),
-            uid: asked.clone(),
+            uid: requested.clone(),
         };
         let deleted = self.service.delete_index(&CALL, request).await;
         if !self.world.indexes.contains_key(&name) {
             assert_eq!(refusal(deleted).1, "INDEX_NOT_FOUND");
-        } else if asked == "another" {
+        } else if requested == "another" {
             assert_eq!(refusal(deleted).1, "UID_MISMATCH");
         } else {
             assert_eq!(deleted.unwrap().uid, uid);

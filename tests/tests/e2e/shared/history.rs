@@ -264,21 +264,21 @@ pub(super) fn check_meanwhile(index: &Index, done: &AtomicBool, seed: u64) -> u6
         let k = states.rng().random_range(1..20);
         let mask = states.rng().random_range(0..4);
         let value = mask & states.rng().random_range(0..4);
-        let asked = Search::k(k).tag(mask, value);
-        let found = index.search(&state[..], &asked).unwrap();
+        let query = Search::k(k).tag(mask, value);
+        let found = index.search(&state[..], &query).unwrap();
         let points = points_of(index);
-        let again = index.search(&state[..], &asked).unwrap();
+        let again = index.search(&state[..], &query).unwrap();
         if again.read_revision == found.read_revision {
             let filter = Filter {
                 tag_mask: mask,
                 tag_value: value,
                 ..Filter::default()
             };
-            let asked = wayfold_index::Search {
+            let query = wayfold_index::Search {
                 filter,
                 ..wayfold_index::Search::nearest_k(k as usize)
             };
-            let expected = brute_force::search(&points, &state, &asked);
+            let expected = brute_force::search(&points, &state, &query);
             assert_eq!(
                 pairs(found.neighbors),
                 expected,

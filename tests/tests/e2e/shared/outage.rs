@@ -147,25 +147,25 @@ async fn no_edge_is_missed_over_a_reload() {
     let (away, there) = (&outage.away, &outage.there);
     let before = there.insert(at(103.0, 100.0)).unwrap();
     let reached = outage.begin(false).await;
-    let mut asked = Vec::new();
+    let mut questions = Vec::new();
     for search in [Search::within(5.0), Search::k(1), Search::k(3).radius(4.0)] {
         let options = InsertOptions::new().ask(search);
         // Each is alone with its neighbours.
-        let x = 100.0 + 100.0 * asked.len() as f64;
+        let x = 100.0 + 100.0 * questions.len() as f64;
         let inserted = away.insert_with(at(x, 100.0), options).unwrap();
         let near = there.insert(at(x, 101.0)).unwrap();
-        asked.push((inserted, near));
+        questions.push((inserted, near));
     }
-    assert_eq!(asked[0].0.found.neighbors[0].id, before);
+    assert_eq!(questions[0].0.found.neighbors[0].id, before);
     there.flush().unwrap();
     outage.pass_window(reached, 3).await;
     outage.end();
-    let told = take_answers(away);
-    assert!(told.iter().all(|told| told.is_superset));
-    for (inserted, near) in asked {
-        let of_it = told.iter().filter(|told| told.id == inserted.id);
+    let answers = take_answers(away);
+    assert!(answers.iter().all(|answers| answers.is_superset));
+    for (inserted, near) in questions {
+        let of_it = answers.iter().filter(|answers| answers.id == inserted.id);
         let ids: BTreeSet<u64> = of_it
-            .flat_map(|told| told.neighbors.iter().map(|neighbor| neighbor.id))
+            .flat_map(|answers| answers.neighbors.iter().map(|neighbor| neighbor.id))
             .collect();
         assert!(ids.contains(&near), "{inserted:?}: {ids:?}");
     }
@@ -250,7 +250,9 @@ async fn no_edge_to_a_point_that_was_tagged_meanwhile_is_missed() {
     there.flush().unwrap();
     way.lead_to(server.uri());
     away.flush().unwrap();
-    let told = take_answers(&away);
-    let ids = told.iter().map(|told| (told.id, told.neighbors[0].id));
+    let answers = take_answers(&away);
+    let ids = answers
+        .iter()
+        .map(|answers| (answers.id, answers.neighbors[0].id));
     assert_eq!(ids.collect::<Vec<_>>(), [(inserted.id, near)]);
 }

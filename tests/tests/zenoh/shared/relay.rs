@@ -91,10 +91,10 @@ async fn carry(way: Session, query: Query, fate: Fate) {
     }
     let key = query.key_expr().as_str().replace(PREFIX, "wayfold/v1");
     let selector = format!("{key}?{}", query.parameters());
-    let asked = way.get(selector).consolidation(ConsolidationMode::None);
-    let asked = asked.payload(query.payload().cloned().unwrap_or_default());
-    let asked = asked.encoding(query.encoding().cloned().unwrap_or_default());
-    let Ok(reply) = asked.await.unwrap().recv_async().await else {
+    let forwarded = way.get(selector).consolidation(ConsolidationMode::None);
+    let forwarded = forwarded.payload(query.payload().cloned().unwrap_or_default());
+    let forwarded = forwarded.encoding(query.encoding().cloned().unwrap_or_default());
+    let Ok(reply) = forwarded.await.unwrap().recv_async().await else {
         return;
     };
     let times = match fate {

@@ -108,7 +108,7 @@ impl Writer {
             }
         }
         let oldest = self.queue.iter().find_map(|batch| batch.questions.first());
-        Ok(self.arrivals.answerable(questions, oldest, points))
+        Ok(self.open_questions.answerable(questions, oldest, points))
     }
 
     /// Another writer has removed and stored points, as one record.
@@ -118,7 +118,7 @@ impl Writer {
         removed: &[u64],
         points: &mut LocalPoints,
     ) -> Result<(), Error> {
-        if self.rebased.is_empty() && !self.arrivals.are_wanted() {
+        if self.rebased.is_empty() && !self.open_questions.are_wanted() {
             return self.publish(stored, removed, points);
         }
         let at = points.read_revision().0 + 1;
@@ -126,9 +126,10 @@ impl Writer {
         for row in stored {
             let held = if row.is_new { None } else { points.get(row.id) };
             if row.is_new && points.forest.contains(row.id) {
-                self.arrivals.depart(at);
+                self.open_questions.depart(at);
             }
-            self.arrivals.push(at, row.id, held.map(|held| held.tag));
+            self.open_questions
+                .push(at, row.id, held.map(|held| held.tag));
             match self.rebased.get_mut(&row.id) {
                 None => plain.push(row),
                 Some(rebased) => {
@@ -140,10 +141,10 @@ impl Writer {
             }
         }
         if !removed.is_empty() {
-            self.arrivals.depart(at);
+            self.open_questions.depart(at);
         }
-        if self.arrivals.is_full() {
-            self.arrivals.forget();
+        if self.open_questions.is_full() {
+            self.open_questions.forget();
             for question in self.queue.iter_mut().flat_map(|batch| &mut batch.questions) {
                 question.reloaded();
             }
@@ -223,7 +224,7 @@ impl Writer {
             .count();
         for batch in self.queue.split_off(taken) {
             self.bytes -= batch.bytes();
-            self.arrivals.close(batch.questions.len());
+            self.open_questions.close(batch.questions.len());
             self.settled += batch.len() as u64;
             for (id, _) in batch.steps(self.width) {
                 match self.rebased.get_mut(&id) {
@@ -247,7 +248,7 @@ impl Writer {
     pub(in crate::index::shared) fn forget_history(&mut self) {
         self.past_sessions.clear();
         for batch in self.queue.drain(..) {
-            self.arrivals.close(batch.questions.len());
+            self.open_questions.close(batch.questions.len());
         }
         self.rebased.clear();
         self.bytes = 0;

@@ -1,21 +1,21 @@
 //! Every key against every kind of caller. A key without a row fails the test.
 
-use std::{fs, sync::Arc, time::Duration};
+use std::{
+    fs,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use ::zenoh::bytes::ZBytes;
 use sha2::{Digest, Sha256};
 
-use super::*;
+use super::queries::{attached, caller};
 use crate::{
     identity::{Identities, Role},
     log::MemoryLog,
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
-    verbs::{
-        dispatch,
-        verb::{IndexVerb, PointVerb},
-    },
-    zenoh,
+    verbs::{Form, IndexVerb, PointVerb, Request, Verb, dispatch},
 };
 
 /// The role that a verb needs, and its request for the index `arm`, in JSON.
@@ -77,19 +77,16 @@ async fn every_key_refuses_every_wrong_caller() {
 
     let caller = |attachment: Option<&str>| {
         let attachment = attachment.map(ZBytes::from);
-        zenoh::caller(&identities, &zenoh::attached(attachment.as_ref()))
+        caller(&identities, &attached(attachment.as_ref()))
     };
     let of_index = PointVerb::ALL.map(|(_, verb)| Verb::OfIndex(verb));
     let of_server = IndexVerb::ALL.map(|(_, verb)| Verb::OfServer(verb));
     for verb in of_index.into_iter().chain(of_server) {
         let (needed, payload) = row(verb);
         let ask = async |caller| {
-            let request = Request {
-                form: Form::Json,
-                index: "arm",
-                parameters: Vec::new(),
-                payload: payload.as_bytes().into(),
-            };
+            let payload = payload.as_bytes().into();
+            let request = Request::of(Form::Json, "arm", [], payload, Instant::now());
+            let (request, _) = request.unwrap();
             let call = Call {
                 caller,
                 ..Call::default()
