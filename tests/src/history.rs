@@ -48,7 +48,7 @@ pub enum Call {
         /// The revision in the answer.
         revision: u64,
         /// The content of the answer.
-        seen: Seen,
+        seen: ReadPoints,
     },
 }
 
@@ -81,16 +81,16 @@ pub enum Step {
 
 /// The points in the answer to a read.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Seen {
+pub enum ReadPoints {
     /// All points.
     All(BTreeMap<u64, Point>),
     /// These points; none is missing.
     These(BTreeMap<u64, Point>),
 }
 
-impl Seen {
+impl ReadPoints {
     fn points(&self) -> &BTreeMap<u64, Point> {
-        let (Seen::All(points) | Seen::These(points)) = self;
+        let (ReadPoints::All(points) | ReadPoints::These(points)) = self;
         points
     }
 }

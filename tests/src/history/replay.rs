@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap, hash_map::Entry};
 
-use super::{Answer, Call, Operation, Point, Seen, Step, Violation};
+use super::{Answer, Call, Operation, Point, ReadPoints, Step, Violation};
 
 /// The mutations without an answer whose effect was seen.
 #[derive(Default)]
@@ -191,14 +191,14 @@ impl<'a> Replay<'a> {
     }
 
     /// Compares one answer with the replay at its revision.
-    fn compare(&mut self, read: u64, returned: u64, seen: &Seen) -> Result<(), Violation> {
-        if let Seen::All(points) = seen {
+    fn compare(&mut self, read: u64, returned: u64, seen: &ReadPoints) -> Result<(), Violation> {
+        if let ReadPoints::All(points) = seen {
             self.find_removals(read, returned, points);
         }
         for (&id, point) in seen.points() {
             self.compare_point(read, returned, id, *point)?;
         }
-        let Seen::All(points) = seen else {
+        let ReadPoints::All(points) = seen else {
             return Ok(());
         };
         // Nobody removes a point whose id nobody knows.

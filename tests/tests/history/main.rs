@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use wayfold_tests::history::{
-    Answer, Call, Checked, NEVER, Operation, Point, Seen, Step, Violation, check,
+    Answer, Call, Checked, NEVER, Operation, Point, ReadPoints, Step, Violation, check,
 };
 
 use store::{Fault, Request, Store};
@@ -61,7 +61,7 @@ fn read(
     points: &[(u64, u64)],
 ) -> Operation {
     let point = |&(id, stored)| (id, stored_point(id, stored));
-    let seen = Seen::All(points.iter().map(point).collect());
+    let seen = ReadPoints::All(points.iter().map(point).collect());
     let call = Call::Read {
         latest,
         revision,
@@ -133,7 +133,7 @@ fn a_lost_acknowledged_write_is_rejected() {
 fn a_write_applied_twice_is_rejected() {
     let mut seen = read(1, (2, 3), true, 2, &[(7, 1)]);
     let Call::Read {
-        seen: Seen::All(points),
+        seen: ReadPoints::All(points),
         ..
     } = &mut seen.call
     else {
@@ -219,7 +219,7 @@ fn answers_of_one_revision_with_other_contents_are_rejected() {
         state: 1,
         ..stored_point(7, 1)
     };
-    *seen = Seen::These(BTreeMap::from([(7, point)]));
+    *seen = ReadPoints::These(BTreeMap::from([(7, point)]));
     let two_reads = [
         put(0, (0, 1), 1, 7),
         read(1, (2, 3), false, 1, &[(7, 1)]),

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use proptest::prelude::*;
-use wayfold_tests::history::{Answer, Call, NEVER, Operation, Point, Seen, Step};
+use wayfold_tests::history::{Answer, Call, NEVER, Operation, Point, ReadPoints, Step};
 
 /// The nanoseconds between two moments at which operations take effect.
 const BEAT: u64 = 100;
@@ -181,7 +181,7 @@ impl Store {
         Call::Read {
             latest,
             revision,
-            seen: Seen::All(self.past[&revision].clone()),
+            seen: ReadPoints::All(self.past[&revision].clone()),
         }
     }
 

@@ -6,7 +6,7 @@ use prost::bytes::Bytes;
 use wayfold_proto::v1::{GetResponse, StepKind};
 use wayfold_tests::{
     Content, bits,
-    history::{Answer, Call, NEVER, Operation, Point, Seen, Step, digest},
+    history::{Answer, Call, NEVER, Operation, Point, ReadPoints, Step, digest},
     ledger::Entry,
     number,
 };
@@ -91,7 +91,7 @@ pub(super) fn scan(latest: bool, content: &Content) -> Call {
     Call::Read {
         latest,
         revision: content.revision,
-        seen: Seen::All(points.collect()),
+        seen: ReadPoints::All(points.collect()),
     }
 }
 
@@ -115,7 +115,7 @@ pub(super) fn points(latest: bool, answer: &GetResponse) -> Call {
     Call::Read {
         latest,
         revision: number(&answer.revision),
-        seen: Seen::These(seen),
+        seen: ReadPoints::These(seen),
     }
 }
 
