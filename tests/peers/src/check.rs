@@ -64,7 +64,10 @@ impl<'a> Case<'a> {
                     .neighbors
             })
             .collect();
-        let mut tenth: Vec<f64> = nearest.iter().map(|near| near[NEIGHBORS - 1].distance).collect();
+        let mut tenth: Vec<f64> = nearest
+            .iter()
+            .map(|near| near[NEIGHBORS - 1].distance)
+            .collect();
         tenth.sort_by(f64::total_cmp);
         // The radius is slightly larger, so that no point lies exactly on the sphere, where rounding would decide.
         let radius = tenth[tenth.len() / 2] * (1.0 + 1e-6);

@@ -156,7 +156,12 @@ fn ask(
 }
 
 /// Times building, growing, and searching while growing.
-fn time_growth(case: &Case<'_>, measured: &[MeasuredStructure], effort: Effort, report: &mut Report) {
+fn time_growth(
+    case: &Case<'_>,
+    measured: &[MeasuredStructure],
+    effort: Effort,
+    report: &mut Report,
+) {
     let n = case.points.len();
     let mut times = vec![[const { Vec::new() }; 3]; measured.len()];
     for round in 0..effort.growth_rounds {
