@@ -1,12 +1,18 @@
 //! Compiles the peers that are written in C++, for this CPU, and links their libraries. With `PEERS_CPP=off` it does
-//! neither, so that the Rust code can be checked where they are not installed.
+//! neither, so that the Rust code can be checked where they are not installed. `NIGH` names a checkout of nigh, which no
+//! package has; without it the build has no nigh.
 
-use std::{env, fs, path::PathBuf};
+use std::{
+    env, fs,
+    path::{Path, PathBuf},
+};
 
 fn main() {
     println!("cargo::rerun-if-changed=cpp");
     println!("cargo::rerun-if-env-changed=PEERS_PORTABLE");
     println!("cargo::rerun-if-env-changed=PEERS_CPP");
+    println!("cargo::rerun-if-env-changed=NIGH");
+    println!("cargo::rustc-check-cfg=cfg(nigh)");
     if env::var("PEERS_CPP").is_ok_and(|cpp| cpp == "off") {
         return;
     }
@@ -28,6 +34,21 @@ fn main() {
     }
     for folder in ompl_headers() {
         build.flag("-isystem").flag(folder);
+    }
+    if let Some(checkout) = env::var_os("NIGH") {
+        let headers = Path::new(&checkout).join("src");
+        if !headers.join("nigh/kdtree_batch.hpp").exists() {
+            println!(
+                "cargo::error=NIGH={} is no checkout of nigh",
+                checkout.display()
+            );
+            return;
+        }
+        println!("cargo::rustc-cfg=nigh");
+        println!("cargo::rerun-if-changed={}", headers.display());
+        // nigh moves matrices before it sets them, which causes this warning.
+        build.flag_if_supported("-Wno-uninitialized");
+        build.file("cpp/nigh.cpp").flag("-isystem").flag(headers);
     }
     build.compile("peers");
     println!("cargo::rustc-link-lib=ompl");

@@ -38,6 +38,8 @@ Peer *nanoflann_dynamic(std::size_t width, std::size_t room);
 // Rows are `repeats` times the coordinates of a cell; `weight` is that of its rotation. Cells: see gnat.cpp.
 // With n rows, and room for `room` in all; measures distances, not squared.
 Peer *ompl_gnat(int cell, std::size_t repeats, double weight, const double *rows, std::size_t n, std::size_t room);
+// Cells as for GNAT, with the weight 1. Returns null for a metric that is not compiled in.
+Peer *nigh_dynamic(int cell, std::size_t repeats);
 
 void peer_insert(Peer *peer, const double *row);
 PeerResult peer_nearest(Peer *peer, const double *query, std::size_t k, bool more);

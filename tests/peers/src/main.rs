@@ -134,6 +134,10 @@ fn compare(settings: &[Setting], options: &Options, report: &mut Report) -> Resu
     if options.structures.is_empty() {
         // The paper's structures. The last two take thousands of times as long in most spaces.
         kinds.retain(|kind| !matches!(kind, Kind::Mpnn | Kind::CoverTree | Kind::Brute));
+        kinds.retain(|kind| kind.is_compiled());
+    }
+    if !kinds.iter().all(|kind| kind.is_compiled()) {
+        return Err(Problem::NoNigh);
     }
     let rounds = usize::from(options.rounds);
     let effort = Effort {
@@ -199,4 +203,20 @@ fn measure(
         begin.elapsed().as_secs_f64()
     );
     Ok(())
+}
+
+#[cfg(all(test, not(nigh)))]
+mod tests {
+    use super::{Options, Problem, run};
+    use clap::Parser;
+
+    #[test]
+    fn a_build_without_nigh_refuses_to_measure_it() {
+        let result = run(&Options::parse_from([
+            "peers",
+            "--structures",
+            "wayfold,nigh",
+        ]));
+        assert!(matches!(result, Err(Problem::NoNigh)));
+    }
 }

@@ -56,6 +56,9 @@ pub enum Problem {
         /// The valid names.
         known: String,
     },
+    /// nigh, named in a build without it.
+    #[error("this build has no nigh: set NIGH to a checkout of it and build again")]
+    NoNigh,
     /// A program that cannot be run, or that failed.
     #[error("cannot measure with {program}: {source}", program = program.display())]
     Run {

@@ -35,6 +35,8 @@ unsafe extern "C" {
         n: usize,
         room: usize,
     ) -> *mut Opaque;
+    #[cfg(nigh)]
+    fn nigh_dynamic(cell: i32, repeats: usize) -> *mut Opaque;
     fn peer_insert(peer: *mut Opaque, row: *const f64);
     fn peer_nearest(peer: *mut Opaque, query: *const f64, k: usize, more: bool) -> PeerResult;
     fn peer_within(peer: *mut Opaque, query: *const f64, radius: f64, more: bool) -> PeerResult;
@@ -207,7 +209,7 @@ impl Structure for ChartedTree {
     }
 }
 
-/// The compile-time parameters of OMPL's GNAT: a cell of `cpp/gnat.cpp`, its number of repeats in a row, and the weight
+/// The compile-time parameters of OMPL's GNAT and of nigh: a cell of `cpp/gnat.cpp`, its number of repeats in a row, and the weight
 /// of its rotation.
 #[derive(Clone, Copy)]
 pub struct Shape {
@@ -217,6 +219,16 @@ pub struct Shape {
 }
 
 impl Shape {
+    /// True if nigh has this metric: its products add the distances of their factors, except those of circles.
+    pub fn is_of_nigh(&self) -> bool {
+        let is_compiled = match self.cell {
+            0 => [3, 6, 12, 30].contains(&self.repeats),
+            1 => [3, 6].contains(&self.repeats),
+            cell => cell == 2 || cell == 5,
+        };
+        is_compiled && self.weight == 1.0
+    }
+
     /// The shape for a space; None if GNAT is not compiled for it.
     pub fn of(space: &Space) -> Option<Shape> {
         let shape = |cell, repeats, weight| Shape {
@@ -259,12 +271,12 @@ impl Shape {
     }
 }
 
-/// OMPL's GNAT.
-pub struct Gnat(Handle);
+/// A structure that measures in the space's own metric.
+pub struct MetricTree(Handle);
 
-impl Gnat {
-    /// Builds one from these rows, with room for `room` rows in all.
-    pub fn new(shape: Shape, width: usize, rows: &[f64], room: usize) -> Self {
+impl MetricTree {
+    /// OMPL's GNAT of these rows, with room for `room` rows in all.
+    pub fn gnat(shape: Shape, width: usize, rows: &[f64], room: usize) -> Self {
         let n = rows.len() / width;
         assert!(n <= room);
         let Shape {
@@ -274,11 +286,19 @@ impl Gnat {
         } = shape;
         // SAFETY: it copies n rows of the width that the shape has, into room for more.
         let peer = unsafe { ompl_gnat(cell, repeats, weight, rows.as_ptr(), n, room) };
-        Gnat(Handle::new(peer, width, n, room))
+        MetricTree(Handle::new(peer, width, n, room))
+    }
+
+    /// nigh's tree, empty.
+    #[cfg(nigh)]
+    pub fn nigh(shape: Shape, width: usize, room: usize) -> Self {
+        // SAFETY: it takes numbers alone.
+        let peer = unsafe { nigh_dynamic(shape.cell, shape.repeats) };
+        MetricTree(Handle::new(peer, width, 0, room))
     }
 }
 
-impl Structure for Gnat {
+impl Structure for MetricTree {
     fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>) {
         found.clear();
         found.extend_from_slice(self.0.nearest(query, k, false).0);

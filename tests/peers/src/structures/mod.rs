@@ -12,7 +12,7 @@ use wayfold_index::Space;
 
 use crate::{chart::Chart, data::Rows};
 pub use foreign::heap_bytes;
-use foreign::{ChartedTree, Gnat, Shape};
+use foreign::{ChartedTree, MetricTree, Shape};
 
 /// A structure that holds rows under the ids 0, 1, 2, … in the order of their arrival.
 ///
@@ -50,6 +50,8 @@ pub enum Kind {
     Ann,
     /// OMPL's GNAT, grown by single inserts.
     OmplGnat,
+    /// nigh's tree, grown by single inserts. Only a build with `NIGH` has it.
+    Nigh,
     /// A scan that bounds the distances of several points at once.
     SimdScan,
     /// smartcore's cover tree.
@@ -61,9 +63,11 @@ pub enum Kind {
 const NO_CHART: &str =
     "it knows Euclidean coordinates alone, and none order products with rotations";
 
+const NO_SUM: &str = "its products add the distances of factors, and this metric does not";
+
 impl Kind {
     /// All, ours first.
-    pub const ALL: [Kind; 12] = [
+    pub const ALL: [Kind; 13] = [
         Kind::Wayfold,
         Kind::WayfoldRest,
         Kind::Mpnn,
@@ -73,6 +77,7 @@ impl Kind {
         Kind::NanoflannDynamic,
         Kind::Ann,
         Kind::OmplGnat,
+        Kind::Nigh,
         Kind::SimdScan,
         Kind::CoverTree,
         Kind::Brute,
@@ -100,10 +105,16 @@ impl Kind {
             Kind::NanoflannDynamic => "nanoflann-dynamic",
             Kind::Ann => "ann",
             Kind::OmplGnat => "ompl-gnat",
+            Kind::Nigh => "nigh",
             Kind::SimdScan => "simd-scan",
             Kind::CoverTree => "cover-tree",
             Kind::Brute => "brute",
         }
+    }
+
+    /// True if this build has it.
+    pub fn is_compiled(self) -> bool {
+        cfg!(nigh) || self != Kind::Nigh
     }
 
     /// True if it only appends, so that the time of an insertion says nothing.
@@ -145,6 +156,10 @@ impl Kind {
             Kind::OmplGnat => Shape::of(space)
                 .is_none()
                 .then_some("its distance is not compiled in"),
+            Kind::Nigh => {
+                let is_its = Shape::of(space).is_some_and(|shape| shape.is_of_nigh());
+                (!is_its).then_some(NO_SUM)
+            }
         }
     }
 
@@ -155,6 +170,7 @@ impl Kind {
             | Kind::KiddoMutable
             | Kind::NanoflannDynamic
             | Kind::OmplGnat
+            | Kind::Nigh
             | Kind::SimdScan
             | Kind::Brute => true,
             Kind::WayfoldRest
@@ -180,7 +196,16 @@ impl Kind {
             Kind::Wayfold => Box::new(wayfold::Growing::new(space)),
             Kind::KiddoMutable => kiddo::growing(chart(space)),
             Kind::NanoflannDynamic => Box::new(ChartedTree::nanoflann_dynamic(chart(space), room)),
-            Kind::OmplGnat => Box::new(Gnat::new(shape(space), space.coordinates(), &[], room)),
+            Kind::OmplGnat => Box::new(MetricTree::gnat(
+                shape(space),
+                space.coordinates(),
+                &[],
+                room,
+            )),
+            #[cfg(nigh)]
+            Kind::Nigh => Box::new(MetricTree::nigh(shape(space), space.coordinates(), room)),
+            #[cfg(not(nigh))]
+            Kind::Nigh => unreachable!("it is not compiled in"),
             Kind::SimdScan => Box::new(scan::Scan::new(space)),
             Kind::Brute => Box::new(brute::Brute::new(space)),
             Kind::WayfoldRest
@@ -207,12 +232,18 @@ impl Kind {
             Kind::Ann => Box::new(ChartedTree::ann(chart(space), rows)),
             Kind::OmplGnat => {
                 let width = space.coordinates();
-                Box::new(Gnat::new(shape(space), width, rows.numbers(), rows.len()))
+                Box::new(MetricTree::gnat(
+                    shape(space),
+                    width,
+                    rows.numbers(),
+                    rows.len(),
+                ))
             }
             Kind::CoverTree => Box::new(cover::Cover::new(space, rows)),
             Kind::Wayfold
             | Kind::KiddoMutable
             | Kind::NanoflannDynamic
+            | Kind::Nigh
             | Kind::SimdScan
             | Kind::Brute => {
                 unreachable!("{} takes one point at a time", self.name())
@@ -255,13 +286,32 @@ mod tests {
     };
 
     #[test]
+    fn nigh_is_measured_in_its_own_metrics_only() -> Result<(), Problem> {
+        let mut measured = Vec::new();
+        for setting in SETTINGS {
+            if Kind::Nigh.refuses(&spaces::parse(setting.text)?).is_none() {
+                measured.push(setting.name);
+            }
+        }
+        let own = ["R3", "R6", "R12", "R30", "SO2^3", "SO2^6", "SO3", "SE3-SUM"];
+        assert_eq!(measured, own);
+        for text in ["R7", "SO3:0.5", "sum(R3, SO3:0.5)"] {
+            assert!(
+                Kind::Nigh.refuses(&spaces::parse(text)?).is_some(),
+                "{text}"
+            );
+        }
+        Ok(())
+    }
+
+    #[test]
     fn every_structure_equals_brute_force_in_every_space_and_data() -> Result<(), Problem> {
         for setting in SETTINGS {
             let space = spaces::parse(setting.text)?;
             for data in Data::UNEVEN.into_iter().chain([Data::Uniform]) {
                 let (points, queries) = data::generate(&space, data, 3000, 40)?;
                 let case = Case::new(setting.name, &space, data, (&points, &queries), 40);
-                for kind in Kind::ALL {
+                for kind in Kind::ALL.into_iter().filter(|kind| kind.is_compiled()) {
                     if kind.refuses(&space).is_none() {
                         case.check(kind, kind.of(&space, &points).as_mut())?;
                     }
