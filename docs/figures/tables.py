@@ -15,9 +15,10 @@ METRICS = {
     "SE3^4": "SE3^4, `(R3*SO3:0.15)^4`", "SE3^8": "SE3^8, `(R3*SO3:0.15)^8`",
 }
 GNAT, SCAN, STATIC = "OMPL's GNAT", "a SIMD scan of all points", "kiddo or nanoflann, static"
-KIDDO, GROWING = "kiddo, static", "kiddo, growing"
+KIDDO, GROWING, NIGH = "kiddo, static", "kiddo, growing", "nigh"
 PEERS = {
     GNAT: ["ompl-gnat"], SCAN: ["simd-scan"], STATIC: ["kiddo", "nanoflann"], KIDDO: ["kiddo"], GROWING: ["kiddo-mutable"],
+    NIGH: ["nigh"],
 }
 SEARCHES = ["knn1", "knn10", "radius"]
 
@@ -117,8 +118,10 @@ def readme_speed():
 
 
 def nigh():
-    rows = [[METRICS.get(space, space), *map(ratio, ratios)] for space, ratios in of("nigh").items()]
-    return table(["nigh"], ["against nigh", "one neighbour", "ten neighbours", "random tree"], rows)
+    spaces = of("nigh")
+    what = {"knn1": "one neighbour", "knn10": "ten neighbours", "radius": "all within a radius", "rrt": "a random tree", "insert": "one insert"}
+    rows = [[shown, *(ratio(against(spaces, (space, "50000"), op, "wayfold", NIGH)) for space in spaces)] for op, shown in what.items()]
+    return table(["nigh"], ["against nigh, both growing", *(METRICS[space] for space in spaces)], rows)
 
 
 def threads():
