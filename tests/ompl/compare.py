@@ -102,8 +102,8 @@ def compare(client: Client, name: str, make, minimum: int):
     took = time.monotonic() - started
     stored = client.count(name)
     assert stored == vertices, f"{stored} points stored"
-    for what, answers, asked in (("Insert", at_insert, vertices), ("Knn", nearest, QUERIES), ("Query", within, QUERIES)):
-        assert len(answers) == asked, f"{what} answered {len(answers)} of {asked} rows"
+    for what, answers, expected in (("Insert", at_insert, vertices), ("Knn", nearest, QUERIES), ("Query", within, QUERIES)):
+        assert len(answers) == expected, f"{what} answered {len(answers)} of {expected} rows"
 
     started = time.monotonic()
     figures = {f"Knn, k = {K}": Figures(), f"Query, radius {radius:.3f}": Figures(), f"Insert, k = {K}": Figures()}

@@ -82,8 +82,8 @@ def any_run_of_tag_bits_gives_the_colour(page, programs, pictures):
     """Also bits in both halves of a tag."""
     draw = random.Random(7)
     runs = [(draw.getrandbits(64), first, bits) for first in range(64) for bits in (1, 2, 3)]
-    asked = [(tag & 0xFFFFFFFF, tag >> 32, first, bits) for tag, first, bits in runs]
+    arguments = [(tag & 0xFFFFFFFF, tag >> 32, first, bits) for tag, first, bits in runs]
     with running(programs) as server:
         page.goto(server.page)
-        given = page.evaluate("async all => { const { bitsOf } = await import('./view_panel.js'); return all.map((it) => bitsOf(...it)); }", asked)
+        given = page.evaluate("async all => { const { bitsOf } = await import('./view_panel.js'); return all.map((it) => bitsOf(...it)); }", arguments)
     assert given == [tag >> first & (1 << bits) - 1 for tag, first, bits in runs]

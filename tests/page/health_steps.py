@@ -102,14 +102,14 @@ def a_silent_server_is_noticed(page, programs, pictures):
         server.insert("arm", map(row, range(100)))
         open_index(page, server, "arm")
         wait_for_count(page, 100)
-        asked = streams_of(page, "points")
+        urls = streams_of(page, "points")
         os.kill(server.process.pid, signal.SIGSTOP)
         expect(page.locator("#status")).to_contain_text("no word from the server", timeout=MAX_WAIT_S * 1000)
         os.kill(server.process.pid, signal.SIGCONT)
         server.insert("arm", map(row, range(100, 150)))
         wait_for_count(page, 150)
         expect(page.locator("#status")).to_have_text("live", timeout=MAX_WAIT_S * 1000)
-        assert asked and all("after=" in it for it in asked), asked
+        assert urls and all("after=" in it for it in urls), urls
 
 
 def a_quiet_index_is_no_silence(page, programs, pictures):
@@ -119,10 +119,10 @@ def a_quiet_index_is_no_silence(page, programs, pictures):
         server.insert("arm", map(row, range(100)))
         open_index(page, server, "arm")
         wait_for_count(page, 100)
-        asked = streams_of(page, "points")
+        urls = streams_of(page, "points")
         page.wait_for_timeout(30_000)
         expect(page.locator("#status")).to_have_text("live")
-        assert not asked, asked
+        assert not urls, urls
 
 
 def a_failed_description_is_asked_for_again(page, programs, pictures):
@@ -141,7 +141,7 @@ def streams_are_no_latencies(page, programs, pictures):
     with running(programs) as server:
         server.command("create", "arm", "--space", SPACE)
         server.insert("arm", map(row, range(100)))
-        asked = streams_of(page, "overview")
+        urls = streams_of(page, "overview")
         page.goto(server.page)
         for _ in range(3):
             server.command("knn", "arm", "--state", PROBE, "-k", "3")
@@ -157,7 +157,7 @@ def streams_are_no_latencies(page, programs, pictures):
         tile = page.locator(".tile", has_text="Calls a second").locator(".more")
         expect(tile).to_have_text(SHORT)
         # All of it came by one stream.
-        assert len(asked) == 1, asked
+        assert len(urls) == 1, urls
         picture(page, pictures, "overview")
 
 

@@ -2,7 +2,7 @@
 // they are, its edges, and the same at every earlier revision. Returns the number of comparisons. `model_steps.py` runs it.
 async ({ seed, rounds }) => {
   const { Cloud, ALIVE } = await import("./cloud.js");
-  const { Replay } = await import("./past.js");
+  const { Replay } = await import("./replay.js");
   const { Share } = await import("./share.js");
   const IDS = 40;
   let comparisons = 0;
@@ -40,7 +40,7 @@ async ({ seed, rounds }) => {
       if (head.kind === "points") cloud.append(head, body);
       if (head.kind === "edges") cloud.edges.append(head, body, cloud.slots);
       if (head.kind === "removed") cloud.remove(head, body);
-      if (head.kind === "at") cloud.reach(head.revision);
+      if (head.kind === "at") cloud.advanceTo(head.revision);
     }
   };
 

@@ -58,11 +58,11 @@ def a_hidden_tab_leaves_its_connections(page, programs, pictures):
         server.insert("arm-0", map(row, range(100, 150)))
         second.close()
         expect(first.locator("#count")).to_have_text("400 points")
-        asked = streams_of(first, "points")
+        urls = streams_of(first, "points")
         set_hidden(first, False)
         wait_for_count(first, 450)
         expect(first.locator("#status")).to_have_text("live", timeout=MAX_WAIT_S * 1000)
-        assert len(asked) == 4 and all("after=" in it and "share=1" in it for it in asked), asked
+        assert len(urls) == 4 and all("after=" in it and "share=1" in it for it in urls), urls
         context.close()
 
 

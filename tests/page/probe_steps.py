@@ -11,7 +11,7 @@ from support import (OUTSIDE, PROBE, SPACE, certify, identities, open_index, pic
 from text_programs import run
 
 
-def told(answer):
+def neighbors_of(answer):
     return list(zip(map(str, answer["ids"]), answer["distances"]))
 
 
@@ -22,7 +22,7 @@ def the_probe_answers_as_the_command_line(page, programs, pictures):
         open_index(page, server, "arm")
         wait_for_count(page, 1000)
         shown = probe(page, PROBE, 7)
-        answer = told(server.json("knn", "arm", "--state", PROBE, "-k", "7"))
+        answer = neighbors_of(server.json("knn", "arm", "--state", PROBE, "-k", "7"))
         assert shown == answer, (shown, answer)
         for state, words in [("1,2", "2 numbers"), ("5,5,1,0,0,0,9", "norm")]:
             page.fill("#probe-state", state)

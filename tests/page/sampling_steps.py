@@ -38,7 +38,7 @@ def a_sample_goes_on_after_a_cut(page, programs, pictures):
             before = shown_of(page, "arm", 4000, server)
             assert 850 < before < 1150, before
             ports = server.ports()
-        asked = streams_of(page, "points")
+        urls = streams_of(page, "points")
         expect(page.locator("#status")).to_contain_text("trying again", timeout=MAX_WAIT_S * 1000)
         with running(programs, data=data, ports=ports) as server:
             server.insert("arm", map(row, range(4000, 4400)))
@@ -46,7 +46,7 @@ def a_sample_goes_on_after_a_cut(page, programs, pictures):
             whole = server.points("arm", "max=1100")
             assert whole["share"] == 0.25 and before < whole["sent"] < before + 180, (whole, before)
             wait_until_shown(page, whole["sent"], 4400)
-            assert asked and all("after=" in it and "share=0.25" in it for it in asked), asked
+            assert urls and all("after=" in it and "share=0.25" in it for it in urls), urls
 
 
 def the_slider_of_a_sample_tells_estimates(page, programs, pictures):
@@ -70,7 +70,7 @@ def an_index_that_grows_is_sampled_again(page, programs, pictures):
     with running(programs) as server:
         server.command("create", "arm", "--space", SPACE)
         server.insert("arm", map(row, range(500)))
-        asked = streams_of(page, "points")
+        urls = streams_of(page, "points")
         open_sampled(page, server, "arm", 1000)
         expect(page.locator("#count")).to_have_text("500 points")
         expect(page.locator("#sampled")).to_have_text("")
@@ -82,8 +82,8 @@ def an_index_that_grows_is_sampled_again(page, programs, pictures):
         shown = shown_of(page, "arm", 5000, server)
         assert 750 < shown <= 1250, shown
         # The last stream goes on where the one before ended. The server's sample of the same share has the same number.
-        share = float(re.search(r"share=([\d.e-]+)", asked[-1])[1])
-        assert 0.1 < share < 0.4 and "after=" in asked[-1], asked
+        share = float(re.search(r"share=([\d.e-]+)", urls[-1])[1])
+        assert 0.1 < share < 0.4 and "after=" in urls[-1], urls
         sampled = server.points("arm", f"max={round(5000 * share)}")
         assert abs(sampled["share"] - share) < 1e-3 and abs(sampled["sent"] - shown) <= 5, (sampled, shown, share)
         # No point outside of the sample is left: once all are removed, there is none.

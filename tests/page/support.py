@@ -67,9 +67,9 @@ class Server:
         sent, share = 0, None
         while rest:
             head, body = struct.unpack_from("<II", rest)
-            told = json.loads(rest[8:8 + head])
-            share = told.get("share", share)
-            sent += told["count"] if told["kind"] == "points" else 0
+            header = json.loads(rest[8:8 + head])
+            share = header.get("share", share)
+            sent += header["count"] if header["kind"] == "points" else 0
             rest = rest[8 + head + body:]
         return {"share": share, "sent": sent}
 
@@ -124,9 +124,9 @@ def sign_in(page, token):
 
 def streams_of(page, name):
     """The addresses of the streams `name` that the page asks for from now on."""
-    asked = []
-    page.on("request", lambda request: asked.append(request.url) if re.search(f"/{name}(\\?|$)", request.url) else None)
-    return asked
+    urls = []
+    page.on("request", lambda request: urls.append(request.url) if re.search(f"/{name}(\\?|$)", request.url) else None)
+    return urls
 
 
 def launch(driver):

@@ -144,8 +144,8 @@ def what_the_window_does_not_have_is_said(page, programs, pictures):
             later = recorder.scans[newest]
             first = min(known)
             lost = [id for id, line in points.items() if recorder.scans[first].get(id) == line and later.get(id) != line]
-            told = int((re.match(r"([\d,]+) not drawn", notes.inner_text()) or [0, "0"])[1].replace(",", ""))
-            assert told == len(lost), (revision, told, len(lost))
+            not_drawn = int((re.match(r"([\d,]+) not drawn", notes.inner_text()) or [0, "0"])[1].replace(",", ""))
+            assert not_drawn == len(lost), (revision, not_drawn, len(lost))
         # The window has some of the revisions, and not all.
         assert known == list(range(min(known), newest + 1)) and 1 < min(known) < newest - 20, (known, newest)
         set_slider(page, min(known))

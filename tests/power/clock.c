@@ -18,23 +18,23 @@
 
 enum { BILLION = 1000000000 };
 
-static const volatile int64_t *ahead;
+static const volatile int64_t *offset;
 
 __attribute__((constructor)) static void start(void) {
     const char *path = getenv("JUMPING_CLOCK");
     if (path == NULL) return;
     int fd = open(path, O_RDONLY | O_CLOEXEC);
     if (fd < 0) abort();
-    void *page = mmap(NULL, sizeof *ahead, PROT_READ, MAP_SHARED, fd, 0);
+    void *page = mmap(NULL, sizeof *offset, PROT_READ, MAP_SHARED, fd, 0);
     if (page == MAP_FAILED) abort();
     close(fd);
-    ahead = page;
+    offset = page;
 }
 
 int clock_gettime(clockid_t clock, struct timespec *time) {
     long result = syscall(SYS_clock_gettime, clock, time);
-    if (result == 0 && ahead != NULL && (clock == CLOCK_REALTIME || clock == CLOCK_REALTIME_COARSE)) {
-        int64_t now = (int64_t)time->tv_sec * BILLION + time->tv_nsec + *ahead;
+    if (result == 0 && offset != NULL && (clock == CLOCK_REALTIME || clock == CLOCK_REALTIME_COARSE)) {
+        int64_t now = (int64_t)time->tv_sec * BILLION + time->tv_nsec + *offset;
         time->tv_sec = now / BILLION;
         time->tv_nsec = now % BILLION;
     }

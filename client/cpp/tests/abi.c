@@ -129,9 +129,9 @@ int main(void) {
     CHECK(wayfold_index_payload(index, 1000, payload, 8, &bytes) == WAYFOLD_CODE_OK && bytes == 4);
     CHECK(memcmp(payload, "edge", 4) == 0);
     // Many payloads, one call: null without a point, and not null without bytes.
-    const uint64_t asked[3] = {1000, 4000, ids[2]};
+    const uint64_t requested[3] = {1000, 4000, ids[2]};
     wayfold_payloads *payloads = NULL;
-    CHECK(wayfold_index_payloads(index, asked, 3, &payloads) == WAYFOLD_CODE_OK && payloads != NULL);
+    CHECK(wayfold_index_payloads(index, requested, 3, &payloads) == WAYFOLD_CODE_OK && payloads != NULL);
     CHECK(memcmp(wayfold_payloads_get(payloads, 0, &bytes), "edge", 4) == 0 && bytes == 4);
     CHECK(wayfold_payloads_get(payloads, 1, NULL) == NULL && wayfold_payloads_get(payloads, 3, NULL) == NULL);
     CHECK(wayfold_payloads_get(payloads, 2, &bytes) != NULL && bytes == 0);
@@ -208,7 +208,7 @@ int main(void) {
           WAYFOLD_CODE_INVALID_ARGUMENT);
     CHECK(strcmp(wayfold_error_field(), "payload") == 0);
     CHECK(wayfold_index_set_payload(index, 1000, payload, SIZE_MAX, &is_there) == WAYFOLD_CODE_INVALID_ARGUMENT);
-    CHECK(wayfold_index_payloads(index, asked, huge, &payloads) == WAYFOLD_CODE_INVALID_ARGUMENT && payloads == NULL);
+    CHECK(wayfold_index_payloads(index, requested, huge, &payloads) == WAYFOLD_CODE_INVALID_ARGUMENT && payloads == NULL);
     CHECK(strcmp(wayfold_error_field(), "ids") == 0);
     CHECK(wayfold_index_insert(index, NULL, 1, 3, ids) == WAYFOLD_CODE_INVALID_ARGUMENT);
     CHECK(strcmp(wayfold_error_reason(), "NULL_POINTER") == 0);

@@ -155,7 +155,7 @@ impl Problem for Room {
     /// away from walls, floor and ceiling.
     fn is_free(&self, state: &[f64]) -> bool {
         let (poses, parts, pillars) = (poses(state), parts(self.margin), pillars());
-        let reach = RADIUS + self.margin * 3.0_f64.sqrt();
+        let bounding_radius = RADIUS + self.margin * 3.0_f64.sqrt();
         let hits = |pose: &Pose, other: &Pose, shape: &Cuboid| {
             parts.iter().any(|(at, part)| {
                 intersection_test_cuboid_cuboid(&(*pose * *at).inv_mul(other), part, shape)
@@ -164,12 +164,13 @@ impl Problem for Room {
         poses.iter().enumerate().all(|(body, pose)| {
             let clear_of_pillars = pillars.iter().all(|(center, pillar)| {
                 let outside = (pose.translation - *center).abs() - pillar.half_extents;
-                let far = outside.max(Vector::ZERO).length() >= reach;
+                let far = outside.max(Vector::ZERO).length() >= bounding_radius;
                 far || !hits(pose, &Pose::from_translation(*center), pillar)
             });
             clear_of_pillars
                 && poses[..body].iter().all(|other| {
-                    let far = (pose.translation - other.translation).length() >= 2.0 * reach;
+                    let far =
+                        (pose.translation - other.translation).length() >= 2.0 * bounding_radius;
                     far || !parts
                         .iter()
                         .any(|(at, part)| hits(pose, &(*other * *at), part))

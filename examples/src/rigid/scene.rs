@@ -195,18 +195,18 @@ impl Problem for Rooms {
         let within = |at: &Pose, part: &Cuboid| {
             let column = |axis: Vector, half: f64| (at.rotation * axis * half).abs();
             let half = part.half_extents;
-            let reach = column(Vector::X, half.x) + column(Vector::Y, half.y);
-            let reach = reach + column(Vector::Z, half.z);
-            let (low, high) = (at.translation - reach, at.translation + reach);
+            let extent = column(Vector::X, half.x) + column(Vector::Y, half.y);
+            let extent = extent + column(Vector::Z, half.z);
+            let (low, high) = (at.translation - extent, at.translation + extent);
             low.min_element() >= 0.0 && (Vector::from(SIDES) - high).min_element() >= 0.0
         };
         if !parts.iter().all(|(at, part)| within(at, part)) {
             return false;
         }
-        let reach = RADIUS + self.margin * 3.0_f64.sqrt();
+        let bounding_radius = RADIUS + self.margin * 3.0_f64.sqrt();
         self.obstacles.iter().all(|(center, block)| {
             let outside = (pose.translation - *center).abs() - block.half_extents;
-            let far = outside.max(Vector::ZERO).length() > reach;
+            let far = outside.max(Vector::ZERO).length() > bounding_radius;
             let place = Pose::from_translation(*center);
             far || !parts
                 .iter()

@@ -7,10 +7,10 @@ use crate::{neighbor_rows, number};
 
 /// The (id, bits of the distance) pairs of each row; no rows if neighbours were not requested.
 pub(super) fn expected_rows(
-    asked: bool,
+    is_requested: bool,
     neighbors: Option<&Neighbors>,
 ) -> std::vec::IntoIter<Vec<(u64, u64)>> {
-    assert!(asked || neighbors.is_none_or(|neighbors| neighbors.counts.is_empty()));
+    assert!(is_requested || neighbors.is_none_or(|neighbors| neighbors.counts.is_empty()));
     let rows = neighbors.map(neighbor_rows).unwrap_or_default();
     let rows = rows.into_iter().map(|row| {
         let row = row.into_iter();

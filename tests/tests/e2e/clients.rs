@@ -65,7 +65,7 @@ struct RunningClients {
 }
 
 impl RunningClients {
-    async fn reach(&mut self, moment: FaultTime) {
+    async fn wait_until(&mut self, moment: FaultTime) {
         let reached = match moment {
             FaultTime::Acknowledged(count) => {
                 self.at_acknowledged.wait_for(|&now| now >= count).await
@@ -113,7 +113,7 @@ impl Clients {
     /// Runs all clients until the server is killed.
     pub(crate) async fn work(&mut self, server: ServerProcess, moment: FaultTime) {
         let mut working = self.begin(&server).await;
-        working.reach(moment).await;
+        working.wait_until(moment).await;
         server.stop(Signal::Kill);
         self.end(working).await;
         for reader in &mut self.readers {
@@ -129,7 +129,7 @@ impl Clients {
         fail: impl FnOnce(),
     ) -> Vec<Status> {
         let mut working = self.begin(server).await;
-        working.reach(moment).await;
+        working.wait_until(moment).await;
         fail();
         self.end(working).await;
         let refusals = self.writers.iter().map(|writer| writer.refusal.clone());

@@ -89,7 +89,7 @@ pub unsafe extern "C" fn wayfold_index_status(
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise.
-        let (name, ahead, cause) = match unsafe { index_of(index) }?.status() {
+        let (name, revisions_behind, cause) = match unsafe { index_of(index) }?.status() {
             None => (WayfoldStatus::NotShared, 0, None),
             Some(Status::Following { behind }) => (WayfoldStatus::Following, behind, None),
             Some(Status::Reloading) => (WayfoldStatus::Reloading, 0, None),
@@ -102,7 +102,7 @@ pub unsafe extern "C" fn wayfold_index_status(
         let cause = cause.map_or_else(String::new, |cause| cause.to_string());
         // SAFETY: the caller's promise.
         unsafe {
-            copy(&[ahead], behind);
+            copy(&[revisions_behind], behind);
             copy(&cause.as_bytes()[..cause.len().min(capacity)], why.cast());
             put(cause.len(), why_bytes, "why_bytes")?;
             put(name, status, "status")

@@ -91,7 +91,7 @@ export class Cloud {
   }
 
   /** Everything up to this revision has come. */
-  reach(revision) {
+  advanceTo(revision) {
     this.edges.dropUntold();
     this.newest = Math.max(this.newest, Number(revision));
   }

@@ -3,7 +3,7 @@
 import { Refusal, call } from "./api.js";
 import { Cloud } from "./cloud.js";
 import { forget, report } from "./connection.js";
-import { Past } from "./past.js";
+import { Past } from "./replay.js";
 import { Pauses } from "./pauses.js";
 import { Share } from "./share.js";
 import { parseSpace } from "./space.js";
@@ -95,7 +95,7 @@ export class Layer {
         cloud.remove(head, body);
         break;
       case "at":
-        cloud.reach(head.revision);
+        cloud.advanceTo(head.revision);
         this.reached = head.revision;
         this.isComplete = true;
         if (cloud.alive > GROWTH * MAX_POINTS) this.#sampleAgain();

@@ -51,11 +51,11 @@ impl Contestant {
     }
 
     /// The server's processor time for a call of this turn.
-    async fn turn_us(&self, asked: &[f64]) -> f64 {
+    async fn turn_us(&self, queries: &[f64]) -> f64 {
         let process = self.server.process().id();
         let before = figures::processor_time(process).expect("Linux's /proc");
         let mut callers = JoinSet::new();
-        for rows in asked.chunks(CALLS / IN_FLIGHT * WIDTH) {
+        for rows in queries.chunks(CALLS / IN_FLIGHT * WIDTH) {
             let (index, rows) = (self.index.clone(), rows.to_vec());
             callers.spawn(async move {
                 for row in rows.chunks(WIDTH) {
@@ -83,11 +83,11 @@ pub(crate) async fn measure(identities: &Path, rounds: usize) -> Vec<(&'static s
         ];
         let mut of_round = [Vec::new(), Vec::new()];
         for turn in 0..TURNS {
-            let asked = states.rows(CALLS);
+            let queries = states.rows(CALLS);
             let mut took = [0.0; 3];
             for at in 0..took.len() {
                 let at = (at + turn) % took.len();
-                took[at] = contestants[at].turn_us(&asked).await;
+                took[at] = contestants[at].turn_us(&queries).await;
             }
             both.push(took[1], took[0]);
             nothing.push(took[2], took[0]);

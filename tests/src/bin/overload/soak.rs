@@ -58,7 +58,7 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     };
     let writers = writers::start(&server);
     let mut loaders: Vec<Process> = (0..LOADERS).map(|_| start()).collect();
-    let mut load = Observed::default();
+    let mut load = LoadPhases::default();
     let mut table = Table::default();
     let health = Health::start(server.address);
     let began = Instant::now();
@@ -141,12 +141,12 @@ pub(crate) fn load() -> ExitCode {
 
 /// The phases that the loaders finished, with the sums of their rates.
 #[derive(Default)]
-struct Observed {
+struct LoadPhases {
     phases: f64,
     sums: [f64; 3],
 }
 
-impl Observed {
+impl LoadPhases {
     fn add(&mut self, lines: &[String]) {
         for line in lines {
             let rates: Vec<f64> = line.split(' ').flat_map(str::parse).collect();

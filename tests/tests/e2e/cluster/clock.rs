@@ -48,12 +48,12 @@ impl Clocks {
     }
 
     /// Sets the clock of a server this many nanoseconds ahead.
-    pub(super) fn jump(&self, server: usize, ahead: i64) {
+    pub(super) fn jump(&self, server: usize, offset_ns: i64) {
         // The file stays the same: the server has it mapped.
         let mut file = fs::File::options();
         let file = file.write(true).create(true).truncate(false);
         let file = file.open(self.file(server)).unwrap();
-        let written = std::os::unix::fs::FileExt::write_at(&file, &ahead.to_ne_bytes(), 0);
+        let written = std::os::unix::fs::FileExt::write_at(&file, &offset_ns.to_ne_bytes(), 0);
         assert_eq!(written.unwrap(), 8);
     }
 

@@ -65,10 +65,10 @@ impl Cluster {
                 go_on().await;
             }
             Fault::Clock => {
-                let ahead = jump(random);
-                self.clocks.jump(of, ahead);
+                let offset_ns = jump(random);
+                self.clocks.jump(of, offset_ns);
                 go_on().await;
-                return format!("{} s ahead", ahead / 1_000_000_000);
+                return format!("{} s ahead", offset_ns / 1_000_000_000);
             }
             Fault::Flip | Fault::Cut => {
                 self.kill_nats(of);

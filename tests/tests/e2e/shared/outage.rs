@@ -161,11 +161,11 @@ async fn no_edge_is_missed_over_a_reload() {
     outage.pass_window(reached, 3).await;
     outage.end();
     let answers = take_answers(away);
-    assert!(answers.iter().all(|answers| answers.is_superset));
+    assert!(answers.iter().all(|answer| answer.is_superset));
     for (inserted, near) in questions {
-        let of_it = answers.iter().filter(|answers| answers.id == inserted.id);
+        let of_it = answers.iter().filter(|answer| answer.id == inserted.id);
         let ids: BTreeSet<u64> = of_it
-            .flat_map(|answers| answers.neighbors.iter().map(|neighbor| neighbor.id))
+            .flat_map(|answer| answer.neighbors.iter().map(|neighbor| neighbor.id))
             .collect();
         assert!(ids.contains(&near), "{inserted:?}: {ids:?}");
     }
@@ -253,6 +253,6 @@ async fn no_edge_to_a_point_that_was_tagged_meanwhile_is_missed() {
     let answers = take_answers(&away);
     let ids = answers
         .iter()
-        .map(|answers| (answers.id, answers.neighbors[0].id));
+        .map(|answer| (answer.id, answer.neighbors[0].id));
     assert_eq!(ids.collect::<Vec<_>>(), [(inserted.id, near)]);
 }

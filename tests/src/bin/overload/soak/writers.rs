@@ -135,19 +135,19 @@ impl Written {
     /// The figures, and the number of those that are wrong.
     pub(super) fn compare(&self, server: &Server, points: usize) -> (Figures, usize) {
         let runtime = Handle::current();
-        let (content, answers, asked) = runtime.block_on(async {
+        let (content, answers, queries) = runtime.block_on(async {
             let mut stubs = Stubs::connect(&format!("http://{}", server.address)).await;
             let content = Content::read(&stubs, INDEX).await.expect("a scan");
-            let asked = States::new(space(), 6).rows(SEARCHES);
+            let queries = States::new(space(), 6).rows(SEARCHES);
             let request = KnnRequest {
                 index_name: INDEX.into(),
-                states: Some(row_states(&asked, WIDTH)),
+                states: Some(row_states(&queries, WIDTH)),
                 k_form: Some(KForm::K(K)),
                 ..Default::default()
             };
             let answer = stubs.points.knn(request).await.expect("an answer");
             let neighbors = answer.into_inner().neighbors.unwrap_or_default();
-            (content, neighbor_rows(&neighbors), asked)
+            (content, neighbor_rows(&neighbors), queries)
         });
         let mut figures = Figures::default();
         let mut linear = Linear::new(space());
@@ -174,11 +174,14 @@ impl Written {
         };
         let wrong = expected.iter().filter(is_wrong).count();
         let search = Search::nearest_k(K as usize);
-        let misses = asked.chunks(WIDTH).zip(&answers).filter(|(state, answer)| {
-            let answer = answer.iter().map(|(id, d)| (*id, d.to_bits()));
-            let answer: Vec<_> = answer.collect();
-            brute_force::search(&linear, state, &search) != answer
-        });
+        let misses = queries
+            .chunks(WIDTH)
+            .zip(&answers)
+            .filter(|(state, answer)| {
+                let answer = answer.iter().map(|(id, d)| (*id, d.to_bits()));
+                let answer: Vec<_> = answer.collect();
+                brute_force::search(&linear, state, &search) != answer
+            });
         let misses = misses.count() + SEARCHES.abs_diff(answers.len());
         figures.add("points too few or too many", too_many as f64);
         figures.add("points lost or changed", wrong as f64);
