@@ -33,8 +33,8 @@ public:
         const int count = static_cast<int>(k);
         make_room(k);
         if (more) {
-            const double reach = held.back().first;
-            const int within = tree->annkFRSearch(place(query), reach, count, found.data(), distances.data());
+            const double bound = held.back().first;
+            const int within = tree->annkFRSearch(place(query), bound, count, found.data(), distances.data());
             hold(std::min(within, count));
             std::sort(held.begin(), held.end());
             held.resize(k);
@@ -77,12 +77,12 @@ private:
         }
     }
 
-    PeerResult report(double reach) {
+    PeerResult report(double bound) {
         ids.clear();
         for (const auto &near : held) {
             ids.push_back(near.second);
         }
-        return {ids.data(), ids.size(), reach};
+        return {ids.data(), ids.size(), bound};
     }
 
     ANNpointArray points;

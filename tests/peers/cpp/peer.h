@@ -7,12 +7,12 @@
 #include <cstddef>
 #include <cstdint>
 
-// The result of a search. `reach` is a bound in the structure's own measure: points beyond it cannot change the answer
+// The result of a search. `bound` is in the structure's own measure: points beyond it cannot change the answer
 // (infinity as long as too few are held).
 struct PeerResult {
     const std::uint32_t *ids;
     std::size_t count;
-    double reach;
+    double bound;
 };
 
 class Peer {

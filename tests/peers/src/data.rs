@@ -96,12 +96,17 @@ pub fn generate(
         })?;
     }
     let width = space.coordinates();
-    let (mut stored, mut asked) = (Vec::new(), Vec::new());
+    let (mut stored, mut query_rows) = (Vec::new(), Vec::new());
     for (at, row) in rows.into_iter().enumerate() {
         // The queries are spread evenly over the sequence, because a tree's late states lie elsewhere than its first
         // ones.
         let is_query = (at + 1) * queries / all > at * queries / all;
-        if is_query { &mut asked } else { &mut stored }.push(row);
+        if is_query {
+            &mut query_rows
+        } else {
+            &mut stored
+        }
+        .push(row);
     }
     if data == Data::Sorted {
         stored.sort_by(|a, b| a[0].total_cmp(&b[0]));
@@ -110,7 +115,7 @@ pub fn generate(
         width,
         numbers: rows.concat(),
     };
-    Ok((flat(stored), flat(asked)))
+    Ok((flat(stored), flat(query_rows)))
 }
 
 /// The factors of a space in row order.

@@ -87,8 +87,8 @@ pub fn run(rounds: usize, report: &mut Report) -> Result<String, Problem> {
         }
         let space = spaces::parse(&text)?;
         let (points, queries) = data::generate(&space, Data::Uniform, POINTS, QUERIES)?;
-        let (name, asked) = (&line.space, (&points, &queries));
-        let case = Case::new(name, &space, Data::Uniform, asked, QUERIES);
+        let (name, rows) = (&line.space, (&points, &queries));
+        let case = Case::new(name, &space, Data::Uniform, rows, QUERIES);
         measure::measure(&case, &kinds, effort, report)?;
         eprintln!("figure {figure}: {name}");
         let [searched, constructed] = lines(&line, report);
@@ -168,8 +168,8 @@ fn lines(line: &Line, report: &Report) -> [Vec<String>; 2] {
             constructed.push(built.map_or_else(none, |ns| format!("{:.2}", times(ns))));
         }
     }
-    for (build, asked) in line.peers {
-        searched.push(format!("{:.1}", line.naive / asked));
+    for (build, search) in line.peers {
+        searched.push(format!("{:.1}", line.naive / search));
         constructed.push(format!("{:.2}", build / line.naive));
     }
     let gain = query(Kind::Mpnn).zip(query(Kind::WayfoldRest));

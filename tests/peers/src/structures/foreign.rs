@@ -14,7 +14,7 @@ use crate::{chart::Chart, data::Rows};
 struct PeerResult {
     ids: *const u32,
     count: usize,
-    reach: f64,
+    bound: f64,
 }
 
 /// A `Peer` of C++. Rust knows only pointers to it.
@@ -109,11 +109,11 @@ impl Drop for Handle {
 /// The ids must stay in place for as long as the caller makes the borrow last.
 unsafe fn held<'a>(found: PeerResult) -> (&'a [u32], f64) {
     if found.count == 0 {
-        return (&[], found.reach);
+        return (&[], found.bound);
     }
     // SAFETY: C++ returns a pointer to `count` ids; that they stay is the caller's promise.
     let ids = unsafe { std::slice::from_raw_parts(found.ids, found.count) };
-    (ids, found.reach)
+    (ids, found.bound)
 }
 
 /// A tree over Euclidean coordinates, searched from each image of a query.

@@ -46,15 +46,15 @@ impl Scan {
     fn scan(
         &mut self,
         query: &[f64],
-        mut reach: f64,
+        mut bound: f64,
         mut offer: impl FnMut(&mut Vec<(f64, u32)>, f64, u32) -> f64,
     ) {
         let is_squared = self.space.groups().len() == 1;
-        let limit = |reach: f64| {
-            let key = if is_squared { reach * reach } else { reach };
+        let limit = |bound: f64| {
+            let key = if is_squared { bound * bound } else { bound };
             key * (1.0 + MARGIN)
         };
-        let mut most = limit(reach);
+        let mut most = limit(bound);
         let width = self.space.coordinates();
         for (at, block) in self.blocks.chunks_exact(width).enumerate() {
             let keys = keys(&self.space, is_squared, query, block);
@@ -74,9 +74,9 @@ impl Scan {
                         *x = column[lane];
                     }
                     let distance = self.space.distance(query, &self.row);
-                    if distance <= reach {
-                        reach = offer(&mut self.held, distance, (first + lane) as u32);
-                        most = limit(reach);
+                    if distance <= bound {
+                        bound = offer(&mut self.held, distance, (first + lane) as u32);
+                        most = limit(bound);
                     }
                 }
             }
