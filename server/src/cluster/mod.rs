@@ -128,6 +128,7 @@ impl Owners for Cluster {
     }
 
     fn changes(&self) -> u64 {
+        // Both only grow, so that the sum is the same only if both are.
         self.members.changes() + self.nats.statistics().connects.load(Relaxed)
     }
 

@@ -20,8 +20,8 @@ pub trait Owners: Send + Sync {
     /// The number of live servers that this one hears, itself among them; 0 if it is cut off.
     fn members(&self) -> usize;
 
-    /// The number of times that the live servers changed, or the journal was connected, from 1 on: so often the owner of an
-    /// index may have changed, or the journal may have lost records.
+    /// A count, from 1 on, of the changes of the live servers and of the connections to the journal. After each of them an
+    /// index may have another owner, or the journal may lack records.
     fn changes(&self) -> u64;
 
     /// Sends a request, encoded, to `owner`, in the name of the caller and with the deadline of `call`. Returns the encoded

@@ -9,9 +9,9 @@ use wayfold_tests::{Process, ServerProcess, States, Stubs, figures::resident_byt
 const WIDTH: usize = 32;
 const BATCHES: usize = 75;
 const ROWS: usize = 2_000;
-/// The most bytes that the store takes for a point beside its state.
+/// The store takes at most this many bytes for a point beside its state.
 const STORED_BYTES: usize = 256;
-/// The most bytes by which the server grows in a load, beside the trees and the stored points.
+/// Beside the trees and the stored points, a load takes at most this many bytes.
 const MAX_OTHER_BYTES: u64 = 32 * 1024 * 1024;
 /// The longest wait for the memory.
 const MAX_WAIT: Duration = Duration::from_secs(60);
