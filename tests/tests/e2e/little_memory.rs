@@ -90,10 +90,13 @@ async fn a_full_server_refuses_inserts_and_serves_what_it_can_after_a_start() {
     let server = serve(directory.path(), LIMIT);
     let mut again = Stubs::connect(server.uri()).await;
     assert_eq!(again.describe("arm").await.point_count, stored);
-    assert!(used(&server) < LIMIT, "{}", used(&server));
+    let loaded = used(&server);
+    assert!(loaded < LIMIT, "{loaded}");
     server.stop(Signal::Kill);
 
-    let server = serve(directory.path(), LIMIT / 2);
+    // The number of points that fit differs from run to run, so the limit that is too low for them follows from it.
+    let too_low = loaded / 3 * 2;
+    let server = serve(directory.path(), too_low);
     let mut stubs = Stubs::connect(server.uri()).await;
     let listed = stubs.indexes.list_indexes(ListIndexesRequest::default());
     let listed = listed.await.unwrap().into_inner();
@@ -105,7 +108,9 @@ async fn a_full_server_refuses_inserts_and_serves_what_it_can_after_a_start() {
         (refusal.code, &*refusal.reason),
         (Code::Unavailable, "NOT_LOADED")
     );
-    assert!(used(&server) < LIMIT / 2, "{}", used(&server));
+    let unloaded = used(&server);
+    println!("{loaded} bytes loaded, {unloaded} without the index");
+    assert!(unloaded < too_low, "{unloaded}");
     inserts.stubs.delete("arm").await;
     inserts.stubs.create("arm", &format!("R{WIDTH}")).await;
     let accepted = async { while inserts.next("arm").await.is_err() {} };
