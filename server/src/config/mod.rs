@@ -66,7 +66,7 @@ pub struct GrpcConfig {
     pub listen: String,
     /// The largest request message, in bytes.
     pub max_message_bytes: usize,
-    /// The most calls in flight on one connection.
+    /// The most calls in flight on one connection, streams included.
     pub max_calls_per_connection: u32,
     /// The most open connections.
     pub max_connections: usize,

@@ -11,7 +11,7 @@ use std::{
 use bytes::Bytes;
 use http::{HeaderMap, Response};
 use http_body::{Body as HttpBody, Frame, SizeHint};
-use tokio::time::Sleep;
+use tokio::{sync::OwnedSemaphorePermit, time::Sleep};
 use tokio_util::task::task_tracker::TaskTrackerToken;
 use tonic::{Code, Status, body::Body};
 
@@ -43,10 +43,11 @@ pub(crate) struct CallBody {
     place: Option<Place>,
 }
 
-/// The resources of a call: a place on its connection and among the calls under way, and bytes.
+/// The resources of a call: its places on its connection and among the calls under way, and bytes.
 pub(super) struct Place {
     pub(super) activity: Option<Activity>,
     pub(super) _active: Option<ActiveCall>,
+    pub(super) _stream: Option<OwnedSemaphorePermit>,
     pub(super) _under_way: TaskTrackerToken,
     pub(super) held: Arc<HeldBytes>,
 }

@@ -27,7 +27,7 @@ use super::{
     connections::Activity,
     deadline, refusals,
     request_body::{RequestBody, RequestLimits},
-    verbs::{has_stream_of_answers, has_stream_of_requests, our_rpc, verb},
+    verbs::{has_stream_of_answers, has_stream_of_requests, is_lasting, our_rpc, verb},
 };
 use crate::{
     admission::{CALL_BYTES, Flow, HeldBytes},
@@ -86,6 +86,9 @@ pub(crate) enum Callers {
     Members,
 }
 
+/// The most calls of a member's connection.
+const MAX_CALLS_OF_MEMBERS: u32 = 256;
+
 /// Wraps services in [`Calls`].
 #[derive(Clone)]
 pub(super) struct CallsLayer {
@@ -93,11 +96,23 @@ pub(super) struct CallsLayer {
     callers: Callers,
     /// The calls under way.
     under_way: TaskTracker,
+    /// The most calls of a connection.
+    max_calls: u32,
     requests: RequestLimits,
     /// The deadline of calls that have none and are no streams.
     default_timeout: Duration,
     /// The headers of the refusal of a call that would wait for too long.
     overloaded: Arc<HeaderMap>,
+}
+
+impl Callers {
+    /// The most calls of one connection: another member sends the calls of all its clients over one.
+    pub(super) fn max_calls(self, config: &GrpcConfig) -> u32 {
+        match self {
+            Self::Clients => config.max_calls_per_connection,
+            Self::Members => MAX_CALLS_OF_MEMBERS,
+        }
+    }
 }
 
 impl CallsLayer {
@@ -113,6 +128,7 @@ impl CallsLayer {
             shared,
             callers,
             under_way,
+            max_calls: config.max_calls_per_connection,
             requests: RequestLimits {
                 max_message_bytes: config.max_message_bytes,
                 time: Duration::from_millis(config.receive_timeout_ms),
@@ -194,6 +210,10 @@ where
         let mut record = CallRecord::begin(rpc, verb, arrived, &settings.shared.metrics, &call);
         let held = Arc::new(flow.hold());
         let is_stream = has_stream_of_answers(rpc) || has_stream_of_requests(rpc);
+        let stream = match activity.as_ref().filter(|_| is_lasting(rpc)) {
+            Some(activity) => activity.stream().ok_or(()).map(Some),
+            None => Ok(None),
+        };
         // The service checks the caller too; here a stranger is refused before it sends its request.
         let deadline = match (
             call.caller.check(),
@@ -204,6 +224,10 @@ where
                 Err(status::from_error(&Error::Denied { why }))
             }
             (Ok(()), Err(problem)) => Err(refusals::malformed_timeout(&problem)),
+            _ if stream.is_err() => {
+                settings.shared.admission.count_excess();
+                Err(refusals::too_many_streams(settings.max_calls))
+            }
             _ if !held.take(CALL_BYTES) => Err(status::too_many_bytes(flow.max_bytes())),
             (_, Ok(None)) if !is_stream => Ok(arrived.checked_add(settings.default_timeout)),
             (_, Ok(deadline)) => Ok(deadline),
@@ -220,6 +244,7 @@ where
         let place = Place {
             activity,
             _active: active,
+            _stream: stream.unwrap_or_default(),
             _under_way: settings.under_way.token(),
             held: Arc::clone(&held),
         };

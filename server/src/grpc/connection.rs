@@ -290,7 +290,7 @@ mod tests {
         peer.write_all(sent).await.unwrap();
         let mut incoming = Box::pin(incoming(
             listener,
-            Connections::new(1, Admission::new(&Config::default().admission, 1, 0)),
+            Connections::new(1, 1, Admission::new(&Config::default().admission, 1, 0)),
             None,
             CancellationToken::new(),
         ));

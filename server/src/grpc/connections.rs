@@ -50,6 +50,8 @@ pub(super) struct Connections {
     open: Mutex<BTreeMap<u64, Arc<State>>>,
     /// The number of connections and ended calls so far.
     events: AtomicU64,
+    /// The most lasting streams of each.
+    max_streams: usize,
     admission: Admission,
 }
 
@@ -67,6 +69,8 @@ struct State {
     peer: Option<SocketAddr>,
     certificate: Client,
     flow: Arc<Flow>,
+    /// The free places of lasting streams.
+    streams: Arc<Semaphore>,
     unread: Mutex<Unread>,
 }
 
@@ -102,12 +106,13 @@ pub(super) struct ActiveCall(Activity);
 pub(super) struct Sending(Arc<State>);
 
 impl Connections {
-    /// Room for `limit` connections, each of which is a flow.
-    pub(super) fn new(limit: usize, admission: Admission) -> Arc<Self> {
+    /// Room for `limit` connections, each of which is a flow and has `max_streams` lasting streams at most.
+    pub(super) fn new(limit: usize, max_streams: usize, admission: Admission) -> Arc<Self> {
         Arc::new(Self {
             places: Arc::new(Semaphore::new(limit.min(Semaphore::MAX_PERMITS))),
             open: Mutex::default(),
             events: AtomicU64::new(0),
+            max_streams,
             admission,
         })
     }
@@ -129,6 +134,7 @@ impl Connections {
             peer,
             certificate: Client::default(),
             flow: self.admission.open(),
+            streams: Arc::new(Semaphore::new(self.max_streams)),
             unread: Mutex::new(Unread {
                 frames: 0,
                 since: Instant::now(),
@@ -277,6 +283,11 @@ impl Activity {
         &self.state.flow
     }
 
+    /// The place of a lasting stream; None if the others of the connection have all.
+    pub(super) fn stream(&self) -> Option<OwnedSemaphorePermit> {
+        Arc::clone(&self.state.streams).try_acquire_owned().ok()
+    }
+
     /// A frame of an answer waits for the client to read it, until the result is dropped.
     pub(super) fn send(&self) -> Sending {
         let mut unread = self.state.unread.lock();
@@ -321,7 +332,7 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn a_silent_stream_makes_room_only_after_its_time() {
         let admission = Admission::new(&Config::default().admission, 1, 0);
-        let connections = Connections::new(2, admission);
+        let connections = Connections::new(2, 1, admission);
         let cuts = [CancellationToken::new(), CancellationToken::new()];
         let silent = connections.open(None, cuts[0].clone()).await;
         let live = connections.open(None, cuts[1].clone()).await;

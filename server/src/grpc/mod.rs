@@ -60,6 +60,15 @@ pub enum GrpcError {
     Listener(#[from] io::Error),
 }
 
+/// The calls of a connection that may be cancelled before the server looks at them; one more cuts it.
+const MAX_PENDING_RESETS: usize = 256;
+
+/// The most lasting streams of a connection with `max_calls`: streams must not take the places of calls that end, which
+/// would wait in the client without a word.
+fn max_streams(max_calls: u32) -> usize {
+    (max_calls - max_calls / 4) as usize
+}
+
 /// Serves `shared` to `callers` on `listener` until the server begins to stop and every call that was accepted is done.
 ///
 /// `under_way` counts the running calls. `cut` fails the connections that are still open, so that this returns soon.
@@ -83,7 +92,12 @@ pub(crate) async fn serve(
         (descriptors().build_v1()?, descriptors().build_v1alpha()?);
     let keepalive = (config.keepalive_interval_ms > 0)
         .then(|| Duration::from_millis(config.keepalive_interval_ms));
-    let connections = Connections::new(config.max_connections, shared.admission.clone());
+    let max_calls = callers.max_calls(config);
+    let connections = Connections::new(
+        config.max_connections,
+        max_streams(max_calls),
+        shared.admission.clone(),
+    );
     let send_timeout = Duration::from_millis(config.send_timeout_ms);
     let watched = Arc::clone(&connections);
     let _watching = AbortOnDropHandle::new(tokio::spawn(async move {
@@ -93,9 +107,9 @@ pub(crate) async fn serve(
         service: shared.service.clone(),
     });
     Server::builder()
-        .max_concurrent_streams(config.max_calls_per_connection)
-        // A client that cancels all its calls at once keeps its connection.
-        .http2_max_pending_accept_reset_streams(Some(config.max_calls_per_connection as usize))
+        .max_concurrent_streams(max_calls)
+        // A client that cancels many calls in a row keeps its connection.
+        .http2_max_pending_accept_reset_streams(Some(MAX_PENDING_RESETS))
         .http2_keepalive_interval(keepalive)
         .http2_keepalive_timeout(Some(Duration::from_millis(config.keepalive_timeout_ms)))
         .layer(CallsLayer::new(config, shared.clone(), callers, under_way))

@@ -15,6 +15,7 @@ use crate::{
 };
 
 const MAX_MESSAGE_BYTES: &str = "grpc.max_message_bytes";
+const MAX_CALLS: &str = "grpc.max_calls_per_connection";
 const RECEIVE_TIMEOUT_MS: &str = "grpc.receive_timeout_ms";
 /// The remedy for a message that is too large.
 pub(crate) const SPLIT: &str = "split it into several calls";
@@ -102,6 +103,15 @@ pub(crate) fn too_slow(time: Duration) -> Refusal {
         "the request did not arrive within {RECEIVE_TIMEOUT_MS} = {most}: send smaller messages"
     );
     busy("TOO_SLOW", message, RECEIVE_TIMEOUT_MS, most)
+}
+
+/// The refusal of a stream that would leave too few of the `max_calls` of its connection to calls that end.
+pub(crate) fn too_many_streams(max_calls: u32) -> Refusal {
+    let message = format!(
+        "Watch and StreamKnn of this connection have three quarters of {MAX_CALLS} = {max_calls}: open another \
+         connection, or raise the setting"
+    );
+    busy("TOO_MANY_CALLS", message, MAX_CALLS, max_calls as usize)
 }
 
 /// The answer to a call that made the server panic.

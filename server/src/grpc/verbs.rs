@@ -15,6 +15,9 @@ const ANSWER_STREAMS: [&str; 5] = [
     "IndexService/VerifyIndex",
 ];
 
+/// The streams that last for as long as their clients like.
+const LASTING: [&str; 2] = ["PointService/StreamKnn", "PointService/Watch"];
+
 /// All calls, and their verbs in metrics.
 const VERBS: [(&str, &str); 19] = [
     ("IndexService/GetServer", "server"),
@@ -46,6 +49,11 @@ pub(super) fn has_stream_of_requests(rpc: &str) -> bool {
 /// True if the answers of a call are a stream.
 pub(super) fn has_stream_of_answers(rpc: &str) -> bool {
     ANSWER_STREAMS.contains(&rpc)
+}
+
+/// True if a call is a stream that lasts for as long as its client likes.
+pub(super) fn is_lasting(rpc: &str) -> bool {
+    LASTING.contains(&rpc)
 }
 
 /// The verb of a call in metrics. A call that does not exist has none of its own: its name may be anything.

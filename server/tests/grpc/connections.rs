@@ -6,12 +6,14 @@ use std::net::SocketAddr;
 
 use crate::{
     bare::{Connection, frame, status},
-    harness::{TestServer, connect, insert, knn},
+    harness::{TestServer, connect, insert, knn, reason},
 };
 use futures_util::future::{join_all, try_join_all};
 use h2::Reason;
-use tokio::net::TcpStream;
+use tokio::{net::TcpStream, sync::mpsc};
+use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Code, transport::Channel};
+use tonic_types::StatusExt;
 use wayfold_proto::v1::{self, point_service_client::PointServiceClient};
 
 async fn server_for(connections: usize) -> TestServer {
@@ -42,6 +44,44 @@ impl Watcher {
         let message = self.mutations.message().await.unwrap().unwrap();
         assert_eq!(message.mutations.len(), 1);
     }
+}
+
+/// Watch and StreamKnn have three of four places: a fourth stream is refused, and a call that ends is answered.
+#[tokio::test]
+async fn lasting_streams_leave_places_to_other_calls() {
+    let server = TestServer::start(|config| config.grpc.max_calls_per_connection = 4).await;
+    server.create_line("line").await;
+    let watch = async || {
+        let request = v1::WatchRequest {
+            index_name: "line".into(),
+            ..Default::default()
+        };
+        server.points().watch(request).await
+    };
+    let _watches = [watch().await.unwrap(), watch().await.unwrap()];
+    let (requests, queue) = mpsc::channel::<v1::StreamKnnRequest>(1);
+    let answers = server.points().stream_knn(ReceiverStream::new(queue)).await;
+    let refused = watch().await.unwrap_err();
+    assert_eq!(reason(&refused, Code::ResourceExhausted), "TOO_MANY_CALLS");
+    let expected = "grpc.max_calls_per_connection = 4: open another connection";
+    assert!(refused.message().contains(expected), "{refused}");
+    let violations = refused.get_details_quota_failure().unwrap().violations;
+    assert_eq!(violations[0].quota_value, 4);
+    let inserted = server.points().insert(insert("line", &[0.5])).await;
+    inserted.unwrap();
+
+    drop(requests);
+    assert!(
+        answers
+            .unwrap()
+            .into_inner()
+            .message()
+            .await
+            .unwrap()
+            .is_none()
+    );
+    watch().await.unwrap();
+    server.stop().await.unwrap().unwrap();
 }
 
 #[tokio::test]
