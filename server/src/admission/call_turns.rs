@@ -21,8 +21,6 @@ pub(crate) struct CallTurns {
     stage: Stage,
     /// Its work since it last went behind others of its flow.
     at_once: Duration,
-    /// True if it is one of the calls of a stream, or answers with one.
-    streams: bool,
     /// The turn of the next slice.
     next: Option<TurnRequest>,
     /// The time since which it waits for that turn.
@@ -54,7 +52,6 @@ impl CallTurns {
             flow,
             stage: Stage::New,
             at_once: Duration::ZERO,
-            streams: false,
             next: None,
             requested_at: Instant::now(),
             queued: Duration::ZERO,
@@ -66,7 +63,6 @@ impl CallTurns {
     pub(super) fn of_stream(self) -> Self {
         Self {
             stage: Stage::GoesOn,
-            streams: true,
             ..self
         }
     }
@@ -121,12 +117,8 @@ impl CallTurns {
         self.stage = Stage::GoesOn;
         if self.at_once >= MAX_AT_ONCE {
             self.at_once = Duration::ZERO;
-            self.stage = Stage::GoesBehind {
-                holds_part: !self.streams,
-            };
+            self.stage = Stage::GoesBehind;
         }
-        // A call that goes on after an answer sends a stream of them.
-        self.streams |= polled.is_ready();
         // A task of its own polls its work with another waker.
         let goes_on = GOES_ON
             .take()

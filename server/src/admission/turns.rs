@@ -6,8 +6,7 @@
 //! - *Fair:* the flow that has computed least goes first (start-time fair queueing). A flow that was idle gets no credit
 //!   for that. P. Goyal, H. M. Vin, H. Cheng, *Start-time Fair Queuing*, SIGCOMM 1996.
 //! - *First come, first served* within a flow. Calls that take longer than [`MAX_AT_ONCE`] wait apart after that time of
-//!   work, and these and the others of the flow take turns: a short call does not wait for all long ones. While
-//!   [many](queue::MAX_PARTS) of them hold parts of their answers, no other call of the flow begins.
+//!   work, and these and the others of the flow take turns: a short call does not wait for all long ones.
 //! - *Measured:* a call that has not begun is refused once it has waited for too long: for the time of a burst, or for
 //!   the target while the queue stands. It stands once all calls are late and it gets no [shorter](trend), or once it was
 //!   not empty for the time of a burst; until no call was late for that time. Bytes that a connection has not read yet wait

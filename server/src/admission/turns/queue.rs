@@ -15,10 +15,6 @@ pub(super) const SHORT_TURNS: usize = 128;
 /// A flow whose turns take longer on average has long turns.
 const MAX_SHORT_NS: u64 = 50_000;
 
-/// No call of a flow begins while this many others of it wait with a part of their answers: once begun, each of them ends
-/// with an answer that its client may leave unread. With answers of 4 MiB they are the share of a flow by default.
-pub(super) const MAX_PARTS: usize = 16;
-
 /// The mean of a flow's turns covers about this many of them.
 const MEAN_TURNS: u64 = 8;
 
@@ -74,10 +70,7 @@ pub(in crate::admission) enum Stage {
     /// It goes on before the other calls of its flow.
     GoesOn,
     /// It goes on after them, as one of those that have computed for long.
-    GoesBehind {
-        /// True if it holds a part of its answer until the answer is whole; false if it streams.
-        holds_part: bool,
-    },
+    GoesBehind,
 }
 
 impl Flow {
@@ -100,16 +93,9 @@ impl Flow {
         match first {
             Some(Stage::GoesOn) => first,
             Some(_) if self.behind.is_empty() => first,
-            Some(_) if !self.behind_is_due && self.parts() < MAX_PARTS => first,
+            Some(_) if !self.behind_is_due => first,
             _ => self.behind.front().map(|waiting| waiting.stage),
         }
-    }
-
-    /// The waiting calls that hold a part of their answers.
-    fn parts(&self) -> usize {
-        let holds_part =
-            |waiting: &&Waiting| waiting.stage == Stage::GoesBehind { holds_part: true };
-        self.behind.iter().filter(holds_part).count()
     }
 
     pub(super) fn pop(&mut self, stage: Stage) -> Option<Waiting> {
@@ -119,7 +105,7 @@ impl Flow {
                 self.behind_is_due = true;
                 self.waiting.pop_front()
             }
-            Stage::GoesBehind { .. } => {
+            Stage::GoesBehind => {
                 self.behind_is_due = false;
                 self.behind.pop_front()
             }
@@ -166,7 +152,7 @@ impl State {
                 self.new += 1;
                 flow.waiting.push_back(waiting);
             }
-            Stage::GoesBehind { .. } => flow.behind.push_back(waiting),
+            Stage::GoesBehind => flow.behind.push_back(waiting),
         }
         receiver
     }

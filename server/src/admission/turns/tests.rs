@@ -4,9 +4,6 @@ const MS: Duration = Duration::from_millis(1);
 const TARGET: Duration = Duration::from_millis(100);
 const BURST: Duration = Duration::from_secs(3600);
 
-/// The stage of a call that has computed for long.
-const BEHIND: Stage = GoesBehind { holds_part: true };
-
 /// A turn at once.
 fn take(turns: &Arc<Turns>, flow: FlowNumber) -> Turn {
     match turns
@@ -82,7 +79,7 @@ fn a_call_that_has_begun_goes_first_until_it_has_computed_for_long() {
     let flow = turns.open();
     let turn = take(&turns, flow);
     let mut waiting = vec![
-        wait(&turns, flow, BEHIND, MS),
+        wait(&turns, flow, GoesBehind, MS),
         wait(&turns, flow, New, MS),
         wait(&turns, flow, New, MS),
         wait(&turns, flow, GoesOn, MS),
@@ -213,36 +210,4 @@ fn as_many_long_turns_as_threads_and_none_is_lost() {
     let other = turns.open();
     take(&turns, other).end(MS);
     let _all: Vec<Turn> = (0..3).map(|_| take(&turns, other)).collect();
-}
-
-#[test]
-fn no_call_begins_while_many_hold_parts_of_their_answers() {
-    let turns = Turns::new(1, TARGET, BURST);
-    let (heavy, other) = (turns.open(), turns.open());
-    let turn = take(&turns, heavy);
-    let long = |_| wait(&turns, heavy, BEHIND, MS);
-    let mut waiting: Vec<_> = (0..queue::MAX_PARTS + 1).map(long).collect();
-    waiting.push(wait(&turns, heavy, New, MS));
-    waiting.push(wait(&turns, other, New, MS));
-    // Another flow does not wait for them.
-    let (first, turn) = next(turn, MS, &mut waiting).unwrap();
-    assert_eq!(first, queue::MAX_PARTS + 2);
-    let (second, turn) = next(turn, 100 * MS, &mut waiting).unwrap();
-    let (third, turn) = next(turn, MS, &mut waiting).unwrap();
-    assert_eq!([second, third], [0, 1]);
-    // Fewer are left, so that it is the turn of the call that has not begun.
-    let (fourth, turn) = next(turn, MS, &mut waiting).unwrap();
-    assert_eq!(fourth, queue::MAX_PARTS + 1);
-
-    // Streams hold none: they and the others take turns.
-    let streaming = GoesBehind { holds_part: false };
-    let mut waiting = vec![
-        wait(&turns, other, New, MS),
-        wait(&turns, other, GoesOn, MS),
-    ];
-    waiting.extend((0..2 * queue::MAX_PARTS).map(|_| wait(&turns, other, streaming, MS)));
-    let (first, turn) = next(turn, 1000 * MS, &mut waiting).unwrap();
-    let (second, turn) = next(turn, MS, &mut waiting).unwrap();
-    let (third, _turn) = next(turn, MS, &mut waiting).unwrap();
-    assert_eq!([first, second, third], [1, 2, 0]);
 }

@@ -1,4 +1,4 @@
-//! One connection whose client asks for large answers and reads none.
+//! Connections whose client asks for large answers and reads none.
 
 use std::{net::SocketAddr, time::Duration};
 
@@ -30,14 +30,17 @@ const LONGEST: Duration = Duration::from_secs(40);
 type Unread = (ResponseFuture, SendStream<bytes::Bytes>);
 
 pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
-    measure(arguments, report, "unread, 16 StreamKnn of 128", streams);
-    measure(arguments, report, "unread, 250 Knn", calls);
+    measure(arguments, report, "unread, 16 StreamKnn of 128", 1, streams);
+    measure(arguments, report, "unread, 250 Knn", 1, calls);
+    let name = "unread, 250 Knn on each of 10 connections";
+    measure(arguments, report, name, 10, calls);
 }
 
 fn measure(
     arguments: &Arguments,
     report: &mut Report,
     name: &str,
+    connections: usize,
     begin: fn(&Client, SocketAddr) -> Vec<Unread>,
 ) {
     let server = Server::start(arguments);
@@ -49,8 +52,11 @@ fn measure(
     beside.part("during");
     let (address, process) = (server.address, server.id());
     let held = apart(async move {
-        let client = wire::connect(address, DEFAULT_WINDOW).await;
-        let unread = client.as_ref().map(|client| begin(client, address));
+        let mut unread = Vec::new();
+        for _ in 0..connections {
+            let client = wire::connect(address, DEFAULT_WINDOW).await;
+            unread.push(client.map(|client| (begin(&client, address), client)));
+        }
         sleep_until(Instant::now() + Duration::from_secs(1)).await;
         until_idle(process, LONGEST).await;
         drop(unread);
