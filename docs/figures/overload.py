@@ -3,7 +3,8 @@
 from saved import FIGURES, of, read, table, tenths
 
 RATES = ["2x", "4x"]
-UNREAD = {"16 StreamKnn of 128": "16 unread `StreamKnn` of 128 answers", "250 Knn": "250 unread `Knn`"}
+UNREAD = {"16 StreamKnn of 128": "16 unread `StreamKnn` of 128 answers", "250 Knn": "250 unread `Knn`",
+          "250 Knn on each of 10 connections": "as many on each of 10 connections"}
 
 
 def compact(raw):
@@ -53,6 +54,7 @@ def ms(values, between=", "):
 
 def column(got):
     parts = lambda *names: "; ".join(", ".join(f"{value:.2f}" for value in got["of_the_peak"][name]) for name in names)
+    unread = [*map(tenths, got["unread_mib"]), *["–"] * len(UNREAD)][:len(UNREAD)]
     accepted, (refused, calls) = got["accepted_p99_ms"], got["headers_refused"]
     return {
         "answered in time over the peak, 200 rows: twice, four times the peak by patient callers": parts("patient, 200 rows"),
@@ -64,7 +66,7 @@ def column(got):
             "; ".join(ms([one]) for one in got["beside_p99_ms"]),
         "64 workers at once every second, 60 % of the capacity: refused": f"{got['burst_refused']:,.0f}",
         "unfinished inserts: memory before, at most, 10 s after, MiB": numbers(got["half_sent_mib"]),
-        f"{'; '.join(UNREAD.values())}, at most, MiB": "; ".join(map(tenths, got["unread_mib"])),
+        f"{'; '.join(UNREAD.values())}, at most, MiB": "; ".join(unread),
         "17 connections with 256 headers each: a caller is refused": f"{refused:,.0f}" + (f" of {calls:,.0f}" if calls else ""),
         "600 queries over Zenoh of a caller that left: processor time; memory at most, MiB":
             f"{got['left']['processor_s']:.1f} s; {tenths(got['left']['mib'])}",
