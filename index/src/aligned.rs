@@ -5,9 +5,8 @@ use std::ops::{Deref, DerefMut};
 /// The numbers in a cache line, and in the widest register.
 const LINE: usize = 8;
 
-/// A table of numbers that begins at a cache line, as a table of boxes or blocks should: there, every load of a
-/// register as wide as a line would otherwise read two lines. (Measured in `R3*SO3:0.15`, 50,000 points, AVX-512: a
-/// search of a table that begins between two lines takes 1.07 to 1.10 times as long.)
+/// A table of numbers that begins at a cache line, as a table of boxes or blocks should: a load of a register as
+/// wide as a line then reads one line. In a table that begins between two lines it reads two, and searches are slower.
 #[derive(Debug)]
 pub(crate) struct AlignedNumbers {
     /// Padding up to the first cache line, then the table.

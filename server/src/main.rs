@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-/// mimalloc makes every call a tenth cheaper than the system's allocator does.
+/// A call takes less processor time with mimalloc than with the system's allocator.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 

@@ -20,9 +20,8 @@ use super::{local::LocalPoints, origin::Origin};
 /// An index rests when nothing changes for this long.
 const REST: Duration = Duration::from_millis(250);
 
-/// The nice value of the thread that merges. A planner's thread preempts it: on two cores the slowest hundredth of
-/// inserts into a shared index at 50,000 a second came 2 to 4 ms late where merges had the planner's priority, and 1 to
-/// 3 ms late at 5. Two and four planners on two cores have the same speed with either.
+/// The nice value of the thread that merges. A planner's thread preempts it: at the planner's priority, merges would
+/// delay the slowest inserts into a shared index for longer. Planners on all cores are no slower for it.
 #[cfg(target_os = "linux")]
 const MERGE_NICE: i32 = 5;
 

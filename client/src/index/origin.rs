@@ -1,7 +1,7 @@
 //! The process that something belongs to. A fork copies memory, but neither the other threads nor the locks they hold.
 //!
-//! Asking the system for the number of the process at each call took 4 % of a planner's time, so a hook of the C
-//! library counts forks. It is the only unsafe code of this package.
+//! A request to the system for the number of the process at each call would slow a planner, so a hook of the C library
+//! counts forks. It is the only unsafe code of this package.
 
 use std::sync::{
     OnceLock,

@@ -9,9 +9,9 @@ const CHECKS_PER_CHANGE: usize = 2;
 /// References of the forest to values that it replaced while snapshots shared them.
 ///
 /// The thread that drops the last reference frees the value, and an allocator may make a thread wait that frees the
-/// memory of another one: with glibc's, readers next to a writer reached half of their rate. With these references the
-/// last one is the forest's, so the writer frees. Between two changes, about one unused reference is kept for each that
-/// readers held at the first; a pause drops all of them.
+/// memory of another one: with glibc's, readers next to a writer are slower. With these references the last one is the
+/// forest's, so the writer frees. Between two changes, about one unused reference is kept for each that readers held at
+/// the first; a pause drops all of them.
 #[derive(Debug)]
 pub(super) struct Retired<T> {
     held: Vec<Arc<T>>,

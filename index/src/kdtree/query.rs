@@ -17,8 +17,8 @@ pub(crate) struct Cell {
     height: u32,
 }
 
-/// The size of a tree that stays in the cache. A larger one gains a tenth from prefetching (at a million points of R3
-/// and R3*SO3), and a smaller one loses some hundredths.
+/// The size of a tree that stays in the cache. Prefetching makes searches of a larger tree faster, and those of a
+/// smaller one slower.
 const CACHED_BYTES: usize = 4 << 20;
 
 /// The bits of a block of rows.
@@ -148,7 +148,7 @@ impl<'a, V: Fn(usize) -> bool> Tree<'a> for TreeSearch<'a, V> {
         (self.tree.height > 1).then_some(&self.tree.scan_policy)
     }
 
-    /// Measured break-even: half of the leaves, or a third where the scan reads codes.
+    /// A scan costs less than a descent to half of the leaves, or to a third where the scan reads codes.
     fn scan_is_cheaper(&self, leaves: usize) -> bool {
         let gain = if self.tree.quantized.is_some() { 3 } else { 2 };
         gain * leaves >= self.tree.leaves()

@@ -1,6 +1,6 @@
 //! Registers of 64 bytes, with every operation of `lanes` named. Otherwise the compiler cuts lanes into unequal parts
-//! or, where the whole program is compiled for such processors (`-C target-cpu=native`), into registers of four: a
-//! search took up to 1.3 times as long.
+//! or, where the whole program is compiled for such processors (`-C target-cpu=native`), into registers of four,
+//! and searches are slower.
 #![expect(
     unsafe_code,
     reason = "the instructions are there, since only a task compiled for them names this set, and registers are loaded and \

@@ -7,14 +7,15 @@
 //! as much as rounding may have moved it, is near enough.
 //!
 //! Measured without codes, as a multiple of the time with them: one tree of 50,000 uniform points, medians of single
-//! searches, interleaved in one process, on an Intel Xeon (family 6, model 207, AVX-512, 2 MiB of L2) in November 2026.
+//! searches, interleaved in one process, on an Intel Xeon (family 6, model 207, AVX-512, 2 MiB of L2), recorded at
+//! e5760be on 23 November 2026.
 //!
 //! | | R12 | SE3² | SE3⁴ | R30 |
 //! |---|---|---|---|---|
 //! | k = 1 | 1.31 | 1.37 | 2.77 | 2.91 |
 //! | k = 10 | 1.35 | 1.32 | 2.57 | 2.66 |
 //!
-//! An AMD EPYC with 32 MiB of shared cache, which holds these rows, showed 1.0 to 1.2.
+//! Where the shared cache holds all rows, the codes save little (docs/benchmarks.md, "Other processors").
 
 mod quantizer;
 mod query;

@@ -241,7 +241,7 @@ impl Space {
 
     #[inline]
     fn is_canonical(&self, row: &[f64]) -> bool {
-        // (One pass over all coordinates: made factor by factor, the check cost 4 % of a search in R3.)
+        // One pass over all coordinates: a check of each factor would slow short searches.
         let mut ended = row.iter().zip(&self.ends);
         row.len() == self.coordinates
             && ended.all(|(x, [lo, hi])| lo <= x && x <= hi && x.to_bits() != NEGATIVE_ZERO)

@@ -17,7 +17,7 @@ use crate::{
 use tree::OpenNode;
 pub(crate) use tree::{Frontier, Labels, MAX_HEIGHT, Tree};
 
-/// The number of leaves visited between two reads of the clock. One read costs about a tenth of a leaf.
+/// The number of leaves visited between two reads of the clock. A read costs less than a leaf.
 pub(crate) const LEAVES_PER_CLOCK_READ: usize = 32;
 
 /// The greatest number of neighbours of a search that a scan policy learns from: a larger answer must read many leaves.

@@ -25,7 +25,7 @@ pub(super) struct Trend {
 }
 
 impl Trend {
-    /// That of a queue which is empty.
+    /// The trend of an empty queue.
     pub(super) fn new(now: Instant) -> Self {
         Self::window(now, 0, 0)
     }

@@ -143,7 +143,7 @@ export class IndexPage {
   }
 }
 
-/** What to say about an index of which only a part is in the picture. */
+/** A note on an index of which only a part is in the picture. */
 function sampleOf({ name, cloud }, revision) {
   if (cloud.length === undefined || cloud.share.isWhole) return "";
   if (revision < cloud.newest) return `shows ${count(cloud.countAt(revision))} of ${about(cloud.estimateAt(revision))} points, sampled evenly`;
@@ -152,7 +152,7 @@ function sampleOf({ name, cloud }, revision) {
   return `shows ${count(cloud.alive)} of ${count(Math.max(all, cloud.alive))} points, sampled evenly`;
 }
 
-/** What to say about the edges at a revision. */
+/** A note on the edges at a revision. */
 function edgesAt(layers, revision) {
   const declaring = layers.filter(({ declaresEdges }) => declaresEdges);
   const edges = declaring.reduce((sum, { cloud }) => sum + cloud.edges.countAt(revision, cloud), 0);

@@ -84,7 +84,7 @@ function updateTile(tile, { value, more, share, bad }) {
   tile.classList.toggle("bad", Boolean(bad));
 }
 
-/** What is wrong with an index and what to do; undefined if nothing is. */
+/** The problem of an index and its remedy; undefined if there is none. */
 function problemOf(index) {
   if (index.problem) return { ...index.problem, grave: true };
   if (!history.isLagging(index.name)) return undefined;

@@ -14,9 +14,9 @@ use crate::log::{
 };
 
 /// The number of rows that are stored or dropped during one hold of the lock. It keeps a large record from blocking
-/// readers of payloads. Dropping a view also collects at most this many unseen versions, which takes a fraction of a
-/// millisecond. The rest waits for the next dropped view or the next record. A record collects this number plus twice
-/// the rows it changes, so the backlog shrinks.
+/// readers of payloads. Dropping a view also collects at most this many unseen versions, so it is short. The rest
+/// waits for the next dropped view or the next record. A record collects this number plus twice the rows it changes, so
+/// the backlog shrinks.
 const ROWS_PER_HOLD: usize = 512;
 
 /// Lock order: journal, versions. Only the holder of the journal adds versions.

@@ -6,7 +6,7 @@ use wayfold_index::Space;
 use super::Structure;
 
 /// Rows, compared by the space's scalar distance, which interprets the space at run time. A loop compiled for one space
-/// takes about a third of that time in R3.
+/// is faster.
 pub struct Brute {
     space: Space,
     rows: Vec<f64>,

@@ -1,9 +1,9 @@
 //! The crate kiddo: its immutable and its mutable tree, with the parameters that it recommends, in Euclidean charts.
 //!
 //! The search of an image is bounded by the answers so far. The crate's own periodic boundaries are not used: they list
-//! all images first and search each without a bound. That was slower in SE2 (1.5 against 0.6 us) and in SO2^6 (11.1
-//! against 7.9 us in one run). Storing q and −q, instead of searching from both, took as long in SO3. The crate's
-//! feature `simd` needs a nightly compiler; its kernels for leaves do not, and are on.
+//! all images first and search each without a bound. That was slower in SE2 and SO2^6. Storing q and −q,
+//! instead of searching from both, took as long in SO3. The crate's feature `simd` needs a nightly compiler; its
+//! kernels for leaves do not, and are on.
 
 use std::num::NonZeroUsize;
 
