@@ -25,15 +25,16 @@ async ({ seed, rounds }) => {
     points.forEach(({ id, revision, tag, x }, i) => {
       [wholes[2 * i], wholes[2 * count + 2 * i], wholes[4 * count + 2 * i], floats[6 * count + i]] = [id, revision, tag, x];
     });
-    return [{ kind: "points", count }, body];
+    return [{ kind: "points", row_count: count }, body];
   };
   const edgesFrame = (points) => {
     const pairs = points.flatMap(({ id, edges }) => edges.map((other) => [id, other]));
     const columns = [0, 1].flatMap((end) => pairs.flatMap((pair) => [pair[end], 0]));
-    return [{ kind: "edges", count: pairs.length }, new Uint32Array(columns).buffer];
+    return [{ kind: "edges", row_count: pairs.length }, new Uint32Array(columns).buffer];
   };
-  const idsFrame = (kind, ids, revision) => {
-    return [{ kind, count: ids.length, revision }, new Uint32Array(ids.flatMap((id) => [id, 0])).buffer];
+  const revisionOf = (number) => ({ uid: "u", number });
+  const idsFrame = (kind, ids, number) => {
+    return [{ kind, row_count: ids.length, revision: revisionOf(number) }, new Uint32Array(ids.flatMap((id) => [id, 0])).buffer];
   };
   const take = (cloud, frames) => {
     for (const [head, body] of frames) {
@@ -58,7 +59,7 @@ async ({ seed, rounds }) => {
       const send = (kind, make, all) => {
         const sent = all.filter((one) => share.has(one.id ?? one, 0));
         const frame = sent.length > 0 && make(kind, sent, revision);
-        if (frame && frame[0].count > 0) frames.push(frame);
+        if (frame && frame[0].row_count > 0) frames.push(frame);
       };
       const known = [...this.points.keys()];
       let stored = [];
@@ -76,7 +77,7 @@ async ({ seed, rounds }) => {
       const removed = choice === 3 ? known.filter(() => random() < 0.12) : [];
       for (const id of removed) this.points.delete(id);
       send("removed", idsFrame, removed);
-      frames.push([{ kind: "at", revision }, new ArrayBuffer(0)]);
+      frames.push([{ kind: "at", revision: revisionOf(revision) }, new ArrayBuffer(0)]);
       this.log.push(frames);
       this.past.push(new Map(this.points));
       return frames;
@@ -123,9 +124,10 @@ async ({ seed, rounds }) => {
     for (let i = 20 + below(120); i > 0; i--) model.step(share);
     const [begun, oldest] = [model.revision, below(model.revision)];
     const cloud = new Cloud();
-    cloud.begin({ uid: "u", revision: begun, oldest, coordinates: 1, points: 0, share: share.fraction });
+    const counts = { coordinate_count: 1, point_count: 0 };
+    cloud.begin({ revision: revisionOf(begun), oldest_revision: revisionOf(oldest), ...counts, share: share.fraction });
     const all = [...model.points.values()].filter(({ id }) => share.has(id, 0));
-    take(cloud, [pointsFrame(all), edgesFrame(all), [{ kind: "at", revision: begun }, new ArrayBuffer(0)]]);
+    take(cloud, [pointsFrame(all), edgesFrame(all), [{ kind: "at", revision: revisionOf(begun) }, new ArrayBuffer(0)]]);
     const live = (steps) => {
       for (let i = 0; i < steps; i++) {
         take(cloud, model.step(share));

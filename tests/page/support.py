@@ -69,7 +69,7 @@ class Server:
             head, body = struct.unpack_from("<II", rest)
             header = json.loads(rest[8:8 + head])
             share = header.get("share", share)
-            sent += header["count"] if header["kind"] == "points" else 0
+            sent += header["row_count"] if header["kind"] == "points" else 0
             rest = rest[8 + head + body:]
         return {"share": share, "sent": sent}
 

@@ -85,7 +85,7 @@ impl Frames {
             let row = &coordinates[row * width..(row + 1) * width];
             body.extend(row.iter().flat_map(|it| (*it as f32).to_le_bytes()));
         }
-        self.push(&json!({ "kind": "points", "count": rows.len() }), &body);
+        self.push(&json!({ "kind": "points", "row_count": rows.len() }), &body);
     }
 
     /// Adds the edges of the points of the share: a payload has `edge_bytes` an edge, and the id at its other end first. A payload
@@ -103,29 +103,39 @@ impl Frames {
             }
         }
         if !from.is_empty() {
-            let head = json!({ "kind": "edges", "count": from.len() / 8 });
+            let head = json!({ "kind": "edges", "row_count": from.len() / 8 });
             from.append(&mut to);
             self.push(&head, &from);
         }
     }
 
     /// Adds the removed ids of the share.
-    pub(super) fn push_removed(&mut self, ids: &[u64], revision: u64, share: Share) {
+    pub(super) fn push_removed(&mut self, ids: &[u64], revision: &v1::Revision, share: Share) {
         self.push_ids("removed", ids, revision, share);
     }
 
     /// Adds the ids of the share whose points `revision` replaces: their new states follow.
-    pub(super) fn push_replaced(&mut self, ids: &[u64], revision: u64, share: Share) {
+    pub(super) fn push_replaced(&mut self, ids: &[u64], revision: &v1::Revision, share: Share) {
         self.push_ids("replaced", ids, revision, share);
     }
 
-    fn push_ids(&mut self, kind: &str, ids: &[u64], revision: u64, share: Share) {
+    /// Says that everything up to `revision` has been sent.
+    pub(super) fn push_at(&mut self, revision: &v1::Revision) {
+        self.push(&json!({ "kind": "at", "revision": json_of(revision) }), &[]);
+    }
+
+    fn push_ids(&mut self, kind: &str, ids: &[u64], revision: &v1::Revision, share: Share) {
         let ids: Vec<u64> = ids.iter().copied().filter(|id| share.has(*id)).collect();
         if ids.is_empty() {
             return;
         }
         let body: Vec<u8> = ids.iter().flat_map(|id| id.to_le_bytes()).collect();
-        let head = json!({ "kind": kind, "count": ids.len(), "revision": revision });
+        let head = json!({ "kind": kind, "row_count": ids.len(), "revision": json_of(revision) });
         self.push(&head, &body);
     }
+}
+
+/// A revision as the verbs write it.
+pub(super) fn json_of(revision: &v1::Revision) -> Value {
+    json!({ "uid": revision.uid, "number": revision.number })
 }

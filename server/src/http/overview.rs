@@ -37,11 +37,11 @@ pub(super) async fn addresses(Of(api): Of<Arc<Api>>, request: Parts) -> Response
         Ok(mut admitted) => {
             admitted.record.end(Ending::Ok);
             let at = &api.addresses;
-            let http = |at: SocketAddr| json!({ "address": at, "tls": api.has_tls });
+            let http = |at: SocketAddr| json!({ "address": at, "has_tls": api.has_tls });
             let text = json!({
-                "grpc": { "address": at.grpc, "tls": at.has_tls },
+                "grpc": { "address": at.grpc, "has_tls": at.has_tls },
                 "http": at.pages.map(http),
-                "identities": at.has_identities,
+                "has_identities": at.has_identities,
             });
             let media = [(header::CONTENT_TYPE, "application/json")];
             (media, text.to_string()).into_response()

@@ -17,7 +17,7 @@ use wayfold_proto::v1;
 
 use super::{
     api::{Admitted, Api, refusal},
-    frame::{Frames, Share},
+    frame::{Frames, Share, json_of},
     streams::{self, FrameSource, StreamCall},
 };
 use crate::{
@@ -140,7 +140,7 @@ struct PointStream {
     /// The bytes of an edge in a payload; None if edges are not sent.
     edge_bytes: Option<usize>,
     /// The last revision that was sent whole.
-    reached: u64,
+    reached: v1::Revision,
 }
 
 /// Where the next frames come from.
@@ -166,7 +166,7 @@ impl FrameSource for PointStream {
                 }
                 Source::After(after) => {
                     self.describe(call).await?;
-                    self.reached = after.number;
+                    self.reached = after.clone();
                     (self.watch(call, after).await?, Frames::default())
                 }
                 Source::Scan(scan, revision) => self.scanned(call, scan, revision).await?,
@@ -190,7 +190,7 @@ impl PointStream {
             share: request.share,
             request,
             edge_bytes: None,
-            reached: 0,
+            reached: v1::Revision::default(),
         }
     }
 
@@ -263,11 +263,10 @@ impl PointStream {
         let mut frames = Frames::default();
         let next = async { scan.next().await.transpose() };
         let Some(part) = streams::in_turn(&mut call.admitted.turns, next).await? else {
-            let revision = revision.unwrap_or_default();
-            self.reached = revision.number;
-            frames.push(&json!({ "kind": "at", "revision": self.reached }), &[]);
+            self.reached = revision.unwrap_or_default();
+            frames.push_at(&self.reached);
             let source = match self.request.follow {
-                true => self.watch(call, revision).await?,
+                true => self.watch(call, self.reached.clone()).await?,
                 false => Source::End,
             };
             return Ok((source, frames));
@@ -278,9 +277,13 @@ impl PointStream {
             None => {
                 self.share = Share::of(self.request.max, part.point_count);
                 let read = part.revision.unwrap_or_default();
+                let oldest = v1::Revision {
+                    number: scan.window_start(),
+                    ..read.clone()
+                };
                 let head = json!({
-                    "kind": "begin", "uid": read.uid, "revision": read.number, "oldest": scan.window_start(),
-                    "coordinates": scan.coordinates(), "points": part.point_count,
+                    "kind": "begin", "revision": json_of(&read), "oldest_revision": json_of(&oldest),
+                    "coordinate_count": scan.coordinates(), "point_count": part.point_count,
                     "share": self.share.fraction(),
                 });
                 frames.push(&head, &[]);
@@ -312,7 +315,7 @@ impl PointStream {
             Some(Some(message)) => message,
             Some(None) => return Ok((Source::End, frames)),
             None => {
-                frames.push(&json!({ "kind": "at", "revision": self.reached }), &[]);
+                frames.push_at(&self.reached);
                 return Ok((Source::Watch(watch), frames));
             }
         };
@@ -324,23 +327,24 @@ impl PointStream {
         }
         let mut replaced = watch.replaced().iter().peekable();
         for mutation in &message.mutations {
-            let number = mutation.revision.as_ref().map_or(0, |it| it.number);
-            let ids: Vec<u64> = std::iter::from_fn(|| replaced.next_if(|(at, _)| *at == number))
-                .map(|(_, id)| *id)
-                .collect();
-            frames.push_replaced(&ids, number, self.share);
+            let revision = mutation.revision.clone().unwrap_or_default();
+            let ids: Vec<u64> =
+                std::iter::from_fn(|| replaced.next_if(|(at, _)| *at == revision.number))
+                    .map(|(_, id)| *id)
+                    .collect();
+            frames.push_replaced(&ids, &revision, self.share);
             if let Some(stored) = &mutation.stored {
                 frames.push_points(stored, self.share);
                 if let Some(edge_bytes) = self.edge_bytes {
                     frames.push_edges(stored, self.share, edge_bytes);
                 }
             }
-            frames.push_removed(&mutation.removed_ids, number, self.share);
+            frames.push_removed(&mutation.removed_ids, &revision, self.share);
             if !mutation.continued {
-                self.reached = number;
+                self.reached = revision;
             }
         }
-        frames.push(&json!({ "kind": "at", "revision": self.reached }), &[]);
+        frames.push_at(&self.reached);
         // A reader that is far behind gets the next ones at once.
         if !message.mutations.is_empty() && frames.len() < FULL_BYTES {
             let _ = timeout(PAUSE, std::future::pending::<()>()).await;

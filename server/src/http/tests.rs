@@ -125,7 +125,7 @@ fn heads(mut bytes: &[u8]) -> Vec<(Value, &[u8])> {
 fn frames(bytes: &[u8]) -> Vec<(Value, Vec<u64>, Vec<f32>)> {
     let mut frames = Vec::new();
     for (head, body) in heads(bytes) {
-        let count = head["count"].as_u64().unwrap_or(0) as usize;
+        let count = head["row_count"].as_u64().unwrap_or(0) as usize;
         let numbers = body
             .chunks_exact(8)
             .map(|it| u64::from_le_bytes(it.try_into().unwrap()));
@@ -205,9 +205,9 @@ async fn programs_learn_where_grpc_is() {
     let (status, found) = post(&mut router, "addresses", json!({})).await;
     assert_eq!(status, StatusCode::OK);
     let expected = json!({
-        "grpc": { "address": "0.0.0.0:50051", "tls": true },
-        "http": { "address": "127.0.0.1:8080", "tls": false },
-        "identities": false,
+        "grpc": { "address": "0.0.0.0:50051", "has_tls": true },
+        "http": { "address": "127.0.0.1:8080", "has_tls": false },
+        "has_identities": false,
     });
     assert_eq!(found, expected);
 }

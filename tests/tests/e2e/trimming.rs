@@ -130,7 +130,8 @@ fn oldest(pages: &str) -> u64 {
     let mut answer = Vec::new();
     socket.read_to_end(&mut answer).unwrap();
     let text = String::from_utf8_lossy(&answer);
-    let (_, after) = text.split_once("\"oldest\":").unwrap();
+    let (_, after) = text.split_once("\"oldest_revision\":").unwrap();
+    let (_, after) = after.split_once("\"number\":").unwrap();
     let digits = after.split(|it: char| !it.is_ascii_digit()).next().unwrap();
     digits.parse().unwrap()
 }

@@ -14,10 +14,10 @@ export async function serverForPrograms() {
     known = null;
     throw error;
   });
-  const { grpc, identities } = await known;
+  const { grpc, has_identities } = await known;
   const [, host, port] = /^(.*):(\d+)$/.exec(grpc.address);
-  const scheme = grpc.tls ? "https" : "http";
-  return { uri: `${scheme}://${ANY_HOST.test(host) ? browserHost() : host}:${port}`, hasTls: grpc.tls, hasIdentities: identities };
+  const scheme = grpc.has_tls ? "https" : "http";
+  return { uri: `${scheme}://${ANY_HOST.test(host) ? browserHost() : host}:${port}`, hasTls: grpc.has_tls, hasIdentities: has_identities };
 }
 
 /** Asks for the addresses again when they are needed. */

@@ -5,9 +5,9 @@ const LATER_MARGIN = 0.15;
 
 /** Bounds that grow with the points, by more than is needed, so that they grow rarely. */
 export class Bounds {
-  constructor(coordinates) {
-    this.low = new Float64Array(coordinates).fill(Infinity);
-    this.high = new Float64Array(coordinates).fill(-Infinity);
+  constructor(coordinateCount) {
+    this.low = new Float64Array(coordinateCount).fill(Infinity);
+    this.high = new Float64Array(coordinateCount).fill(-Infinity);
   }
 
   /** True if the points of a cloud made the bounds wider. */

@@ -15,14 +15,14 @@ const MAX_DEAD = 1_000_000;
 /** The points of an index. A slot is a point's place in all columns; a removed or replaced point keeps its slot. */
 export class Cloud {
   /** Forgets everything, at the head of a `begin` frame. */
-  begin({ uid, revision, oldest, coordinates, points, share }) {
-    this.uid = uid;
-    this.coordinates = coordinates;
-    this.total = Number(points);
+  begin({ revision, oldest_revision, coordinate_count, point_count, share }) {
+    this.uid = revision.uid;
+    this.coordinateCount = coordinate_count;
+    this.total = Number(point_count);
     this.share = new Share(Number(share));
-    this.newest = Number(revision);
+    this.newest = Number(revision.number);
     /** The oldest revision after which the server still tells every mutation. */
-    this.windowStart = Number(oldest);
+    this.windowStart = Number(oldest_revision.number);
     /** From this revision on, the cloud has every point that was there. */
     this.knownFrom = this.newest;
     this.length = 0;
@@ -32,8 +32,8 @@ export class Cloud {
     this.rows = new Float32Array(0);
     this.born = new Uint32Array(0);
     this.died = new Uint32Array(0);
-    this.low = new Float64Array(coordinates).fill(Infinity);
-    this.high = new Float64Array(coordinates).fill(-Infinity);
+    this.low = new Float64Array(coordinate_count).fill(Infinity);
+    this.high = new Float64Array(coordinate_count).fill(-Infinity);
     this.slots = new IdMap();
     this.edges = new Edges(this.share);
     /** The points that are known to have been there, but not where. */
@@ -45,11 +45,11 @@ export class Cloud {
 
   /** Takes a `points` frame. A point whose id is there already takes the place of the old one. */
   append(head, body) {
-    const { count, ids, revisions, tags, coordinates } = pointColumns(head, body, this.coordinates);
-    this.#reserve(this.length + count);
+    const { ids, revisions, tags, coordinates } = pointColumns(head, body, this.coordinateCount);
+    this.#reserve(this.length + head.row_count);
     this.edges.dropUntold();
     let first = this.length;
-    for (let i = 0; i < count; i++) {
+    for (let i = 0; i < head.row_count; i++) {
       const born = revision32(revisions, i);
       const before = this.slots.get(ids[2 * i], ids[2 * i + 1]);
       const isAlive = before >= 0 && this.died[before] === ALIVE;
@@ -77,9 +77,9 @@ export class Cloud {
   /** Takes a `removed` frame. Ids that the sample leaves out are unknown here, and that is no fault. */
   remove(head, body) {
     const ids = idsOf(head, body);
-    const revision = Number(head.revision);
+    const revision = Number(head.revision.number);
     this.edges.dropUntold();
-    for (let i = 0; i < head.count; i++) {
+    for (let i = 0; i < head.row_count; i++) {
       const slot = this.slots.get(ids[2 * i], ids[2 * i + 1]);
       if (slot < 0 || this.died[slot] !== ALIVE) continue;
       this.died[slot] = revision;
@@ -91,9 +91,9 @@ export class Cloud {
   }
 
   /** Everything up to this revision has come. */
-  advanceTo(revision) {
+  advanceTo({ number }) {
     this.edges.dropUntold();
-    this.newest = Math.max(this.newest, Number(revision));
+    this.newest = Math.max(this.newest, Number(number));
   }
 
   /**
@@ -152,12 +152,12 @@ export class Cloud {
 
   /** The coordinates of a slot. */
   stateOf(slot) {
-    return this.rows.slice(slot * this.coordinates, (slot + 1) * this.coordinates);
+    return this.rows.slice(slot * this.coordinateCount, (slot + 1) * this.coordinateCount);
   }
 
   // Adds row `i` of other columns, and returns its slot.
   #add(ids, tags, rows, i, born, died) {
-    const { coordinates, low, high } = this;
+    const { coordinateCount, low, high } = this;
     const slot = this.length++;
     for (let half = 0; half < 2; half++) {
       this.ids[2 * slot + half] = ids[2 * i + half];
@@ -165,9 +165,9 @@ export class Cloud {
     }
     this.born[slot] = born;
     this.died[slot] = died;
-    for (let c = 0; c < coordinates; c++) {
-      const number = rows[coordinates * i + c];
-      this.rows[coordinates * slot + c] = number;
+    for (let c = 0; c < coordinateCount; c++) {
+      const number = rows[coordinateCount * i + c];
+      this.rows[coordinateCount * slot + c] = number;
       if (number < low[c]) low[c] = number;
       if (number > high[c]) high[c] = number;
     }
@@ -183,7 +183,7 @@ export class Cloud {
   #reserve(slots) {
     this.ids = grown(this.ids, 2 * slots);
     this.tags = grown(this.tags, 2 * slots);
-    this.rows = grown(this.rows, this.coordinates * slots);
+    this.rows = grown(this.rows, this.coordinateCount * slots);
     this.born = grown(this.born, slots);
     this.died = grown(this.died, slots);
   }
@@ -199,7 +199,7 @@ export class Cloud {
   }
 
   #compact(isKept) {
-    const { coordinates, ids, born, died } = this;
+    const { coordinateCount, ids, born, died } = this;
     const moved = new Int32Array(this.length).fill(-1);
     let kept = 0;
     for (let slot = 0; slot < this.length; slot++) if (isKept(slot)) moved[slot] = kept++;
@@ -211,7 +211,7 @@ export class Cloud {
       if (to < 0) continue;
       ids.copyWithin(2 * to, 2 * from, 2 * from + 2);
       this.tags.copyWithin(2 * to, 2 * from, 2 * from + 2);
-      this.rows.copyWithin(coordinates * to, coordinates * from, coordinates * (from + 1));
+      this.rows.copyWithin(coordinateCount * to, coordinateCount * from, coordinateCount * (from + 1));
       born[to] = born[from];
       died[to] = died[from];
       if (died[to] === ALIVE) this.alive += 1;

@@ -44,14 +44,14 @@ export class Edges {
   }
 
   /** Takes an `edges` frame: the ids of one end, then those of the other. `slots` finds the slot of an id. */
-  append({ count }, body, slots) {
-    const ids = new Uint32Array(body, 0, 4 * count);
+  append({ row_count: rows }, body, slots) {
+    const ids = new Uint32Array(body, 0, 4 * rows);
     // The edges of a point follow each other.
-    for (let from = 0, to = 0; from < count; from = to) {
+    for (let from = 0, to = 0; from < rows; from = to) {
       const [low, high] = [ids[2 * from], ids[2 * from + 1]];
-      while (to < count && ids[2 * to] === low && ids[2 * to + 1] === high) to += 1;
+      while (to < rows && ids[2 * to] === low && ids[2 * to + 1] === high) to += 1;
       const slot = slots.get(low, high);
-      if (slot >= 0) this.#list(slot, ids.subarray(2 * (count + from), 2 * (count + to)), slots);
+      if (slot >= 0) this.#list(slot, ids.subarray(2 * (rows + from), 2 * (rows + to)), slots);
     }
   }
 

@@ -53,17 +53,16 @@ export class FrameReader {
 }
 
 /** The columns of a `points` frame. Ids, revisions and tags are pairs of 32 bits, the low one first. */
-export function pointColumns({ count }, body, coordinates) {
+export function pointColumns({ row_count: rows }, body, coordinateCount) {
   return {
-    count,
-    ids: new Uint32Array(body, 0, 2 * count),
-    revisions: new Uint32Array(body, 8 * count, 2 * count),
-    tags: new Uint32Array(body, 16 * count, 2 * count),
-    coordinates: new Float32Array(body, 24 * count, coordinates * count),
+    ids: new Uint32Array(body, 0, 2 * rows),
+    revisions: new Uint32Array(body, 8 * rows, 2 * rows),
+    tags: new Uint32Array(body, 16 * rows, 2 * rows),
+    coordinates: new Float32Array(body, 24 * rows, coordinateCount * rows),
   };
 }
 
 /** The ids of a `removed` or a `replaced` frame. */
-export function idsOf({ count }, body) {
-  return new Uint32Array(body, 0, 2 * count);
+export function idsOf({ row_count: rows }, body) {
+  return new Uint32Array(body, 0, 2 * rows);
 }

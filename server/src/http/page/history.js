@@ -12,7 +12,7 @@ export class History {
   /** Takes a sample. A server that restarted counts from 0 again, so what came before is forgotten. */
   add(sample, now) {
     const calls = new Map(sample.calls.map((call) => [keyOf(call), { ...call, count: Number(call.count) }]));
-    const points = new Map(sample.indices.map((index) => [index.name, Number(index.points)]));
+    const points = new Map(sample.indices.map((index) => [index.name, Number(index.pointCount)]));
     const last = this.#samples.at(-1);
     if (last && [...last.calls].some(([key, call]) => (calls.get(key)?.count ?? 0) < call.count)) this.#samples = [];
     // A curve of five minutes is drawn for each index each second, so its sums are made once.

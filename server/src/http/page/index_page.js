@@ -147,7 +147,7 @@ export class IndexPage {
 function sampleOf({ name, cloud }, revision) {
   if (cloud.length === undefined || cloud.share.isWhole) return "";
   if (revision < cloud.newest) return `shows ${count(cloud.countAt(revision))} of ${about(cloud.estimateAt(revision))} points, sampled evenly`;
-  const all = Number(newest?.indices.find((index) => index.name === name)?.points ?? cloud.total);
+  const all = Number(newest?.indices.find((index) => index.name === name)?.pointCount ?? cloud.total);
   // Between two samples of the overview the picture may be ahead of it.
   return `shows ${count(cloud.alive)} of ${count(Math.max(all, cloud.alive))} points, sampled evenly`;
 }

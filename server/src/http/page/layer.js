@@ -64,7 +64,7 @@ export class Layer {
     const path = `api/v1/${encodeURIComponent(this.name)}/points?max=${MAX_POINTS}&follow=true&edges=true`;
     if (this.reached === undefined) return path;
     // A uid has only letters that need no encoding.
-    return `${path}&after=${this.cloud.uid}:${this.reached}&share=${this.cloud.share.fraction}`;
+    return `${path}&after=${this.reached.uid}:${this.reached.number}&share=${this.cloud.share.fraction}`;
   }
 
   #report(state, problem = "", code = 0) {
@@ -117,7 +117,7 @@ export class Layer {
   }
 
   // The stream does not tell the space, and an index of the same name may have another one after a `begin`.
-  async #askForSpace({ uid, coordinates }) {
+  async #askForSpace({ revision: { uid }, coordinate_count }) {
     if (this.uidOfSpace === uid) return;
     const about = `description of ${this.name}`;
     report(about, "connecting");
@@ -128,7 +128,7 @@ export class Layer {
         if (this.isClosed || this.cloud.uid !== uid) return;
         this.#pauses.reset();
         this.uidOfSpace = uid;
-        this.space = parseSpace(index.space_text, coordinates);
+        this.space = parseSpace(index.space_text, coordinate_count);
         this.declaresEdges = DECLARED.includes(index.payload_encoding);
         this.spaceKnown(this);
         return;

@@ -57,17 +57,12 @@ function indexOf(index, metrics) {
   const figure = (name) => find(metrics, `wayfold_index_${name}`, { index: index.name }) ?? 0;
   return {
     name: index.name,
-    uid: index.revision.uid,
     space: index.space_text,
-    coordinates: index.coordinate_count,
-    dimension: index.dimension,
-    points: index.point_count,
-    revision: index.revision.number,
-    memory_bytes: index.memory_bytes,
-    records_in_flight: figure("records_in_flight"),
+    pointCount: index.point_count,
+    revision: index.revision,
+    memoryBytes: index.memory_bytes,
     followers: figure("followers"),
     lag: figure("follower_lag"),
-    sessions: figure("sessions"),
     // Only servers of a cluster tell this.
     owned: (find(metrics, "wayfold_index_owned", { index: index.name }) ?? 1) === 1,
     problem: null,
@@ -75,9 +70,9 @@ function indexOf(index, metrics) {
 }
 
 function damagedOf({ name, uid, error }) {
-  const none = { space: "", coordinates: 0, dimension: 0, points: 0, revision: 0, memory_bytes: 0, records_in_flight: 0 };
+  const none = { space: "", pointCount: 0, revision: { uid, number: 0 }, memoryBytes: 0, followers: 0, lag: 0 };
   const problem = { what: error.message, advice: DAMAGE_ADVICE };
-  return { name, uid, ...none, followers: 0, lag: 0, sessions: 0, owned: true, problem };
+  return { name, ...none, owned: true, problem };
 }
 
 /** The calls, whose buckets in the text count everything up to their bound. */

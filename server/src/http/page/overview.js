@@ -37,7 +37,7 @@ function update(sample) {
 const NO_FIGURES = "figures need an identity that may read /metrics";
 
 function tilesOf({ server, indices, hasFigures }) {
-  const points = indices.reduce((sum, index) => sum + Number(index.points), 0);
+  const points = indices.reduce((sum, index) => sum + Number(index.pointCount), 0);
   const calls = history.calls(() => true);
   // Each percentile stays on one line.
   const percentiles = [`p50 ${duration(calls.p50)},`, `p99 ${duration(calls.p99)}`].map((text) => text.replaceAll(" ", "\u00a0")).join(" ");
@@ -146,8 +146,8 @@ function updateRow(row, { index, problem, isAdvice, hasFigures }) {
   const calls = history.calls(ofIndex);
   const figure = (text) => (hasFigures ? text : "–");
   const texts = [
-    count(index.points), rate(history.pointRate(index.name)), figure(rate(calls.rate)), duration(calls.p50), duration(calls.p99),
-    count(index.revision), bytes(Number(index.memory_bytes)), figure(count(index.followers)), figure(count(index.lag)),
+    count(index.pointCount), rate(history.pointRate(index.name)), figure(rate(calls.rate)), duration(calls.p50), duration(calls.p99),
+    count(index.revision.number), bytes(Number(index.memoryBytes)), figure(count(index.followers)), figure(count(index.lag)),
   ];
   texts.forEach((text, i) => setText(cells[i].firstElementChild, text));
   const now = performance.now();

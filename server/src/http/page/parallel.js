@@ -51,14 +51,14 @@ export class ParallelView {
   }
 
   verticesOf({ layers }) {
-    return layers.reduce((sum, layer) => sum + this.#sampleOf(layer).slots.length * (layer.cloud.coordinates ?? 0), 0);
+    return layers.reduce((sum, layer) => sum + this.#sampleOf(layer).slots.length * (layer.cloud.coordinateCount ?? 0), 0);
   }
 
   /** Draws a scene, and each `thinning`-th of its lines. Returns the number of vertices. */
   draw(scene, thinning) {
-    const shown = scene.layers.filter(({ cloud }) => cloud.coordinates !== undefined);
+    const shown = scene.layers.filter(({ cloud }) => cloud.coordinateCount !== undefined);
     if (shown.length === 0) return 0;
-    this.#bounds ??= new Bounds(shown[0].cloud.coordinates);
+    this.#bounds ??= new Bounds(shown[0].cloud.coordinateCount);
     for (const { cloud } of shown) this.#bounds.include(cloud);
     const layout = layoutOf(scene.projection.space, this.#bounds.orUnit(), scene.width, scene.height);
     this.#layout = layout;
@@ -96,10 +96,10 @@ export class ParallelView {
     let best = null;
     let least = maxPixels;
     for (const layer of layers) {
-      const { born, died, rows, coordinates } = layer.cloud;
+      const { born, died, rows, coordinateCount } = layer.cloud;
       for (const slot of this.#sampleOf(layer).slots) {
         if (born[slot] > revision || died[slot] <= revision) continue;
-        const [a, b] = [first, second].map((axis, i) => bottom - (bottom - top) * shareOf(axis, rows[slot * coordinates + to - 1 + i]));
+        const [a, b] = [first, second].map((axis, i) => bottom - (bottom - top) * shareOf(axis, rows[slot * coordinateCount + to - 1 + i]));
         const slope = (b - a) / (second.x - first.x);
         const apart = Math.abs(a + along * (b - a) - y) / Math.hypot(1, slope);
         if (apart >= least) continue;
@@ -114,7 +114,7 @@ export class ParallelView {
   #sampleOf(layer) {
     const { cloud } = layer;
     if (!this.#samples.has(layer)) {
-      const most = Math.min(MAX_LINES, Math.floor(TEXTURE_WIDTH ** 2 / Math.max(cloud.coordinates ?? 1, 1)));
+      const most = Math.min(MAX_LINES, Math.floor(TEXTURE_WIDTH ** 2 / Math.max(cloud.coordinateCount ?? 1, 1)));
       this.#samples.set(layer, new LineSample(most));
     }
     const sample = this.#samples.get(layer);
@@ -123,14 +123,14 @@ export class ParallelView {
   }
 
   #upload(layer, slots, { axes }, colorOf) {
-    const { rows, born, died, coordinates } = layer.cloud;
+    const { rows, born, died, coordinateCount } = layer.cloud;
     const lines = new Uint32Array(3 * slots.length);
-    const values = new Float32Array(TEXTURE_WIDTH * Math.max(1, Math.ceil((slots.length * coordinates) / TEXTURE_WIDTH)));
+    const values = new Float32Array(TEXTURE_WIDTH * Math.max(1, Math.ceil((slots.length * coordinateCount) / TEXTURE_WIDTH)));
     slots.forEach((slot, i) => {
       lines[3 * i] = born[slot];
       lines[3 * i + 1] = died[slot];
       lines[3 * i + 2] = colorOf(slot);
-      for (let c = 0; c < coordinates; c++) values[coordinates * i + c] = shareOf(axes[c], rows[coordinates * slot + c]);
+      for (let c = 0; c < coordinateCount; c++) values[coordinateCount * i + c] = shareOf(axes[c], rows[coordinateCount * slot + c]);
     });
     this.lines.upload(layer, lines, values);
   }

@@ -16,7 +16,7 @@ const LABEL_PIXELS = 15;
 /** The axes of a space on a canvas: where each stands, its range, its name, and its numbers. */
 export function layoutOf(space, { low, high }, width, height) {
   const margin = width < NARROW_PIXELS ? NARROW_MARGIN : MARGIN;
-  const apart = (width - margin.left - margin.right) / Math.max(space.coordinates - 1, 1);
+  const apart = (width - margin.left - margin.right) / Math.max(space.coordinateCount - 1, 1);
   const [top, bottom] = [margin.top, Math.max(height - margin.bottom, margin.top + 40)];
   const isClose = apart < CLOSE_PIXELS;
   const axes = space.axes.map(({ name, range }, c) => {

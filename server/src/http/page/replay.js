@@ -56,8 +56,8 @@ export class Past {
   #take(head, body) {
     if (head.kind === "begin") {
       // The window has moved on: `after` was before its start. So this tells all points, and where the window starts now.
-      if (head.uid !== this.cloud.uid) return this.stop();
-      this.cloud.windowStart = Number(head.oldest);
+      if (head.revision.uid !== this.cloud.uid) return this.stop();
+      this.cloud.windowStart = Number(head.oldest_revision.number);
       return this.cloud.windowStart < this.cloud.knownFrom ? this.#stream.restart() : this.stop();
     }
     this.#replay.take(head, body);
@@ -75,8 +75,10 @@ export class Replay {
   /** The points that were there at the start, as far as only their deaths were told. */
   lost = new Lost();
 
-  constructor({ uid, coordinates, share, windowStart }) {
-    this.cloud.begin({ uid, revision: windowStart, oldest: windowStart, coordinates, points: 0, share: share.fraction });
+  constructor({ uid, coordinateCount, share, windowStart }) {
+    const revision = { uid, number: windowStart };
+    const counts = { coordinate_count: coordinateCount, point_count: 0 };
+    this.cloud.begin({ revision, oldest_revision: revision, ...counts, share: share.fraction });
     this.from = this.reached = windowStart;
   }
 
@@ -84,17 +86,17 @@ export class Replay {
     if (head.kind === "points") this.cloud.append(head, body);
     if (head.kind === "replaced" || head.kind === "removed") this.#lose(head, body);
     if (head.kind === "removed") this.cloud.remove(head, body);
-    if (head.kind === "at") this.reached = Number(head.revision);
+    if (head.kind === "at") this.reached = Number(head.revision.number);
   }
 
   // A point that died, and was not stored since the start, was there already.
   #lose(head, body) {
     const { slots, died } = this.cloud;
     const ids = idsOf(head, body);
-    for (let i = 0; i < head.count; i++) {
+    for (let i = 0; i < head.row_count; i++) {
       const [low, high] = [ids[2 * i], ids[2 * i + 1]];
       const slot = slots.get(low, high);
-      if (slot < 0 || died[slot] !== ALIVE) this.lost.add(low, high, Number(head.revision));
+      if (slot < 0 || died[slot] !== ALIVE) this.lost.add(low, high, Number(head.revision.number));
     }
   }
 }

@@ -7,12 +7,12 @@
  * The space of a text: `groups` of weighted factors, `factors` in the order of the row, and the `names` of the
  * coordinates. A factor has `kind` ("R", "SO2" or "SO3"), `at` (its first coordinate), `size`, and `weight`.
  */
-export function parseSpace(text, coordinates) {
+export function parseSpace(text, coordinateCount) {
   let groups;
   try {
     groups = new Parser(text).space();
   } catch {
-    groups = [{ weight: 1, terms: [{ kind: "R", size: coordinates, weight: 1 }] }];
+    groups = [{ weight: 1, terms: [{ kind: "R", size: coordinateCount, weight: 1 }] }];
   }
   let at = 0;
   const factors = [];
@@ -20,9 +20,9 @@ export function parseSpace(text, coordinates) {
     group.terms = group.terms.map((term) => ({ ...term, at: (at += term.size) - term.size }));
     factors.push(...group.terms);
   }
-  if (at !== coordinates) return parseSpace("?", coordinates);
+  if (at !== coordinateCount) return parseSpace("?", coordinateCount);
   const names = coordinateNames(factors);
-  return { text, coordinates, groups, factors, names, axes: axesOf(factors, names) };
+  return { text, coordinateCount, groups, factors, names, axes: axesOf(factors, names) };
 }
 
 /**

@@ -48,9 +48,9 @@ export class SpatialView {
   /** Brings the box up to date with the points. */
   measure(scene) {
     const { layers, projection } = scene;
-    const shown = layers.filter((layer) => layer.cloud.coordinates !== undefined);
+    const shown = layers.filter((layer) => layer.cloud.coordinateCount !== undefined);
     if (!projection || shown.length === 0) return;
-    this.#bounds ??= new Bounds(shown[0].cloud.coordinates);
+    this.#bounds ??= new Bounds(shown[0].cloud.coordinateCount);
     let isWider = this.#fit === null || this.#fit.projection !== projection;
     for (const layer of shown) isWider = this.#bounds.include(layer.cloud) || isWider;
     if (!isWider) return;
@@ -103,7 +103,7 @@ export class SpatialView {
 
   #encode(layer, coloring) {
     const { cloud, vertices } = layer;
-    if (cloud.coordinates === undefined) return;
+    if (cloud.coordinateCount === undefined) return;
     let { from, to } = cloud.changed;
     if (layer.generation !== cloud.generation) [from, to] = [0, cloud.length];
     layer.generation = cloud.generation;

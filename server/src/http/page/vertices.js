@@ -15,12 +15,12 @@ export class Vertices {
   encode(cloud, from, to, { ranges, project }, colorOf) {
     if (to > this.capacity) this.#grow(to);
     const { halves, words } = this;
-    const { rows, born, died, coordinates } = cloud;
+    const { rows, born, died, coordinateCount } = cloud;
     const scales = ranges.map(([low, high]) => (high > low ? STEPS / (high - low) : 0));
     const lows = ranges.map(([low]) => low);
     const out = new Float64Array(3);
     for (let slot = from; slot < to; slot++) {
-      project(rows, slot * coordinates, out);
+      project(rows, slot * coordinateCount, out);
       const half = 8 * slot;
       for (let axis = 0; axis < 3; axis++) {
         // Infinite and foreign numbers end at the border of the box.

@@ -51,7 +51,7 @@ export class ViewPanel {
       const layer = layers.find((one) => one.name === name);
       const index = newest?.indices.find((one) => one.name === name);
       const isOther = layer?.space && !drawn.includes(layer);
-      const size = index && `${short(Number(index.points))} point${Number(index.points) === 1 ? "" : "s"}`;
+      const size = index && `${short(Number(index.pointCount))} point${Number(index.pointCount) === 1 ? "" : "s"}`;
       const about = isOther ? `another space, ${layer.space.text}` : [index?.space, size].filter(Boolean).join(" · ");
       return { name, layer, about, isOther };
     });
@@ -70,13 +70,13 @@ export class ViewPanel {
     this.#projections = projectionsOf(space);
     const select = byId("axes-preset");
     const options = this.#projections.map(({ id, label }) => element("option", { value: id, text: label }));
-    if (space.coordinates > 1) options.push(element("option", { value: CUSTOM, text: "choose coordinates…" }));
+    if (space.coordinateCount > 1) options.push(element("option", { value: CUSTOM, text: "choose coordinates…" }));
     select.replaceChildren(...options);
     const named = (name, value) => element("option", { value, text: name });
     const choices = () => [named("none", -1), ...space.names.map(named)];
     const axes = ["first", "second", "third"].map((which, axis) => {
       const choice = element("select", { "aria-label": `Coordinate of the ${which} axis` }, ...choices());
-      choice.value = axis < space.coordinates ? axis : -1;
+      choice.value = axis < space.coordinateCount ? axis : -1;
       return choice;
     });
     byId("axes-custom").replaceChildren(byId("axes-custom").querySelector("legend"), ...axes);
@@ -138,14 +138,14 @@ export class ViewPanel {
     const distance = distanceTo(this.#space, this.#probed);
     let most = 0;
     for (const { cloud } of this.#drawn) {
-      for (let slot = 0; slot < cloud.length; slot++) most = Math.max(most, distance(cloud.rows, slot * cloud.coordinates));
+      for (let slot = 0; slot < cloud.length; slot++) most = Math.max(most, distance(cloud.rows, slot * cloud.coordinateCount));
     }
     this.mostDistance = most;
     const scale = most > 0 ? 65535 / most : 0;
     // The near points are bright: the ramp runs from far to near.
     return {
       mode: COLOR_MODE.ramp,
-      colorOf: ({ rows, coordinates }) => (slot) => Math.max(0, 65535 - distance(rows, slot * coordinates) * scale),
+      colorOf: ({ rows, coordinateCount }) => (slot) => Math.max(0, 65535 - distance(rows, slot * coordinateCount) * scale),
     };
   }
 

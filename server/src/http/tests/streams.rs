@@ -9,12 +9,16 @@ async fn all_points_are_sent_once_with_their_columns() {
     let frames = all_frames(&mut router, "").await;
     let kinds: Vec<&Value> = frames.iter().map(|(head, ..)| &head["kind"]).collect();
     assert_eq!(kinds, ["begin", "points", "at"]);
-    assert_eq!(frames[0].0["coordinates"], 2);
-    assert_eq!(frames[0].0["points"], POINTS);
-    assert_eq!(frames[0].0["share"], 1.0);
+    let begin = &frames[0].0;
+    assert_eq!(begin["coordinate_count"], 2);
+    assert_eq!(begin["point_count"], POINTS);
+    assert_eq!(begin["share"], 1.0);
+    let (_, described) = post(&mut router, "arm/info", json!({})).await;
+    assert_eq!(begin["revision"], described["index"]["revision"]);
+    assert_eq!(begin["oldest_revision"]["uid"], begin["revision"]["uid"]);
     assert_eq!(frames[1].1, (0..POINTS).collect::<Vec<_>>());
     assert_eq!(frames[1].2[6..8], [3.0, 0.5]);
-    assert_eq!(frames[2].0["revision"], POINTS);
+    assert_eq!(frames[2].0["revision"], begin["revision"]);
 }
 
 #[tokio::test]
@@ -23,7 +27,7 @@ async fn edges_are_sent_to_those_who_ask_for_them() {
     let frames = all_frames(&mut router, "edges=true").await;
     let kinds: Vec<&Value> = frames.iter().map(|(head, ..)| &head["kind"]).collect();
     assert_eq!(kinds, ["begin", "points", "edges", "at"]);
-    assert_eq!(frames[2].0["count"], 2 * POINTS);
+    assert_eq!(frames[2].0["row_count"], 2 * POINTS);
     let from = (0..POINTS).flat_map(|id| [id; 2]);
     let to = (0..POINTS).flat_map(|id| [(id + 1) % 10, (id + 9) % 10]);
     assert_eq!(frames[2].1, from.chain(to).collect::<Vec<u64>>());
@@ -102,7 +106,8 @@ async fn a_stream_goes_on_after_the_revision_of_its_caller() {
     let service = service().await;
     let mut router = router(&service, Identities::default());
     let begun = all_frames(&mut router, "").await;
-    let uid = begun[0].0["uid"].as_str().unwrap();
+    let begun = &begun[0].0["revision"];
+    let uid = begun["uid"].as_str().unwrap();
     remove(&service, 3).await;
     let request = Request::post(format!(
         "/api/v1/arm/points?follow=true&after={uid}:{}",
@@ -115,7 +120,7 @@ async fn a_stream_goes_on_after_the_revision_of_its_caller() {
     let mut seen = Vec::new();
     while seen
         .last()
-        .is_none_or(|(head, ..): &(Value, _, _)| head["revision"] != POINTS + 1)
+        .is_none_or(|(head, ..): &(Value, _, _)| head["revision"]["number"] != POINTS + 1)
     {
         let next = futures_util::StreamExt::next(&mut body)
             .await
@@ -126,6 +131,9 @@ async fn a_stream_goes_on_after_the_revision_of_its_caller() {
     let kinds: Vec<&Value> = seen.iter().map(|(head, ..)| &head["kind"]).collect();
     assert_eq!(kinds, ["at", "points", "removed", "at"]);
     assert_eq!((&seen[1].1, &seen[2].1), (&vec![POINTS - 1], &vec![3]));
+    for at in [0, 2, 3] {
+        assert_eq!(seen[at].0["revision"]["uid"], uid);
+    }
 
     // Another uid begins anew.
     let request = Request::post(
@@ -165,7 +173,7 @@ async fn the_page_is_no_subscriber() {
         while reached != revision {
             let next = futures_util::StreamExt::next(&mut body).await;
             let sent = next.unwrap().unwrap();
-            reached = heads(&sent).last().unwrap().0["revision"].clone();
+            reached = heads(&sent).last().unwrap().0["revision"]["number"].clone();
         }
         insert(&service, revision).await;
     }
@@ -204,13 +212,13 @@ async fn more_points_than_asked_for_are_sampled() {
         .map(|(_, ids, coordinates)| coordinates.len().min(ids.len()))
         .sum();
     assert!((120..280).contains(&sent), "{sent}");
-    assert_eq!(frames[0].0["points"], 1000);
+    assert_eq!(frames[0].0["point_count"], 1000);
     let begin = &frames[0].0;
     assert!((begin["share"].as_f64().unwrap() - 0.2).abs() < 1e-9);
-    assert_eq!(begin["oldest"], 0);
+    assert_eq!(begin["oldest_revision"]["number"], 0);
     // The same sample is followed from the beginning, and from a revision on.
     let mut sampled: Vec<u64> = frames.iter().flat_map(|it| it.1.clone()).collect();
-    let (uid, share) = (begin["uid"].as_str().unwrap(), &begin["share"]);
+    let (uid, share) = (begin["revision"]["uid"].as_str().unwrap(), &begin["share"]);
     let request = Request::post(format!("/api/v1/arm/points?after={uid}:0&share={share}"));
     let mut body = ask(&mut router, request, "")
         .await
@@ -222,7 +230,7 @@ async fn more_points_than_asked_for_are_sampled() {
         let next = futures_util::StreamExt::next(&mut body).await;
         for (head, ids, _) in self::frames(&next.unwrap().unwrap()) {
             followed.extend(ids);
-            reached = head["revision"].clone();
+            reached = head["revision"]["number"].clone();
         }
     }
     sampled.sort_unstable();
@@ -287,7 +295,7 @@ async fn a_stream_tells_which_points_are_replaced() {
                     let kind = head["kind"].as_str().unwrap().to_owned();
                     seen.push((kind, u64::from_le_bytes(*id)));
                 }
-                None => reached = head["revision"].clone(),
+                None => reached = head["revision"]["number"].clone(),
             }
         }
     }
