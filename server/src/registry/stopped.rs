@@ -18,7 +18,7 @@ pub(crate) struct Stopped {
     /// The newest record that this server has applied; None if its points cannot be read.
     pub(crate) tip: Option<Tip>,
     /// A revision that its readers may have seen: no older copy may take its place.
-    pub(crate) seen: u64,
+    pub(crate) min_revision: u64,
     /// True if it may go on by itself: NATS may have answered from the past, or gets back what it has lost.
     pub(crate) may_pass: bool,
 }
@@ -68,7 +68,7 @@ impl Registry {
                         name,
                         uid,
                         tip: Some(tip),
-                        seen: tip.revision,
+                        min_revision: tip.revision,
                         may_pass: hosted.is_ahead(),
                     }
                 }
@@ -76,7 +76,7 @@ impl Registry {
                     name,
                     uid,
                     tip: None,
-                    seen: revision_before(why)?,
+                    min_revision: revision_before(why)?,
                     may_pass: false,
                 },
             })

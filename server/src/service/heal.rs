@@ -175,7 +175,7 @@ async fn heal_index(
     peers: &dyn Peers,
     index: &Stopped,
 ) -> Result<(), NoCopy> {
-    let mut min_revision = index.seen;
+    let mut min_revision = index.min_revision;
     if index.tip.is_none() {
         // The revision that its readers saw is unknown. They cannot have seen more than the journal has.
         let newest = blocking(registry, |registry, uid| registry.newest(uid), index.uid).await;

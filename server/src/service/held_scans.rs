@@ -19,7 +19,7 @@ pub(super) struct HeldScans(Mutex<HashMap<String, HeldScan>>);
 
 struct HeldScan {
     uid: Uid,
-    pin: Arc<RevisionPin>,
+    pinned_revision: Arc<RevisionPin>,
     /// The time of its newest page.
     used: Instant,
 }
@@ -40,7 +40,7 @@ impl Service {
             held.0.lock().remove(&token);
         } else if token.is_empty() {
             let max = self.limits().max_held_scans;
-            page.held_scan = held.hold(scan.hosted().uid(), scan.pin(), max)?;
+            page.held_scan = held.hold(scan.hosted().uid(), scan.pinned_revision(), max)?;
         } else {
             page.held_scan = token;
         }
@@ -53,12 +53,13 @@ impl HeldScans {
     pub(super) fn get(&self, token: &str, hosted: &Hosted) -> Result<Arc<RevisionPin>, Error> {
         let mut held = self.0.lock();
         let scan = held.get_mut(token);
-        let scan = scan.filter(|scan| scan.uid == hosted.uid() && scan.pin.get().is_some());
+        let scan =
+            scan.filter(|scan| scan.uid == hosted.uid() && scan.pinned_revision.get().is_some());
         let scan = scan.ok_or_else(|| Error::ScanEnded {
             index: hosted.name().to_owned(),
         })?;
         scan.used = Instant::now();
-        Ok(Arc::clone(&scan.pin))
+        Ok(Arc::clone(&scan.pinned_revision))
     }
 
     /// Releases all revisions.
@@ -67,9 +68,14 @@ impl HeldScans {
     }
 
     /// Keeps a revision held for the scan's further pages, and returns its token.
-    fn hold(&self, uid: Uid, pin: Arc<RevisionPin>, max: usize) -> Result<String, Error> {
+    fn hold(
+        &self,
+        uid: Uid,
+        pinned_revision: Arc<RevisionPin>,
+        max: usize,
+    ) -> Result<String, Error> {
         let mut held = self.0.lock();
-        held.retain(|_, scan| scan.pin.get().is_some());
+        held.retain(|_, scan| scan.pinned_revision.get().is_some());
         if held.len() >= max {
             let oldest = held.iter().min_by_key(|(_, scan)| scan.used);
             let oldest = oldest.filter(|(_, scan)| scan.used.elapsed() >= IDLE_TIME);
@@ -84,7 +90,14 @@ impl HeldScans {
         }
         let token = Uuid::new_v4().to_string();
         let used = Instant::now();
-        held.insert(token.clone(), HeldScan { uid, pin, used });
+        held.insert(
+            token.clone(),
+            HeldScan {
+                uid,
+                pinned_revision,
+                used,
+            },
+        );
         Ok(token)
     }
 }

@@ -30,7 +30,7 @@ const DOING: &str = "while scanning";
 pub struct Scan {
     call: Call,
     hosted: Arc<Hosted>,
-    pin: Arc<RevisionPin>,
+    pinned_revision: Arc<RevisionPin>,
     part_rows: usize,
     part_bytes: usize,
     filter: Filter,
@@ -51,7 +51,7 @@ impl Service {
 
         let limits = self.limits();
         let min = min.max(filter.since_revision);
-        let pin = if request.held_scan.is_empty() {
+        let pinned_revision = if request.held_scan.is_empty() {
             let published = self.published(call, &hosted, min, request.latest).await?;
             Arc::new(RevisionPin::new(published, limits.max_scan_seconds))
         } else {
@@ -64,7 +64,7 @@ impl Service {
         Ok(Scan {
             call: call.clone(),
             hosted,
-            pin,
+            pinned_revision,
             part_rows,
             part_bytes: PART_BYTES.min(limits.max_answer_bytes / 2),
             filter,
@@ -85,7 +85,7 @@ impl Scan {
         let part = self.part().await;
         self.done |= part.is_err();
         if self.done {
-            self.pin.release();
+            self.pinned_revision.release();
         }
         Some(part)
     }
@@ -111,8 +111,8 @@ impl Scan {
     }
 
     /// Its revision.
-    pub(super) fn pin(&self) -> Arc<RevisionPin> {
-        Arc::clone(&self.pin)
+    pub(super) fn pinned_revision(&self) -> Arc<RevisionPin> {
+        Arc::clone(&self.pinned_revision)
     }
 
     /// The next part, if it is not done. The revision stays held also after the last part.
@@ -189,8 +189,8 @@ impl Scan {
     }
 
     fn still_held(&self) -> Result<Arc<Published>, Error> {
-        self.pin.get().ok_or(Error::ScanTooLong {
-            max_scan_seconds: self.pin.seconds(),
+        self.pinned_revision.get().ok_or(Error::ScanTooLong {
+            max_scan_seconds: self.pinned_revision.seconds(),
             after_id: self.after,
         })
     }

@@ -27,7 +27,7 @@ const PAGE_ROWS: usize = 128;
 pub struct Snapshot {
     call: Call,
     hosted: Arc<Hosted>,
-    pin: RevisionPin,
+    pinned_revision: RevisionPin,
     part_bytes: usize,
     writer: Writer,
     after: Option<u64>,
@@ -74,7 +74,7 @@ impl Snapshot {
         Self {
             call,
             hosted,
-            pin: RevisionPin::new(published, limits.max_scan_seconds),
+            pinned_revision: RevisionPin::new(published, limits.max_scan_seconds),
             part_bytes: PART_BYTES.min(limits.max_answer_bytes / 2),
             writer: Writer::new(),
             after: None,
@@ -106,7 +106,7 @@ impl Snapshot {
             self.next = Next::Nothing;
         }
         if self.next == Next::Nothing {
-            self.pin.release();
+            self.pinned_revision.release();
         }
         Some(part)
     }
@@ -170,9 +170,9 @@ impl Snapshot {
     }
 
     fn published(&self) -> Result<Arc<Published>, Error> {
-        self.pin.get().ok_or(Error::HeldTooLong {
+        self.pinned_revision.get().ok_or(Error::HeldTooLong {
             what: "snapshot",
-            max_scan_seconds: self.pin.seconds(),
+            max_scan_seconds: self.pinned_revision.seconds(),
         })
     }
 }

@@ -44,7 +44,7 @@ type Projection<T> = Arc<dyn Fn(&Arc<StoredPoint>) -> T + Send + Sync>;
 
 /// Values of stored points for a mutation: read before it holds the writer, and caught up once it does.
 pub(super) struct ReadAhead<T> {
-    keep: Projection<T>,
+    projection: Projection<T>,
     /// Points stored after the read are added, too.
     takes_new: bool,
     /// The revision that `points` are of.
@@ -57,10 +57,10 @@ impl<T: Send + 'static> ReadAhead<T> {
     /// An empty set.
     pub(super) fn new(
         takes_new: bool,
-        keep: impl Fn(&Arc<StoredPoint>) -> T + Send + Sync + 'static,
+        projection: impl Fn(&Arc<StoredPoint>) -> T + Send + Sync + 'static,
     ) -> Self {
         Self {
-            keep: Arc::new(keep),
+            projection: Arc::new(projection),
             takes_new,
             revision: 0,
             points: HashMap::new(),
@@ -88,11 +88,11 @@ impl<T: Send + 'static> ReadAhead<T> {
     ) -> Result<(), Error> {
         self.begin_at(head);
         for ids in ids.chunks(BATCH_ROWS) {
-            let (ids, keep) = (ids.to_vec(), Arc::clone(&self.keep));
+            let (ids, projection) = (ids.to_vec(), Arc::clone(&self.projection));
             let batch = move |view: &dyn View| {
                 let points = ids.into_iter().map(|id| {
                     let point = view.get(id)?;
-                    Ok((id, point.map(|point| keep(&point))))
+                    Ok((id, point.map(|point| projection(&point))))
                 });
                 points.collect::<Result<Vec<_>, LogError>>()
             };
@@ -131,7 +131,8 @@ impl<T: Send + 'static> ReadAhead<T> {
                         state: point.row.into(),
                         payload: effects.payload(slot),
                     });
-                    self.points.insert(point.id, Some((self.keep)(&stored)));
+                    self.points
+                        .insert(point.id, Some((self.projection)(&stored)));
                 }
             }
         }

@@ -4,7 +4,7 @@ use std::{sync::Arc, thread};
 
 use wayfold_server::log::{LogError, Record, Uid};
 
-use crate::{Engine, accepted, effects, entry, keep, next, test_log::TestLog};
+use crate::{Engine, accepted, effects, entry, next, retention, test_log::TestLog};
 
 const RECORDS: u64 = 60;
 
@@ -15,7 +15,7 @@ fn submit_and_trim(log: &dyn Engine, uid: Uid, last: u64) {
         let record = Record::after(tip, effects(revision, &[revision], &[]));
         tip = record.tip();
         accepted(log.submit(uid, Arc::new(record)).unwrap());
-        log.trim(uid, &keep(0)).unwrap();
+        log.trim(uid, &retention(0)).unwrap();
     }
 }
 
@@ -35,7 +35,7 @@ fn apply_and_trim(log: &dyn Engine, uid: Uid, after: u64, last: u64) {
         let view = log.apply(uid, &batch).unwrap();
         assert_eq!(Some(view.tip()), tip);
         assert_eq!(view.get(revision).unwrap().unwrap().modified, revision);
-        log.trim(uid, &keep(0)).unwrap();
+        log.trim(uid, &retention(0)).unwrap();
     }
 }
 

@@ -9,7 +9,7 @@ use wayfold_server::log::{
     Catalogue, Effects, LogError, MemoryLog, Origin, Outcome, Receipt, Record, Tip, connect_nats,
 };
 
-use crate::{entry, keep, nats::NatsServer, next};
+use crate::{entry, nats::NatsServer, next, retention};
 
 /// Whole messages go, none that has a later record, and never the newest one.
 #[ignore = "needs nats-server"]
@@ -64,7 +64,7 @@ fn whole_packs_are_forgotten_in_nats() {
     log.journal.forget(uid, RECORDS).unwrap();
     assert_eq!(oldest(), 0);
 
-    log.points.trim_applied(uid, &keep(0)).unwrap();
+    log.points.trim_applied(uid, &retention(0)).unwrap();
     for up_to in 1..RECORDS {
         log.journal.forget(uid, up_to).unwrap();
         assert_eq!(oldest(), up_to);

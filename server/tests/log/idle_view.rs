@@ -9,7 +9,7 @@ use wayfold_server::log::{Catalogue, Effects, FjallLog, Journal, Outcome, PointS
 use super::{
     all_points,
     disk::{append_synced, open},
-    effects, entry, keep, submit,
+    effects, entry, retention, submit,
 };
 
 /// Mebibytes that the busy index writes, unless the environment variable `IDLE_VIEW_MIB` sets another number.
@@ -34,7 +34,7 @@ fn overwrite(log: &FjallLog, uid: Uid, revisions: u64) {
         effects.store(point, Outcome::Inserted, payload);
         let record = submit(log, uid, revision - 1, effects).unwrap();
         drop(log.apply(uid, &[record]).unwrap());
-        log.trim(uid, &keep(0)).unwrap();
+        log.trim(uid, &retention(0)).unwrap();
     }
 }
 

@@ -115,7 +115,7 @@ fn effects(revision: u64, stored: &[u64], removed: &[u64]) -> Effects {
 }
 
 /// A retention of this many bytes of records of any age and of every operation.
-fn keep(record_bytes: usize) -> Retention {
+fn retention(record_bytes: usize) -> Retention {
     Retention {
         record_bytes,
         since: SystemTime::UNIX_EPOCH,
@@ -165,7 +165,7 @@ fn check_uids(log: &dyn Engine) {
         unknown
     );
     assert_eq!(log.read(uid, None, usize::MAX).unwrap_err(), unknown);
-    assert_eq!(log.trim(uid, &keep(0)).unwrap_err(), unknown);
+    assert_eq!(log.trim(uid, &retention(0)).unwrap_err(), unknown);
     assert_eq!(log.delete(uid).unwrap_err(), unknown);
     assert!(log.view(uid).is_err());
     log.create(entry.clone()).unwrap();
@@ -180,7 +180,7 @@ fn a_follower_gets_the_newest_record_of_any_size() {
     log.create(entry).unwrap();
     for revision in 1..=2 {
         submit(&log, uid, revision - 1, effects(revision, &[1], &[])).unwrap();
-        log.trim(uid, &keep(0)).unwrap();
+        log.trim(uid, &retention(0)).unwrap();
         let tail = log.read(uid, Some(revision - 1), usize::MAX).unwrap();
         assert_eq!(tail[0].revision(), revision);
     }

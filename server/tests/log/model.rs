@@ -176,7 +176,7 @@ impl Model {
         operations.flatten().cloned().collect()
     }
 
-    pub(crate) fn trim(&mut self, keep: &Retention) {
+    pub(crate) fn trim(&mut self, retention: &Retention) {
         let time =
             |record: &Record| SystemTime::UNIX_EPOCH + Duration::from_millis(record.time_ms());
         let bytes = |records: &[Arc<Record>]| -> usize {
@@ -184,7 +184,7 @@ impl Model {
         };
         while let held = &self.records[self.trimmed..]
             && held.len() > 1
-            && (bytes(held) > keep.record_bytes || time(&held[0]) < keep.since)
+            && (bytes(held) > retention.record_bytes || time(&held[0]) < retention.since)
         {
             self.trimmed += 1;
         }
@@ -194,7 +194,7 @@ impl Model {
         };
         while let held = &operations[self.operations_trimmed..]
             && held.len() > 1
-            && (held.len() > keep.operations || bytes(held) > keep.operation_bytes)
+            && (held.len() > retention.operations || bytes(held) > retention.operation_bytes)
         {
             self.operations_trimmed += 1;
         }

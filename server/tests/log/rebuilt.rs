@@ -23,7 +23,7 @@ use super::{
     all_points,
     copied::copied,
     disk::{append_synced, open, open_at},
-    effects, entry, keep, submit, synced,
+    effects, entry, retention, submit, synced,
 };
 
 /// The bytes of a payload, which fill several blocks, so that fjall soon begins another table.
@@ -105,8 +105,8 @@ fn found(directory: &Path) -> Vec<(PathBuf, usize)> {
     for table in tables(directory) {
         let bytes = fs::read(&table).unwrap();
         let windows = bytes.windows(middle.len()).enumerate();
-        let here = windows.filter(|(_, window)| *window == middle);
-        found.extend(here.map(|(at, _)| (table.clone(), at)));
+        let matches = windows.filter(|(_, window)| *window == middle);
+        found.extend(matches.map(|(at, _)| (table.clone(), at)));
     }
     assert_eq!(found.len(), 2);
     found
@@ -210,7 +210,7 @@ fn a_repair_loses_only_the_content_of_a_block_damaged_while_the_log_was_open() {
         match held {
             BlockContent::Point => {}
             BlockContent::Past => {
-                log.trim(arm.uid, &keep(0)).unwrap();
+                log.trim(arm.uid, &retention(0)).unwrap();
                 append_synced(&log, arm.uid, 21);
             }
             BlockContent::Deleted => log.delete(arm.uid).unwrap(),

@@ -113,15 +113,16 @@ impl RemoteLog {
 
 impl Stream {
     /// Trims the records up to the revision `applied`.
-    fn trim(&self, uid: Uid, keep: &Retention, applied: u64) {
+    fn trim(&self, uid: Uid, retention: &Retention, applied: u64) {
         let mut held = VecDeque::from(self.after(uid, None).unwrap());
         let bytes = held.iter().map(|record| record.effects().bytes());
         let mut bytes: usize = bytes.sum();
-        let is_old =
-            |record: &Record| UNIX_EPOCH + Duration::from_millis(record.time_ms()) < keep.since;
+        let is_old = |record: &Record| {
+            UNIX_EPOCH + Duration::from_millis(record.time_ms()) < retention.since
+        };
         while held.len() > 1
             && held[0].revision() <= applied
-            && (bytes > keep.record_bytes || is_old(&held[0]))
+            && (bytes > retention.record_bytes || is_old(&held[0]))
         {
             bytes -= held[0].effects().bytes();
             self.trimmed.lock().insert(uid, held[0].revision());

@@ -148,20 +148,20 @@ impl Run {
             } => {
                 let oldest = self.model.records[self.model.trimmed..].get(oldest);
                 let since = oldest.map_or(0, |record| record.time_ms());
-                let keep = Retention {
+                let retention = Retention {
                     record_bytes,
                     since: SystemTime::UNIX_EPOCH + Duration::from_millis(since),
                     operations,
                     operation_bytes,
                 };
-                match log.trim(uid, &keep) {
-                    Ok(()) => self.model.trim(&keep),
+                match log.trim(uid, &retention) {
+                    Ok(()) => self.model.trim(&retention),
                     Err(why) => {
                         // The trim may have taken effect or not.
                         self.views.clear();
                         let (records, operations) =
                             (self.model.trimmed, self.model.operations_trimmed);
-                        self.model.trim(&keep);
+                        self.model.trim(&retention);
                         let may = (self.model.trimmed, self.model.operations_trimmed);
                         (self.model.trimmed, self.model.operations_trimmed) = (records, operations);
                         self.failed(&why);

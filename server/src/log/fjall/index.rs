@@ -251,7 +251,7 @@ impl Index {
 
     /// Forgets the oldest records and operations. The next write of a record removes them from the store. While the
     /// store writes, nothing is forgotten: the caller may be a thread that answers calls, and the next trim catches up.
-    pub(super) fn trim(&self, keep: &Retention) -> Result<(), LogError> {
+    pub(super) fn trim(&self, retention: &Retention) -> Result<(), LogError> {
         let Some(mut state) = self.state.try_lock() else {
             return Ok(());
         };
@@ -259,9 +259,9 @@ impl Index {
             return Err(why.clone());
         }
         let state = &mut *state;
-        let forgotten = keep.forget_records(&mut state.records, |time_ms| *time_ms);
+        let forgotten = retention.forget_records(&mut state.records, |time_ms| *time_ms);
         state.head.trimmed += forgotten.count() as u64;
-        let forgotten = keep.forget_operations(&mut state.operations);
+        let forgotten = retention.forget_operations(&mut state.operations);
         state.forgotten.extend(forgotten);
         Ok(())
     }

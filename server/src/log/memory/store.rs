@@ -318,11 +318,13 @@ impl Store {
         self.journal.lock().records.window()
     }
 
-    pub(super) fn trim(&self, keep: &Retention) {
+    pub(super) fn trim(&self, retention: &Retention) {
         let journal = &mut *self.journal.lock();
-        keep.forget_records(&mut journal.records, |record| record.time_ms())
+        retention
+            .forget_records(&mut journal.records, |record| record.time_ms())
             .for_each(drop);
-        keep.forget_operations(&mut journal.operations)
+        retention
+            .forget_operations(&mut journal.operations)
             .for_each(drop);
     }
 

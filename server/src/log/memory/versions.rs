@@ -14,7 +14,7 @@ use crate::log::StoredPoint;
 /// Invariants:
 /// - A revision sees the newest version of an id that is not newer than the revision. So a version is seen from the
 ///   revision that made it up to the one before the revision that superseded it.
-/// - A superseded version is in `seen` under the newest revision that sees it. Once that revision is released, the
+/// - A superseded version is in `superseded` under the newest revision that sees it. Once that revision is released, the
 ///   version is in `released` until [`Versions::collect`] finds another revision that sees it, or drops it. So the
 ///   versions kept in addition to the head's points are at most those that pinned revisions see, and those in
 ///   `released`.
@@ -26,7 +26,7 @@ pub(super) struct Versions {
     pinned: BTreeMap<u64, usize>,
     /// The revision that the next view is pinned to; it is pinned itself.
     head: u64,
-    seen: BTreeMap<u64, Vec<Superseded>>,
+    superseded: BTreeMap<u64, Vec<Superseded>>,
     released: VecDeque<Vec<Superseded>>,
 }
 
@@ -41,7 +41,7 @@ impl Default for Versions {
             versions: BTreeMap::new(),
             pinned: BTreeMap::from([(0, 1)]),
             head: 0,
-            seen: BTreeMap::new(),
+            superseded: BTreeMap::new(),
             released: VecDeque::new(),
         }
     }
@@ -74,8 +74,8 @@ impl Versions {
             return false;
         };
         // The head has not advanced to `by` yet, so it still sees the version.
-        let seen = self.seen.entry(self.head).or_default();
-        seen.push(Superseded { version, by });
+        let superseded = self.superseded.entry(self.head).or_default();
+        superseded.push(Superseded { version, by });
         true
     }
 
@@ -96,7 +96,7 @@ impl Versions {
             *count -= 1;
             if *count == 0 {
                 self.pinned.remove(&revision);
-                self.released.extend(self.seen.remove(&revision));
+                self.released.extend(self.superseded.remove(&revision));
             }
         }
     }
@@ -120,7 +120,11 @@ impl Versions {
     fn keep_or_drop(&mut self, superseded: Superseded) {
         let (_, made) = superseded.version;
         match self.pinned.range(made..superseded.by).next_back() {
-            Some((&revision, _)) => self.seen.entry(revision).or_default().push(superseded),
+            Some((&revision, _)) => self
+                .superseded
+                .entry(revision)
+                .or_default()
+                .push(superseded),
             None => self.forget(superseded.version),
         }
     }

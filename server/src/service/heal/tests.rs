@@ -238,10 +238,10 @@ async fn a_peer_that_is_not_ahead_or_has_stopped_gives_no_copy() {
     assert!(why.contains("has stopped following"), "{why}");
 
     let peer = Peer::new(server(&journal, &journal));
-    index.seen = RECORDS + 1;
+    index.min_revision = RECORDS + 1;
     let why = heal(&service, &peer, &index).await.unwrap_err().why;
     assert!(why.contains("21 is needed"), "{why}");
-    index.seen = RECORDS;
+    index.min_revision = RECORDS;
     heal(&service, &peer, &index).await.unwrap();
 }
 

@@ -74,7 +74,7 @@ impl Comparison {
         }
         self.hash.update((point.payload.len() as u64).to_le_bytes());
         self.hash.update(&point.payload);
-        self.sampler.see(&point.state);
+        self.sampler.add(&point.state);
         self.after = Some(point.id);
         self.read += 1;
     }

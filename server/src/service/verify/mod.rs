@@ -41,7 +41,7 @@ const DOING: &str = "while verifying";
 pub struct Verification {
     call: Call,
     hosted: Arc<Hosted>,
-    pin: RevisionPin,
+    pinned_revision: RevisionPin,
     queries: usize,
     k: usize,
     disagreements: Disagreements,
@@ -83,7 +83,7 @@ impl Service {
         Ok(Verification {
             call: call.clone(),
             hosted,
-            pin: RevisionPin::new(published, self.limits().max_scan_seconds),
+            pinned_revision: RevisionPin::new(published, self.limits().max_scan_seconds),
             queries,
             k,
             disagreements: Disagreements::default(),
@@ -101,7 +101,7 @@ impl Verification {
         let answer = self.work().await;
         if !matches!(answer, Ok(Answer::Progress(_))) {
             self.stage = Stage::Done;
-            self.pin.release();
+            self.pinned_revision.release();
         }
         let response = |answer| v1::VerifyIndexResponse {
             result: Some(answer),
@@ -111,13 +111,13 @@ impl Verification {
 
     /// Works for a while, or to the end.
     async fn work(&mut self) -> Result<Answer, Error> {
-        let published = held(&self.pin)?;
+        let published = held(&self.pinned_revision)?;
         let until = Instant::now() + PROGRESS_INTERVAL;
         let pass = Pass {
             call: &self.call,
             index: self.hosted.name(),
             published: &published,
-            pin: &self.pin,
+            pinned_revision: &self.pinned_revision,
             until,
         };
         let per_pass = published.snapshot.len() as u64;
@@ -157,10 +157,10 @@ impl Verification {
     }
 }
 
-fn held(pin: &RevisionPin) -> Result<Arc<Published>, Error> {
-    pin.get().ok_or(Error::HeldTooLong {
+fn held(pinned_revision: &RevisionPin) -> Result<Arc<Published>, Error> {
+    pinned_revision.get().ok_or(Error::HeldTooLong {
         what: "verification",
-        max_scan_seconds: pin.seconds(),
+        max_scan_seconds: pinned_revision.seconds(),
     })
 }
 
@@ -169,7 +169,7 @@ struct Pass<'a> {
     call: &'a Call,
     index: &'a str,
     published: &'a Published,
-    pin: &'a RevisionPin,
+    pinned_revision: &'a RevisionPin,
     /// When progress is due.
     until: Instant,
 }
@@ -177,7 +177,7 @@ struct Pass<'a> {
 impl Pass<'_> {
     /// The stored points after an id; none at the end.
     async fn page(&self, after: Option<u64>) -> Result<Vec<Arc<StoredPoint>>, Error> {
-        held(self.pin)?;
+        held(self.pinned_revision)?;
         let read = move |view: &dyn View| view.page(after, PAGE_ROWS);
         stored::read(self.call, DOING, self.index, &self.published.view, read).await
     }

@@ -11,53 +11,53 @@ const NEAR_SHARE: f64 = 1e-3;
 pub(super) struct Sampler {
     space: Space,
     random: ChaCha8Rng,
-    keeps: usize,
-    kept: Vec<Box<[f64]>>,
-    seen: u64,
+    capacity: usize,
+    reservoir: Vec<Box<[f64]>>,
+    state_count: u64,
     bounds: Vec<(f64, f64)>,
 }
 
 impl Sampler {
-    /// Keeps this many states.
-    pub(super) fn new(space: &Space, keeps: usize, seed: u64) -> Self {
+    /// Samples at most `capacity` states.
+    pub(super) fn new(space: &Space, capacity: usize, seed: u64) -> Self {
         Self {
             random: ChaCha8Rng::seed_from_u64(seed),
-            keeps,
-            kept: Vec::new(),
-            seen: 0,
+            capacity,
+            reservoir: Vec::new(),
+            state_count: 0,
             bounds: vec![(f64::INFINITY, f64::NEG_INFINITY); space.coordinates()],
             space: space.clone(),
         }
     }
 
     /// Adds a stored state.
-    pub(super) fn see(&mut self, state: &[f64]) {
+    pub(super) fn add(&mut self, state: &[f64]) {
         for ((low, high), &coordinate) in self.bounds.iter_mut().zip(state) {
             *low = low.min(coordinate);
             *high = high.max(coordinate);
         }
-        self.seen += 1;
-        if self.kept.len() < self.keeps {
-            self.kept.push(state.into());
+        self.state_count += 1;
+        if self.reservoir.len() < self.capacity {
+            self.reservoir.push(state.into());
             return;
         }
-        let place = self.random.random_range(0..self.seen);
+        let place = self.random.random_range(0..self.state_count);
         let place = usize::try_from(place).ok();
-        if let Some(kept) = place.and_then(|place| self.kept.get_mut(place)) {
-            *kept = state.into();
+        if let Some(sampled) = place.and_then(|place| self.reservoir.get_mut(place)) {
+            *sampled = state.into();
         }
     }
 
-    /// `count` canonical states: half near kept ones, half anywhere within the bounds.
+    /// `count` canonical states: half near sampled ones, half anywhere within the bounds.
     pub(super) fn draw(&mut self, count: usize) -> Vec<Vec<f64>> {
-        if self.seen == 0 {
+        if self.state_count == 0 {
             self.bounds.fill((0.0, 1.0));
         }
         (0..count)
             .filter_map(|at| {
-                let kept = self.kept.get(at / 2).filter(|_| at.is_multiple_of(2));
-                let kept = kept.cloned();
-                self.state(kept.as_deref())
+                let sampled = self.reservoir.get(at / 2).filter(|_| at.is_multiple_of(2));
+                let sampled = sampled.cloned();
+                self.state(sampled.as_deref())
             })
             .collect()
     }

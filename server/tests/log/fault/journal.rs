@@ -241,14 +241,14 @@ impl Index {
     }
 
     /// The numbers of the oldest records and operations that need not be kept.
-    pub(super) fn outdated(&self, keep: &Retention) -> (usize, usize) {
+    pub(super) fn outdated(&self, retention: &Retention) -> (usize, usize) {
         let time =
             |record: &Record| SystemTime::UNIX_EPOCH + Duration::from_millis(record.time_ms());
         let bytes = self.records.iter().map(|record| record.effects().bytes());
         let mut bytes: usize = bytes.sum();
         let mut records = 0;
         while records + 1 < self.records.len()
-            && (bytes > keep.record_bytes || time(&self.records[records]) < keep.since)
+            && (bytes > retention.record_bytes || time(&self.records[records]) < retention.since)
         {
             bytes -= self.records[records].effects().bytes();
             records += 1;
@@ -260,8 +260,8 @@ impl Index {
             .sum();
         let mut operations = 0;
         while operations + 1 < self.operations.len()
-            && (bytes > keep.operation_bytes
-                || self.operations.len() - operations > keep.operations)
+            && (bytes > retention.operation_bytes
+                || self.operations.len() - operations > retention.operations)
         {
             bytes -= self.operations[operations].bytes();
             operations += 1;
