@@ -152,17 +152,17 @@ mod tests {
 
     #[test]
     fn an_address_for_members_needs_certificates_unless_only_this_machine_reaches_it() {
-        let (here, beyond) = (
+        let (loopback, remote) = (
             "127.0.0.1:1".parse().unwrap(),
             "10.0.0.7:1".parse().unwrap(),
         );
         for (address, has_certificates, has_identities, is_safe) in [
-            (here, false, false, true),
-            (here, false, true, false),
-            (here, true, true, true),
-            (beyond, false, false, false),
-            (beyond, false, true, false),
-            (beyond, true, false, true),
+            (loopback, false, false, true),
+            (loopback, false, true, false),
+            (loopback, true, true, true),
+            (remote, false, false, false),
+            (remote, false, true, false),
+            (remote, true, false, true),
         ] {
             let checked = check_members(address, has_certificates, has_identities, false);
             assert_eq!(checked.is_ok(), is_safe, "{address}");

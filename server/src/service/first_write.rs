@@ -174,11 +174,11 @@ fn agree(hosted: &Hosted, member: &str, applied: Tip, digest: Option<Digest>) ->
 /// The error of a mutation while a member has records that this server lacks.
 fn behind(hosted: &Hosted, member: &str, applied: Tip) -> Error {
     let (index, revision) = (hosted.name(), applied.revision);
-    let here = hosted.published().revision;
+    let own_revision = hosted.published().revision;
     Error::StorageFailed {
         what: format!(
             "index \"{index}\": {member} has applied the records up to revision {revision}, and this server has those up to \
-             {here}: if NATS has lost the rest, that server publishes them again; nothing was changed, so call again"
+             {own_revision}: if NATS has lost the rest, that server publishes them again; nothing was changed, so call again"
         ),
     }
 }

@@ -61,7 +61,7 @@ impl Announcer {
     /// Announces the served indices. Ends only on a failure.
     pub(super) async fn run(self) {
         let failed = match self.service.watch_catalog() {
-            Ok(served) => self.announce(served).await,
+            Ok(catalog) => self.announce(catalog).await,
             Err(error) => Err(error.to_string()),
         };
         if let Err(error) = failed {
@@ -69,14 +69,14 @@ impl Announcer {
         }
     }
 
-    async fn announce(&self, mut served: CatalogWatch) -> Result<(), String> {
+    async fn announce(&self, mut catalog: CatalogWatch) -> Result<(), String> {
         let [protobuf, json] = FEEDS.map(|(_, name)| self.interest(name));
         let (mut protobuf, mut json) = (protobuf.await?, json.await?);
         let mut indices = BTreeMap::new();
         let mut announced = BTreeMap::new();
         loop {
             tokio::select! {
-                changed = served.changed() => match changed {
+                changed = catalog.changed() => match changed {
                     Ok(now) => indices = now,
                     // The indices are unknown until the store is open.
                     Err(error) => debug!(%error, "cannot list the indices"),

@@ -255,8 +255,8 @@ async fn mutations_with_many_rows_or_bytes_are_logged_on_another_thread() {
         (with_payload(64 * 1024), true),
     ] {
         service.insert(&CALL, request).await.unwrap();
-        let here = std::thread::current().id();
-        assert_eq!(*log.appended_by.lock().unwrap() != Some(here), elsewhere);
+        let caller = std::thread::current().id();
+        assert_eq!(*log.appended_by.lock().unwrap() != Some(caller), elsewhere);
     }
 }
 

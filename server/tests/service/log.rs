@@ -140,10 +140,10 @@ async fn a_mutation_that_no_answer_holds_is_refused_and_not_cut() {
 #[tokio::test]
 async fn followers_of_the_list_of_indices_receive_each_change() {
     let service = service();
-    let mut served = service.watch_catalog().unwrap();
-    assert!(served.changed().await.unwrap().is_empty());
+    let mut catalog = service.watch_catalog().unwrap();
+    assert!(catalog.changed().await.unwrap().is_empty());
     let uid = create(&service, "arm", "R1").await;
-    let now = served.changed().await.unwrap();
+    let now = catalog.changed().await.unwrap();
     assert_eq!(
         now.into_iter().collect::<Vec<_>>(),
         [("arm".to_owned(), uid.clone())]
@@ -155,5 +155,5 @@ async fn followers_of_the_list_of_indices_receive_each_change() {
     service.delete_index(&CALL, deletion).await.unwrap();
     let other = create(&service, "arm", "R1").await;
     assert_ne!(uid, other);
-    assert_eq!(served.changed().await.unwrap()["arm"], other);
+    assert_eq!(catalog.changed().await.unwrap()["arm"], other);
 }

@@ -77,8 +77,8 @@ impl Requests {
     }
 
     fn ids(&mut self, most: usize) -> Vec<u64> {
-        let wanted = self.random.random_range(0..=most);
-        let mut ids: Vec<u64> = (0..wanted)
+        let count = self.random.random_range(0..=most);
+        let mut ids: Vec<u64> = (0..count)
             .map(|_| self.random.random_range(0..60))
             .collect();
         let mut seen = std::collections::HashSet::new();

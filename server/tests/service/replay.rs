@@ -260,8 +260,8 @@ async fn operations_are_remembered_for_their_own_window_without_their_records() 
             max_operations: 5,
             ..Limits::default()
         };
-        let served = |log: &Log| restarted_with(log.clone(), options, limits.clone());
-        let before = served(&log);
+        let restart = |log: &Log| restarted_with(log.clone(), options, limits.clone());
+        let before = restart(&log);
         create(&before, "arm", "R1").await;
         let request = |at: u64| v1::InsertRequest {
             operation_id: format!("op {at}"),
@@ -277,7 +277,7 @@ async fn operations_are_remembered_for_their_own_window_without_their_records() 
             log.journal.read(entry.uid, None, usize::MAX).unwrap().len(),
             1
         );
-        let after = served(&log);
+        let after = restart(&log);
         for at in 4..9 {
             let retried = after.insert(&CALL, request(at)).await.unwrap();
             assert_eq!(retried, responses[at as usize]);

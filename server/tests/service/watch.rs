@@ -184,8 +184,8 @@ async fn forgotten_records_become_a_reset() {
         window_bytes: 0,
         ..options()
     };
-    let served = || restarted_with(Arc::clone(&log), options, Limits::default());
-    let service = served();
+    let restart = || restarted_with(Arc::clone(&log), options, Limits::default());
+    let service = restart();
     let uid = create(&service, "arm", "R1").await;
     for id in 0..4 {
         service
@@ -194,7 +194,7 @@ async fn forgotten_records_become_a_reset() {
             .unwrap();
     }
     // A follower that starts again receives only the newest mutation.
-    let service = served();
+    let service = restart();
     let mut watch = service.watch(&CALL, watching(&uid, 3)).await.unwrap();
     assert_eq!(message(&mut watch).await.mutations, []);
     assert_eq!(message(&mut watch).await.mutations[0].revision.number(), 4);

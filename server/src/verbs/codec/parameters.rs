@@ -46,8 +46,8 @@ pub(super) fn apply(
         if let Some(rival) = rival(holder, &field) {
             return Err(ambiguous(&Path::of(&full), &rival));
         }
-        let is_said = holder.has_field(&field) || named.contains(&full) || set.contains(&full);
-        if is_said && !is_same(&holder.get_field(&field), &value) {
+        let is_set = holder.has_field(&field) || named.contains(&full) || set.contains(&full);
+        if is_set && !is_same(&holder.get_field(&field), &value) {
             let text = format!("the parameter {name}={text} and the rest of the query disagree");
             return Err(invalid(full, "CONFLICT", text));
         }

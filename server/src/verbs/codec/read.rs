@@ -57,20 +57,20 @@ fn fill(
 ) -> Result<(), Error> {
     let descriptor = message.descriptor();
     for (name, json) in fields {
-        let here = path.map_or_else(|| Path::of(name), |path| path.field(name));
+        let field_path = path.map_or_else(|| Path::of(name), |path| path.field(name));
         let Some(field) = descriptor.get_field_by_name(name) else {
-            return Err(unknown_field(&here, &descriptor));
+            return Err(unknown_field(&field_path, &descriptor));
         };
         if json.is_null() {
             continue;
         }
         if let Some(other) = rival(message, &field) {
-            return Err(ambiguous(&here, &other));
+            return Err(ambiguous(&field_path, &other));
         }
         let read = if field.is_list() {
-            list(&field, json, &here)?
+            list(&field, json, &field_path)?
         } else {
-            value(&field.kind(), json, &here)?
+            value(&field.kind(), json, &field_path)?
         };
         message.set_field(&field, read);
     }
@@ -167,9 +167,9 @@ fn states(
         1
     } else {
         for (at, json) in rows.iter().enumerate() {
-            let here = path.at(at);
+            let row_path = path.at(at);
             let Json::Array(numbers) = json else {
-                return Err(wrong(&here, "a row: an array of numbers", json));
+                return Err(wrong(&row_path, "a row: an array of numbers", json));
             };
             // The space checks a width that all rows share.
             let before = coordinates.len();
@@ -179,9 +179,9 @@ fn states(
                     numbers.len(),
                     before / at
                 );
-                return Err(invalid(here.to_string(), "WIDTH", text));
+                return Err(invalid(row_path.to_string(), "WIDTH", text));
             }
-            row(numbers, &here, &mut coordinates)?;
+            row(numbers, &row_path, &mut coordinates)?;
         }
         rows.len()
     };

@@ -67,11 +67,11 @@ fn next_batch(requests: &mut Requests, model: &SessionModel, writer: &Writer) ->
         });
         kinds.push(requests.random.random_range(1..=5));
     }
-    let count_of = |wanted: &[StepKind]| {
+    let count_of = |counted: &[StepKind]| {
         let kinds = kinds
             .iter()
             .filter_map(|&kind| StepKind::try_from(kind).ok());
-        kinds.filter(|kind| wanted.contains(kind)).count()
+        kinds.filter(|kind| counted.contains(kind)).count()
     };
     let puts = count_of(&[StepKind::Put, StepKind::Replace]);
     let payloads = puts + count_of(&[StepKind::SetPayload]);
