@@ -59,7 +59,7 @@ impl Memory {
             space: space.clone(),
             state: RwLock::new(state),
             merges,
-            origin: Origin::here(),
+            origin: Origin::current(),
             this: this.clone(),
         })
     }
@@ -75,7 +75,7 @@ impl Memory {
     }
 
     fn check_fork(&self) -> Result<(), Error> {
-        match self.origin.is_here() {
+        match self.origin.is_current() {
             true => Ok(()),
             false => Err(Error::Forked),
         }

@@ -53,7 +53,7 @@ static THREADS: OnceLock<Option<Threads>> = OnceLock::new();
 pub(super) fn after_change(points: &mut LocalPoints, index: impl Fn() -> Weak<dyn Merged>) {
     // In a forked process, and where no thread could be started, the caller merges.
     let threads = THREADS.get_or_init(start).as_ref();
-    let threads = threads.filter(|threads| threads.origin.is_here());
+    let threads = threads.filter(|threads| threads.origin.is_current());
     if !points.is_watched {
         points.is_watched = true;
         // A send fails only after the thread has panicked, and the panic hook has printed that.
@@ -101,7 +101,7 @@ fn start() -> Option<Threads> {
     Some(Threads {
         merges,
         work,
-        origin: Origin::here(),
+        origin: Origin::current(),
     })
 }
 

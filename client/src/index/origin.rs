@@ -19,7 +19,7 @@ pub(super) struct Origin {
 
 impl Origin {
     /// This process.
-    pub(super) fn here() -> Origin {
+    pub(super) fn current() -> Origin {
         static HOOKED: OnceLock<()> = OnceLock::new();
         HOOKED.get_or_init(count_forks);
         Origin {
@@ -28,7 +28,7 @@ impl Origin {
     }
 
     /// True in the process in which this value was made, and false in those forked from it.
-    pub(super) fn is_here(self) -> bool {
+    pub(super) fn is_current(self) -> bool {
         FORKS.load(Ordering::Relaxed) == self.forks
     }
 }
@@ -54,13 +54,13 @@ mod tests {
     #[test]
     #[expect(unsafe_code, reason = "the standard library cannot fork")]
     fn a_forked_process_is_another() {
-        let origin = Origin::here();
-        assert!(origin.is_here());
+        let origin = Origin::current();
+        assert!(origin.is_current());
         // SAFETY: the child calls nothing but an atomic load and `_exit`.
         let status = unsafe {
             let child = libc::fork();
             if child == 0 {
-                libc::_exit(i32::from(origin.is_here()));
+                libc::_exit(i32::from(origin.is_current()));
             }
             assert!(child > 0, "a child process");
             let mut status = -1;
@@ -68,6 +68,6 @@ mod tests {
             status
         };
         assert_eq!(status, 0, "the child took itself for its parent");
-        assert!(origin.is_here());
+        assert!(origin.is_current());
     }
 }

@@ -29,11 +29,11 @@ fn runtime() -> Result<&'static Runtime, Error> {
             .map_err(Arc::new)?;
         Ok(Owned {
             runtime,
-            origin: Origin::here(),
+            origin: Origin::current(),
         })
     };
     match RUNTIME.get_or_init(start) {
-        Ok(owned) if owned.origin.is_here() => Ok(&owned.runtime),
+        Ok(owned) if owned.origin.is_current() => Ok(&owned.runtime),
         Ok(_) => Err(Error::Forked),
         Err(source) => Err(Error::Thread {
             source: Arc::clone(source),

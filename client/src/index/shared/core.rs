@@ -111,7 +111,7 @@ impl Core {
             published: Mutex::new((index, revision)),
             connection: Mutex::default(),
             ended: OnceLock::new(),
-            origin: Origin::here(),
+            origin: Origin::current(),
             this: this.clone(),
         })
     }
@@ -119,7 +119,7 @@ impl Core {
     /// True in a process that was forked from the one that opened the index: its threads are not here, and a lock may
     /// be held without end.
     pub(super) fn is_forked(&self) -> bool {
-        !self.origin.is_here()
+        !self.origin.is_current()
     }
 
     fn check(&self) -> Result<(), Error> {
@@ -151,7 +151,7 @@ impl Core {
             if has_room && writer.ids.len() >= ids {
                 return Ok(writer);
             }
-            writer.wanted_ids = writer.wanted_ids.max(ids);
+            writer.requested_ids = writer.requested_ids.max(ids);
             self.wake(&mut writer);
             self.urgent.notify_one();
             let until = *until.get_or_insert_with(|| deadline(self.timeout));
@@ -224,8 +224,8 @@ impl Core {
     /// The number of ids to reserve now.
     pub(super) fn reserve_count(&self, writer: &Writer) -> u64 {
         match writer.ids.len() {
-            left if left < writer.wanted_ids => {
-                let missing = writer.wanted_ids - left;
+            left if left < writer.requested_ids => {
+                let missing = writer.requested_ids - left;
                 missing.clamp(self.id_block, self.max_reserved_ids)
             }
             left if left < self.id_block / 2 => self.id_block,
@@ -248,14 +248,14 @@ impl Core {
     /// Computes the answers to questions, and keeps them for the caller. Called without a lock.
     pub(super) fn answer(&self, questions: Vec<Answerable>) {
         for answerable in questions {
-            let keep = || {
+            let compute = || {
                 for answer in answerable.answers(&self.space) {
                     self.writer.lock().open_questions.add(answer);
                 }
             };
             match answerable.is_long() {
-                true => block_in_place(keep),
-                false => keep(),
+                true => block_in_place(compute),
+                false => compute(),
             }
             self.progress.notify_all();
         }

@@ -39,17 +39,17 @@ pub(super) enum Address {
     },
 }
 
-/// The way to the server, and the name of the index.
+/// The transport to the server, and the name of the index.
 #[derive(Clone, Debug)]
 pub(super) struct Link {
     name: String,
     /// The longest time of a call.
     timeout: Duration,
-    way: Way,
+    transport: Transport,
 }
 
 #[derive(Clone, Debug)]
-enum Way {
+enum Transport {
     Grpc(GrpcLink),
     #[cfg(feature = "zenoh")]
     Zenoh(zenoh::ZenohLink),
@@ -64,43 +64,43 @@ impl Link {
         credentials: &Credentials,
     ) -> Result<(Link, Limits), Error> {
         let request = v1::GetServerRequest {};
-        let (way, answer) = match address {
+        let (transport, answer) = match address {
             Address::Grpc { uri } => {
-                let way = GrpcLink::connect(&uri, timeout, credentials.clone()).await?;
-                let answer = way.call(&request).await?;
-                (Way::Grpc(way), answer)
+                let link = GrpcLink::connect(&uri, timeout, credentials.clone()).await?;
+                let answer = link.call(&request).await?;
+                (Transport::Grpc(link), answer)
             }
             #[cfg(feature = "zenoh")]
             Address::Zenoh { session, prefix } => {
-                let way = zenoh::ZenohLink::new(session, (&prefix, name), timeout, credentials)?;
+                let link = zenoh::ZenohLink::new(session, (&prefix, name), timeout, credentials)?;
                 // A session cannot tell a server that it has not found yet from one that is not there.
-                let answer = way.call(&request, RetryPolicy::until_deadline()).await?;
-                (Way::Zenoh(way), answer)
+                let answer = link.call(&request, RetryPolicy::until_deadline()).await?;
+                (Transport::Zenoh(link), answer)
             }
         };
         let server = ServerInfo::from_message(v1::GetServerRequest::NAME, answer)?;
         let link = Link {
             name: name.to_owned(),
             timeout,
-            way,
+            transport,
         };
         Ok((link, server.limits))
     }
 
     async fn call<C: Call>(&self, request: &C) -> Result<C::Answer, Error> {
-        match &self.way {
-            Way::Grpc(way) => way.call(request).await,
+        match &self.transport {
+            Transport::Grpc(link) => link.call(request).await,
             #[cfg(feature = "zenoh")]
-            Way::Zenoh(way) => way.call(request, RetryPolicy::default()).await,
+            Transport::Zenoh(link) => link.call(request, RetryPolicy::default()).await,
         }
     }
 
     /// The pause after this many failures in a row, the last with `error`.
     pub(super) fn pause(&self, failures: u32, error: Option<&Error>) -> Duration {
-        let policy = match &self.way {
-            Way::Grpc(way) => way.retry_policy(),
+        let policy = match &self.transport {
+            Transport::Grpc(link) => link.retry_policy(),
             #[cfg(feature = "zenoh")]
-            Way::Zenoh(_) => RetryPolicy::default(),
+            Transport::Zenoh(_) => RetryPolicy::default(),
         };
         policy.endless_pause(failures, error)
     }
@@ -108,10 +108,10 @@ impl Link {
     /// True if another server may know better: this one has no index of the name, or another one, as a server may that
     /// lags behind.
     pub(super) fn may_lag(&self, error: &Error) -> bool {
-        let has_others = match &self.way {
-            Way::Grpc(way) => way.has_others(),
+        let has_others = match &self.transport {
+            Transport::Grpc(link) => link.has_others(),
             #[cfg(feature = "zenoh")]
-            Way::Zenoh(_) => false,
+            Transport::Zenoh(_) => false,
         };
         let is_missing = error.code() == Code::NotFound;
         has_others && (is_missing || error.reason() == Some("UID_MISMATCH"))
@@ -119,10 +119,10 @@ impl Link {
 
     /// Makes the next calls at another server, if there is one.
     pub(super) fn leave(&self) {
-        match &self.way {
-            Way::Grpc(way) => way.leave(),
+        match &self.transport {
+            Transport::Grpc(link) => link.leave(),
             #[cfg(feature = "zenoh")]
-            Way::Zenoh(_) => {}
+            Transport::Zenoh(_) => {}
         }
     }
 
@@ -274,10 +274,10 @@ impl Link {
         after: u64,
         own_session: u64,
     ) -> Result<Watch, Error> {
-        match &self.way {
-            Way::Grpc(way) => way.watch(index, after, own_session).await,
+        match &self.transport {
+            Transport::Grpc(link) => link.watch(index, after, own_session).await,
             #[cfg(feature = "zenoh")]
-            Way::Zenoh(way) => way.watch(index, after, own_session).await,
+            Transport::Zenoh(link) => link.watch(index, after, own_session).await,
         }
     }
 }

@@ -121,7 +121,7 @@ async fn write(core: &Core, index: &ServedIndex, request: &v1::WriteRequest) -> 
             return Ok(());
         }
         writer.reserve(reserved);
-        writer.wanted_ids = 0;
+        writer.requested_ids = 0;
         let mut points = core.points.write();
         let published = core.published.lock().1;
         let answerable = writer.acknowledge(request.batch, revision, published, &mut points)?;

@@ -43,8 +43,8 @@ pub(super) struct Writer {
     pub(super) published_points: usize,
     /// The bytes of `queue`.
     pub(super) bytes: usize,
-    /// The ids that callers wait for.
-    pub(super) wanted_ids: u64,
+    /// The most ids that a waiting caller needs at once.
+    pub(super) requested_ids: u64,
     /// The number of writes so far.
     pub(super) written: u64,
     /// The number of writes that the server has acknowledged, or that were given back.
@@ -76,7 +76,7 @@ impl Writer {
             rebased: HashMap::new(),
             published_points: 0,
             bytes: 0,
-            wanted_ids: 0,
+            requested_ids: 0,
             written: 0,
             settled: 0,
             open_questions: OpenQuestions::default(),

@@ -19,16 +19,16 @@ use processes::{
     another_process_holds_the_same, no_edge_between_processes_is_missed, racing_writers_agree,
 };
 
-/// A server, and the way to it.
-struct Way {
+/// A server, and the session that reaches it over Zenoh; None over gRPC.
+struct ServerLink {
     server: Server,
     #[cfg(feature = "zenoh")]
     session: Option<zenoh::Session>,
 }
 
-impl Way {
-    fn over_grpc() -> Way {
-        Way {
+impl ServerLink {
+    fn over_grpc() -> ServerLink {
+        ServerLink {
             server: Server::start(),
             #[cfg(feature = "zenoh")]
             session: None,
@@ -37,7 +37,7 @@ impl Way {
 
     /// The server finds this session, and no other.
     #[cfg(feature = "zenoh")]
-    fn over_zenoh() -> Way {
+    fn over_zenoh() -> ServerLink {
         use zenoh::Wait;
 
         let alone = r#"listen: { endpoints: ["tcp/127.0.0.1:0"] },
@@ -50,7 +50,7 @@ impl Way {
             config.zenoh.config = format!("{{ connect: {{ endpoints: ['{}'] }} }}", locators[0]);
         });
         let session = Some(session);
-        Way { server, session }
+        ServerLink { server, session }
     }
 
     fn index(&self, name: &str) -> OpenShared {
@@ -62,8 +62,8 @@ impl Way {
     }
 }
 
-fn shared(way: &Way, name: &str, space: &Space) -> Index {
-    way.index(name).create(space).open().unwrap()
+fn shared(link: &ServerLink, name: &str, space: &Space) -> Index {
+    link.index(name).create(space).open().unwrap()
 }
 
 macro_rules! tests {
@@ -71,7 +71,7 @@ macro_rules! tests {
         mod over_grpc {
             $(#[test]
             fn $test() {
-                super::$test(super::Way::over_grpc());
+                super::$test(super::ServerLink::over_grpc());
             })*
         }
 
@@ -79,7 +79,7 @@ macro_rules! tests {
         mod over_zenoh {
             $(#[test]
             fn $test() {
-                super::$test(super::Way::over_zenoh());
+                super::$test(super::ServerLink::over_zenoh());
             })*
         }
     };
@@ -202,36 +202,36 @@ fn wait_for_same(index: &Index, other: &Index) {
     }
 }
 
-fn equals_brute_force(way: Way) {
+fn equals_brute_force(link: ServerLink) {
     let name = names();
-    conformance::equals_brute_force(|space| shared(&way, &name(), space), 600);
+    conformance::equals_brute_force(|space| shared(&link, &name(), space), 600);
 }
 
-fn any_timeout_is_taken(way: Way) {
+fn any_timeout_is_taken(link: ServerLink) {
     let space = "R2".parse().unwrap();
-    let index = way.index("index").create(&space).timeout(Duration::MAX);
+    let index = link.index("index").create(&space).timeout(Duration::MAX);
     let index = index.open().unwrap();
     index.insert([1.0, 2.0]).unwrap();
     index.flush().unwrap();
 }
 
-fn refuses_what_is_no_state(way: Way) {
-    conformance::refuses_what_is_no_state(|space| shared(&way, "index", space));
+fn refuses_what_is_no_state(link: ServerLink) {
+    conformance::refuses_what_is_no_state(|space| shared(&link, "index", space));
 }
 
-fn ends_a_search_that_takes_too_long(way: Way) {
-    conformance::ends_a_search_that_takes_too_long(|space| shared(&way, "index", space));
+fn ends_a_search_that_takes_too_long(link: ServerLink) {
+    conformance::ends_a_search_that_takes_too_long(|space| shared(&link, "index", space));
 }
 
-fn misses_no_edge_of_this_process(way: Way) {
-    conformance::misses_no_edge(|space| shared(&way, "index", space));
+fn misses_no_edge_of_this_process(link: ServerLink) {
+    conformance::misses_no_edge(|space| shared(&link, "index", space));
 }
 
 /// An index declares how its payloads hold edges, and refuses another declaration.
-fn payloads_are_declared(way: Way) {
+fn payloads_are_declared(link: ServerLink) {
     let space: Space = "R1".parse().unwrap();
     let open = |encoding| {
-        way.index("index")
+        link.index("index")
             .create(&space)
             .payload_encoding(encoding)
             .open()
@@ -240,24 +240,24 @@ fn payloads_are_declared(way: Way) {
     open(PayloadEncoding::Unspecified).unwrap();
     let refused = open(PayloadEncoding::WeightedEdges).unwrap_err();
     assert_eq!(refused.code(), Code::AlreadyExists, "{refused}");
-    let remote = Index::remote(&way.server.uri, "index").create(&space);
+    let remote = Index::remote(&link.server.uri, "index").create(&space);
     let remote = remote.payload_encoding(PayloadEncoding::WeightedEdges);
     assert_eq!(remote.open().unwrap_err().code(), Code::AlreadyExists);
     let runtime = tokio::runtime::Runtime::new().unwrap();
-    let info = async { way.server.client().await.index_info("index").await };
+    let info = async { link.server.client().await.index_info("index").await };
     let info = runtime.block_on(info).unwrap();
     assert_eq!(info.payload_encoding, PayloadEncoding::Edges);
 }
 
 /// An index that was made again refuses what is pending, which comes back in order.
-fn writes_to_an_index_that_is_gone_come_back(way: Way) {
+fn writes_to_an_index_that_is_gone_come_back(link: ServerLink) {
     let space: Space = "R1".parse().unwrap();
-    let index = shared(&way, "index", &space);
+    let index = shared(&link, "index", &space);
     let first = index.insert([1.0]).unwrap();
     index.flush().unwrap();
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
-        let client = way.server.client().await;
+        let client = link.server.client().await;
         client.delete_index("index").await.unwrap();
         client.create_index("index", &space).await.unwrap();
     });
@@ -286,30 +286,30 @@ fn writes_to_an_index_that_is_gone_come_back(way: Way) {
     assert_eq!(index.len().unwrap(), 0);
     let id = index.insert([3.0]).unwrap();
     index.flush().unwrap();
-    let fresh = shared(&way, "index", &space);
+    let fresh = shared(&link, "index", &space);
     assert_eq!(content(&fresh), content(&index));
     assert!(fresh.get(id).unwrap().is_some());
 }
 
-fn an_index_of_another_space_is_refused(way: Way) {
-    drop(shared(&way, "index", &Space::se2()));
-    let other = way.index("index").create(&Space::se3()).open();
+fn an_index_of_another_space_is_refused(link: ServerLink) {
+    drop(shared(&link, "index", &Space::se2()));
+    let other = link.index("index").create(&Space::se3()).open();
     assert_eq!(other.unwrap_err().code(), wayfold::Code::AlreadyExists);
-    let missing = way.index("missing").open().unwrap_err();
+    let missing = link.index("missing").open().unwrap_err();
     assert_eq!(missing.code(), wayfold::Code::NotFound);
 }
 
 /// Its calls block, and its drop does not, in a task of another runtime, also one of a single thread.
-fn it_may_be_used_and_dropped_in_a_task(way: Way) {
+fn it_may_be_used_and_dropped_in_a_task(link: ServerLink) {
     let one_thread = tokio::runtime::Builder::new_current_thread().build();
     for runtime in [tokio::runtime::Runtime::new(), one_thread] {
         runtime.unwrap().block_on(async {
-            let index = shared(&way, "index", &Space::se2());
+            let index = shared(&link, "index", &Space::se2());
             let options = InsertOptions::new().payload(b"start");
             let id = index.insert_with([0.0; 3], options).unwrap().id;
             assert_eq!(index.payload(id).unwrap(), Some(b"start".to_vec()));
             index.flush().unwrap();
-            let other = shared(&way, "index", &Space::se2());
+            let other = shared(&link, "index", &Space::se2());
             assert_eq!(other.payload(id).unwrap(), Some(b"start".to_vec()));
             assert_eq!(other.payload(id + 1).unwrap(), None);
         });
@@ -320,7 +320,7 @@ fn it_may_be_used_and_dropped_in_a_task(way: Way) {
 #[cfg(feature = "zenoh")]
 #[test]
 fn its_session_ends_with_it_in_a_task() {
-    let Way { server, session } = Way::over_zenoh();
+    let ServerLink { server, session } = ServerLink::over_zenoh();
     let index = Index::shared_over_zenoh(session.unwrap(), "wayfold/v1", "index");
     let index = index.create(&Space::se2()).open().unwrap();
     let runtime = tokio::runtime::Builder::new_current_thread().build();
@@ -328,8 +328,8 @@ fn its_session_ends_with_it_in_a_task() {
     drop(server);
 }
 
-fn a_closed_index_takes_no_writes_and_gives_none_back(way: Way) {
-    let index = shared(&way, "index", &Space::se2());
+fn a_closed_index_takes_no_writes_and_gives_none_back(link: ServerLink) {
+    let index = shared(&link, "index", &Space::se2());
     index.insert([0.0; 3]).unwrap();
     assert_eq!(index.close(std::time::Duration::from_secs(20)), []);
     assert!(matches!(index.insert([1.0; 3]), Err(Error::Closed)));

@@ -1,4 +1,4 @@
-//! The calls with one answer, which go either way.
+//! The calls with one answer, over either transport.
 
 use tonic::{Request, Response, Status};
 use wayfold_proto::v1;

@@ -1,4 +1,4 @@
-//! The way over gRPC.
+//! The link over gRPC.
 
 use std::time::Duration;
 

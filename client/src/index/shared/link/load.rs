@@ -4,7 +4,7 @@ use futures_util::{TryStreamExt, stream::BoxStream};
 use tokio::time::{Instant, sleep_until};
 use wayfold_index::{Forest, ForestOptions, PointRef, Points, Space};
 
-use super::{Link, Way, protocol};
+use super::{Link, Transport, protocol};
 use crate::{Error, Include, index::shared::served_index::ServedIndex};
 
 /// The columns of a copy.
@@ -53,10 +53,10 @@ impl Link {
     }
 
     async fn read_all(&self, index: &ServedIndex, at: u64) -> Result<(Points, u64), Error> {
-        let mut parts = match &self.way {
-            Way::Grpc(way) => way.scan(index).await?,
+        let mut parts = match &self.transport {
+            Transport::Grpc(link) => link.scan(index).await?,
             #[cfg(feature = "zenoh")]
-            Way::Zenoh(way) => way.scan(index),
+            Transport::Zenoh(link) => link.scan(index),
         };
         let mut points = Points::new(index.coordinates());
         let (mut revision, mut announced) = (0, 0);

@@ -1,4 +1,4 @@
-//! The way over Zenoh: a query for each call.
+//! The link over Zenoh: a query for each call.
 
 use std::{ops::Deref, sync::Arc, time::Duration};
 

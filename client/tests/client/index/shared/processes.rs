@@ -10,30 +10,30 @@ use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
 use wayfold::{Index, InsertOptions, Search, Space, Status};
 
-use super::{Way, content, shared, wait_for_same};
+use super::{ServerLink, content, shared, wait_for_same};
 use crate::index::model::Model;
 
 /// Another process reads after a flush what one wrote, and a third one finds it when it opens.
-pub(super) fn another_process_holds_the_same(way: Way) {
+pub(super) fn another_process_holds_the_same(link: ServerLink) {
     let space = Space::se3();
-    let writer = shared(&way, "index", &space);
-    let reader = shared(&way, "index", &space);
+    let writer = shared(&link, "index", &space);
+    let reader = shared(&link, "index", &space);
     let mut model = Model::new(writer.clone(), 7);
     model.run(500);
     wait_for_same(&writer, &reader);
     model.run(500);
     wait_for_same(&writer, &reader);
-    assert_eq!(content(&shared(&way, "index", &space)), content(&writer));
+    assert_eq!(content(&shared(&link, "index", &space)), content(&writer));
     assert_eq!(writer.pending(), 0);
     assert!(matches!(reader.status(), Some(Status::Following { .. })));
 }
 
 /// Writers that change each other's points end with the same points, which are the server's.
-pub(super) fn racing_writers_agree(way: Way) {
+pub(super) fn racing_writers_agree(link: ServerLink) {
     const WRITERS: usize = 4;
     let space: Space = "R2".parse().unwrap();
     let indexes: Vec<Index> = (0..WRITERS)
-        .map(|_| shared(&way, "index", &space))
+        .map(|_| shared(&link, "index", &space))
         .collect();
     let ids = indexes[0]
         .insert_many((0..20).map(|i| [f64::from(i), 0.0]))
@@ -62,7 +62,7 @@ pub(super) fn racing_writers_agree(way: Way) {
         }
     });
     indexes.iter().for_each(|index| index.flush().unwrap());
-    let fresh = shared(&way, "index", &space);
+    let fresh = shared(&link, "index", &space);
     let expected = content(&fresh);
     for index in &indexes {
         while content(index) != expected {
@@ -72,12 +72,12 @@ pub(super) fn racing_writers_agree(way: Way) {
 }
 
 /// The later of any two points of two processes gets the earlier one, by its insert or meanwhile.
-pub(super) fn no_edge_between_processes_is_missed(way: Way) {
+pub(super) fn no_edge_between_processes_is_missed(link: ServerLink) {
     const WRITERS: usize = 3;
     const INSERTS: usize = 200;
     let space: Space = "R1".parse().unwrap();
     let indexes: Vec<Index> = (0..WRITERS)
-        .map(|_| shared(&way, "index", &space))
+        .map(|_| shared(&link, "index", &space))
         .collect();
     let start = Arc::new(Barrier::new(WRITERS));
     let ask = InsertOptions::new().ask(Search::within(f64::INFINITY));
