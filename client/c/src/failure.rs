@@ -100,12 +100,12 @@ fn code(error: &Error) -> Code {
 pub(crate) fn call(body: impl FnOnce() -> Result<(), Failure>) -> Code {
     match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => Code::Ok,
-        Ok(Err(failure)) => keep(failure),
-        Err(panic) => keep(panicked(panic.as_ref())),
+        Ok(Err(failure)) => set_last_failure(failure),
+        Err(panic) => set_last_failure(panicked(panic.as_ref())),
     }
 }
 
-fn keep(failure: Failure) -> Code {
+fn set_last_failure(failure: Failure) -> Code {
     let code = failure.code;
     // At the end of a thread its last error is gone: calls of destructors still return their codes.
     let _ = LAST.try_with(|last| *last.borrow_mut() = Some(failure));

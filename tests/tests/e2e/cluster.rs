@@ -106,9 +106,9 @@ impl Run {
         let mut at = acknowledged.subscribe();
         let stalled = Cell::new(false);
         let mut reach_more = async |more: u64| {
-            let wanted = *at.borrow() + more;
+            let target = *at.borrow() + more;
             if !stalled.get() {
-                let reached = timeout(MAX_PAUSE, at.wait_for(|&now| now >= wanted)).await;
+                let reached = timeout(MAX_PAUSE, at.wait_for(|&now| now >= target)).await;
                 stalled.set(reached.is_err());
             }
         };

@@ -27,7 +27,7 @@ const LINES: u32 = 4;
 /// The approximate number of its calls that change something.
 const CALLS: u32 = 40;
 
-fn wanted() -> Option<u64> {
+fn losses_of_environment() -> Option<u64> {
     let losses = std::env::var("POWER_LOSSES").ok();
     losses.map(|losses| losses.parse().unwrap())
 }
@@ -50,7 +50,7 @@ async fn lose_power(mut disk: Disk, seed: u64) {
     // On this disk a sync is nearly always under way, and readers read meanwhile.
     clients.tell_of_looks(disk.looked());
     let mut cuts = 0;
-    for _ in 0..wanted().unwrap_or(LOSSES) {
+    for _ in 0..losses_of_environment().unwrap_or(LOSSES) {
         let moment = match random.random_range(0..4) {
             0 => FaultTime::Built(random.random_range(1..50)),
             _ => FaultTime::Acknowledged(random.random_range(1..200)),
@@ -82,7 +82,7 @@ async fn data_of_a_failed_sync_is_written_before_more_is_acknowledged() {
     let mut disk = Disk::new(None);
     let mut server = disk.serve(FSYNC);
     let mut clients = Clients::new(&server, SEED, LOAD).await;
-    for _ in 0..wanted().unwrap_or(FAILED_SYNCS) {
+    for _ in 0..losses_of_environment().unwrap_or(FAILED_SYNCS) {
         server.stop(Signal::Kill);
         disk.cut();
         let fails = random.random_range(5..50).to_string();
@@ -104,7 +104,11 @@ async fn data_of_a_failed_sync_is_written_before_more_is_acknowledged() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_first_start_may_be_cut_short_anywhere() {
     let mut disk = Disk::new(None);
-    let stride = if wanted().is_some() { 1 } else { 8 };
+    let stride = if losses_of_environment().is_some() {
+        1
+    } else {
+        8
+    };
     let mut cut_short = true;
     let (mut calls, mut cuts) = (0, 0);
     while cut_short {

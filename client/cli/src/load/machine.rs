@@ -20,7 +20,7 @@ pub(super) struct Machine {
 }
 
 impl Machine {
-    pub(super) fn here() -> Machine {
+    pub(super) fn current() -> Machine {
         let processors = thread::available_parallelism();
         // Other systems than Linux have neither file.
         let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();

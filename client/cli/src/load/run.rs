@@ -74,7 +74,7 @@ pub(super) fn run(
         space: space.to_string(),
         address: plan.address.clone(),
         server: first.server()?,
-        machine: Machine::here(),
+        machine: Machine::current(),
         started: SystemTime::now(),
         seed: plan.seed,
         range: plan.range,

@@ -171,7 +171,7 @@ impl Calls {
         });
         for (i, first) in firsts.into_iter().enumerate() {
             let first = first.ok().and_then(Result::ok);
-            tokio::spawn(Arc::clone(&calls).keep(i, first));
+            tokio::spawn(Arc::clone(&calls).keep_connected(i, first));
         }
         // Meanwhile the servers' settings arrive.
         sleep_until(began).await;
@@ -179,7 +179,7 @@ impl Calls {
     }
 
     /// Drives a connection, and makes it anew when it ends.
-    async fn keep(self: Arc<Self>, link: usize, first: Option<Opened>) {
+    async fn keep_connected(self: Arc<Self>, link: usize, first: Option<Opened>) {
         let mut opened = first;
         loop {
             if let Some((client, connection)) = opened.take() {
