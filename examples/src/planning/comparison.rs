@@ -204,6 +204,6 @@ fn each<R>(
 
 /// The server, if a source needs one.
 fn host(trials: &Trials<'_>) -> Result<Option<Host>, PlanningError> {
-    let is_needed = trials.sources.iter().any(|source| source.is_served());
+    let is_needed = trials.sources.iter().any(|source| source.needs_server());
     is_needed.then(|| Host::new(trials.server)).transpose()
 }

@@ -139,7 +139,7 @@ impl<P: Verify> Example<P> {
 
     /// Solves it with several workers.
     fn share(&self, problem: &P, options: &Options, workers: usize) -> Result<(), PlanningError> {
-        let source = options.source.served()?[0];
+        let source = options.source.server_sources()?[0];
         let host = Host::new(options.server.as_deref())?;
         let seed = options.seed;
         let solved = shared::solve(problem, host.uri(), options, workers, source, seed);
@@ -155,7 +155,7 @@ impl<P: Verify> Example<P> {
 
     /// Compares numbers of workers.
     fn scale(&self, problem: &P, options: &Options) -> Result<(), PlanningError> {
-        options.source.served()?;
+        options.source.server_sources()?;
         let host = Host::new(options.server.as_deref())?;
         let (alone, all) = host.block_on(shared::compare(problem, host.uri(), options))?;
         print!("{}", shared_report::comparison(&alone, &all));

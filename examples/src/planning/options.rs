@@ -86,14 +86,14 @@ impl Source {
     }
 
     /// True if it needs a server.
-    pub fn is_served(self) -> bool {
+    pub fn needs_server(self) -> bool {
         matches!(self, Source::Shared | Source::Remote)
     }
 
-    /// Those of its sources that several workers can share.
-    pub fn served(self) -> Result<Vec<Source>, PlanningError> {
+    /// Its sources that need a server: several workers can share them.
+    pub fn server_sources(self) -> Result<Vec<Source>, PlanningError> {
         let mut sources = self.sources();
-        sources.retain(|source| source.is_served());
+        sources.retain(|source| source.needs_server());
         match sources.is_empty() {
             true => Err(PlanningError::Unshared {
                 source_name: self.name(),

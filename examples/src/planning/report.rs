@@ -233,7 +233,7 @@ pub fn progress(grown: &[(Source, Star)]) -> String {
         }
         text.push('\n');
     }
-    for (source, star) in grown.iter().filter(|(source, _)| source.is_served()) {
+    for (source, star) in grown.iter().filter(|(source, _)| source.needs_server()) {
         let (name, flushing) = (source.name(), star.account.flushing.as_secs_f64());
         let _ = writeln!(
             text,

@@ -104,10 +104,10 @@ pub fn table(built: &Built) -> String {
         built.roadmap.len(),
         built.roadmap.edge_count(),
     );
-    if let Some((found, wanted)) = built.separation {
+    if let Some((found, required)) = built.separation {
         let _ = writeln!(
             text,
-            "The two nearest of the workers' milestones are {found:.3} apart; at least {wanted} was wanted."
+            "The two nearest of the workers' milestones are {found:.3} apart; at least {required} was required."
         );
     }
     text += &answers(&built.paths);
@@ -138,8 +138,8 @@ pub fn answers(paths: &[Answer]) -> String {
 /// Medians by source and number of workers, and their ratios to one worker and to the other source in the same run.
 pub fn comparison(all: &[Built]) -> String {
     let of = |source, workers| {
-        let wanted = move |one: &&Built| one.source == source && one.workers == workers;
-        all.iter().filter(wanted)
+        let is_of_row = move |one: &&Built| one.source == source && one.workers == workers;
+        all.iter().filter(is_of_row)
     };
     let mut text = format!(
         "{:<10} {:>8} {:>10} {:>8} {:>10} {:>9} {:>8} {:>8} {:>13} {:>10}\n",

@@ -39,8 +39,8 @@ impl Shape {
 pub(super) fn next_merge(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>> {
     let idle = idle(shapes);
     carry(shapes, &idle, max_rows).or_else(|| {
-        let alone = |wanted: fn(&Shape) -> bool| {
-            let fits = |shape: &Shape| wanted(shape) && shape.live() <= max_rows;
+        let alone = |predicate: fn(&Shape) -> bool| {
+            let fits = |shape: &Shape| predicate(shape) && shape.live() <= max_rows;
             idle.iter().copied().find(|&i| fits(&shapes[i]))
         };
         alone(|shape| !shape.built)

@@ -71,10 +71,10 @@ pub fn comparison(alone: &[Run], all: &[SharedSolution]) -> String {
     for source in [Source::Shared, Source::Remote] {
         for workers in WORKERS {
             let of = |source, workers| {
-                let wanted = move |one: &&SharedSolution| {
+                let is_of_row = move |one: &&SharedSolution| {
                     one.source == source && one.crew.accounts.len() == workers
                 };
-                all.iter().filter(wanted)
+                all.iter().filter(is_of_row)
             };
             let wall = |one: &SharedSolution| one.crew.wall.as_secs_f64();
             let mut walls: Vec<f64> = of(source, workers).map(wall).collect();

@@ -151,7 +151,7 @@ pub async fn compare(
             |own: &Open<'_>, seed| rrt::solve(problem, [own()?, own()?], seed, options.max_nodes);
         alone.extend(comparison::compare(problem, &trials, plan)?.runs);
         for workers in WORKERS {
-            for source in options.source.served()? {
+            for source in options.source.server_sources()? {
                 eprintln!("{workers} workers, {}, seed {seed} ...", source.name());
                 all.push(solve(problem, uri, options, workers, source, seed).await?);
             }

@@ -172,18 +172,18 @@ impl<'a> Parser<'a> {
         }
     }
 
-    fn require(&mut self, wanted: char, what: &str) -> Result<(), SpaceError> {
-        if self.eat(wanted) {
+    fn require(&mut self, token: char, what: &str) -> Result<(), SpaceError> {
+        if self.eat(token) {
             Ok(())
         } else {
             Err(self.expected(what))
         }
     }
 
-    fn eat(&mut self, wanted: char) -> bool {
-        let found = self.peek() == Some(wanted);
+    fn eat(&mut self, token: char) -> bool {
+        let found = self.peek() == Some(token);
         if found {
-            self.at += wanted.len_utf8();
+            self.at += token.len_utf8();
         }
         found
     }
