@@ -47,7 +47,7 @@ const MILESTONES: u64 = 150;
 const HALF: u64 = 20;
 
 fn main() -> ExitCode {
-    if let Some(ended) = server::serve_if_told() {
+    if let Some(ended) = server::serve_if_requested() {
         return ended;
     }
     match env::args().nth(1).as_deref() {

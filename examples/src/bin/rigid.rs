@@ -28,7 +28,7 @@ use wayfold_examples::{
 };
 
 fn main() -> ExitCode {
-    if let Some(ended) = server::serve_if_told() {
+    if let Some(ended) = server::serve_if_requested() {
         return ended;
     }
     let options = Options::parse();

@@ -48,7 +48,7 @@ impl<P: Verify> Example<P> {
     /// Solves `problem` with the options of the command line, checks the path by independent code, prints the account
     /// of the time, and draws the picture.
     pub fn run(&self, problem: impl FnOnce() -> P) -> ExitCode {
-        if let Some(ended) = server::serve_if_told() {
+        if let Some(ended) = server::serve_if_requested() {
             return ended;
         }
         let options = Options::parse();

@@ -17,7 +17,7 @@ const ROLE: &str = "WAYFOLD_PLANNER_ROLE";
 
 /// If this process was started as a server, serves until its end or until its parent is gone. It is the first call of a
 /// planner's `main`.
-pub fn serve_if_told() -> Option<ExitCode> {
+pub fn serve_if_requested() -> Option<ExitCode> {
     if env::var(ROLE).as_deref() != Ok("server") {
         return None;
     }

@@ -14,7 +14,7 @@ use super::{
     machine::utc,
     outcome::Outcome,
     record::VerbTally,
-    table::{Latency, Time, pace, rate_text, way},
+    table::{Latency, Time, pace, rate_text, route},
 };
 use escape::Escaped;
 pub(super) use file::ReportFile;
@@ -69,7 +69,7 @@ fn write_page(page: &mut String, outcome: &Outcome, title: &str) -> std::fmt::Re
 
 fn header(page: &mut String, outcome: &Outcome) -> std::fmt::Result {
     let (index, space) = (Escaped(&outcome.index), Escaped(&outcome.space));
-    let (started, way) = (utc(outcome.started), way(outcome));
+    let (started, route) = (utc(outcome.started), route(outcome));
     let paces: Vec<String> = outcome
         .phases
         .iter()
@@ -85,7 +85,7 @@ fn header(page: &mut String, outcome: &Outcome) -> std::fmt::Result {
          <p class=\"lead\">{started}, {}, {}. {}</p>\n</header>\n",
         Time(outcome.elapsed()),
         Escaped(&pace),
-        Escaped(&sentence(&way)),
+        Escaped(&sentence(&route)),
     )
 }
 

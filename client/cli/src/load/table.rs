@@ -14,7 +14,7 @@ use crate::output::{self, Column, Output};
 /// Prints a result.
 pub(super) fn print(outcome: &Outcome, output: &mut Output) -> io::Result<()> {
     let Outcome { index, space, .. } = outcome;
-    output.text(format_args!("{index} in {space}, {}", way(outcome)))?;
+    output.text(format_args!("{index} in {space}, {}", route(outcome)))?;
     if let Some((time, tally)) = &outcome.warmup {
         let (made, time) = (HumanCount(tally.total().made()), Time(*time));
         output.text(format_args!("warm-up of {time}: {made} calls, not counted"))?;
@@ -37,7 +37,7 @@ pub(super) fn print(outcome: &Outcome, output: &mut Output) -> io::Result<()> {
 }
 
 /// The face and the address in words.
-pub(super) fn way(outcome: &Outcome) -> String {
+pub(super) fn route(outcome: &Outcome) -> String {
     let server = &outcome.address.server;
     match outcome.address.face {
         Face::Grpc => format!("over gRPC at {server}"),

@@ -159,13 +159,13 @@ impl OpenQuestions {
     }
 
     /// True if a question is under way.
-    pub(super) fn are_wanted(&self) -> bool {
+    pub(super) fn are_open(&self) -> bool {
         self.open > 0
     }
 
     /// Another writer stored a point, as change number `at` of the copy; `old_tag` if only its tag is new.
     pub(super) fn push(&mut self, at: u64, id: u64, old_tag: Option<u64>) {
-        if self.are_wanted() {
+        if self.are_open() {
             self.stored.push_back(Arrival { at, id, old_tag });
         }
     }

@@ -118,7 +118,7 @@ impl Writer {
         removed: &[u64],
         points: &mut LocalPoints,
     ) -> Result<(), Error> {
-        if self.rebased.is_empty() && !self.open_questions.are_wanted() {
+        if self.rebased.is_empty() && !self.open_questions.are_open() {
             return self.publish(stored, removed, points);
         }
         let at = points.read_revision().0 + 1;
