@@ -68,13 +68,13 @@ impl CallTurns {
     }
 
     /// Asks for the next turn: it is kept for the call, or the call waits for it from now on.
-    pub(crate) fn ask(&mut self) -> Result<(), Overloaded> {
+    pub(crate) fn request(&mut self) -> Result<(), Overloaded> {
         if self.next.is_none() {
             let Flow { turns, number, .. } = &*self.flow;
             let now = Instant::now();
             self.requested_at = now;
             let behind = self.flow.behind(now);
-            self.next = Some(turns.ask(*number, self.stage, behind, now)?);
+            self.next = Some(turns.request(*number, self.stage, behind, now)?);
         }
         Ok(())
     }
@@ -95,7 +95,7 @@ impl CallTurns {
         context: &mut Context<'_>,
         work: impl FnOnce(&mut Context<'_>) -> Poll<T>,
     ) -> Poll<Result<T, Overloaded>> {
-        self.ask()?;
+        self.request()?;
         if let Some(TurnRequest::Waits(granted)) = &mut self.next {
             let granted = ready!(Pin::new(granted).poll(context));
             self.next = None;

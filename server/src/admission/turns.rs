@@ -29,7 +29,7 @@ use parking_lot::Mutex;
 use tokio::sync::oneshot;
 
 pub(super) use queue::Stage;
-use queue::{Flow, SHORT_TURNS, State, Waiting};
+use queue::{Flow, SHORT_TURNS, State, Waiter};
 use trend::Trend;
 
 /// A call was refused because it waited for its first turn for too long, by the target that it carries.
@@ -121,13 +121,13 @@ impl Turns {
         let mut state = self.state.lock();
         if let Some(closed) = state.flows.remove(&flow) {
             state.order.remove(&(closed.used_ns, flow));
-            let is_new = |waiting: &&Waiting| waiting.stage == Stage::New;
+            let is_new = |waiting: &&Waiter| waiting.stage == Stage::New;
             state.new -= closed.waiting.iter().filter(is_new).count();
         }
     }
 
     /// Asks for a turn for a call of `flow`. Its connection has more to read for `behind`.
-    pub(super) fn ask(
+    pub(super) fn request(
         self: &Arc<Self>,
         flow: FlowNumber,
         stage: Stage,
@@ -137,7 +137,7 @@ impl Turns {
         let mut state = self.state.lock();
         let size = state.size(flow, stage);
         let is_free = state.order.is_empty() && state.free >= size;
-        state.look(now);
+        state.note_empty(now);
         if stage == Stage::New && size == SHORT_TURNS {
             // The flow's calls already wait for too long; one more is refused now instead of later.
             let wait = state.flows.get(&flow).map_or(Duration::ZERO, Flow::wait);
@@ -165,7 +165,7 @@ impl Turns {
         let now = Instant::now();
         let mut state = self.state.lock();
         state.charge(turn.flow, took);
-        state.look(now);
+        state.note_empty(now);
         // A turn that goes on is a long one.
         let more = SHORT_TURNS - turn.size;
         if state.order.is_empty() && state.free >= more {
@@ -243,7 +243,7 @@ impl Turns {
             }
             state.free += size;
         }
-        state.look(now);
+        state.note_empty(now);
     }
 }
 

@@ -189,7 +189,7 @@ where
         let flow = settings.flow(rpc, activity.as_ref());
         // A call waits from its arrival on, not from the time that its task first runs.
         let mut turns = flow.turns();
-        if turns.ask().is_err() {
+        if turns.request().is_err() {
             // Under overload most calls end here: this must cost next to nothing.
             let mut refusal = Response::new(Body::empty());
             *refusal.headers_mut() = HeaderMap::clone(&settings.overloaded);

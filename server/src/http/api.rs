@@ -100,7 +100,7 @@ impl Api {
                 why: Denial::Unknown(why),
             })),
             Ok(()) if !held.take(CALL_BYTES) => Some(status::too_many_bytes(self.flow.max_bytes())),
-            Ok(()) => turns.ask().err().map(status::overloaded),
+            Ok(()) => turns.request().err().map(status::overloaded),
         };
         if let Some(status) = refused {
             record.end(Ending::Failed(status.code));

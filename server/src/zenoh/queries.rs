@@ -97,7 +97,7 @@ impl Queries {
         let is_short = self.is_short(&query);
         let mut turns = flow.turns();
         // A short search waits for its link, and must not have a turn meanwhile.
-        if !is_short && let Err(late) = turns.ask() {
+        if !is_short && let Err(late) = turns.request() {
             return self.refuse(query, form, under_way, status::overloaded(late));
         }
         if is_short && let Some(payload) = query.payload_mut() {

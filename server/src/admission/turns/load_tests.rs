@@ -29,7 +29,7 @@ fn simulate(work: Duration, mut arrivals: Vec<Duration>) -> Outcomes {
         let end = computing.as_ref().map(|(_, end)| *end);
         let next = coming.next_if(|(at, _)| end.is_none_or(|end| **at < end));
         if let Some((&at, &flow)) = next {
-            match turns.ask(flow, Stage::New, Duration::ZERO, began + at) {
+            match turns.request(flow, Stage::New, Duration::ZERO, began + at) {
                 Ok(TurnRequest::Granted(turn)) => {
                     outcomes.waits.push(Duration::ZERO);
                     computing = Some((turn, at + work));

@@ -48,15 +48,15 @@ pub(super) struct Flow {
     /// The wait of the last of its calls that has begun.
     pub(super) last_wait: Duration,
     /// Those that have not begun, after one that goes on.
-    pub(super) waiting: VecDeque<Waiting>,
+    pub(super) waiting: VecDeque<Waiter>,
     /// Those that have computed for long.
-    pub(super) behind: VecDeque<Waiting>,
+    pub(super) behind: VecDeque<Waiter>,
     /// True if the next turn goes to `behind`: they and the others take turns.
     pub(super) behind_is_due: bool,
 }
 
 #[derive(Debug)]
-pub(super) struct Waiting {
+pub(super) struct Waiter {
     pub(super) since: Instant,
     pub(super) stage: Stage,
     pub(super) granted: oneshot::Sender<Granted>,
@@ -98,7 +98,7 @@ impl Flow {
         }
     }
 
-    pub(super) fn pop(&mut self, stage: Stage) -> Option<Waiting> {
+    pub(super) fn pop(&mut self, stage: Stage) -> Option<Waiter> {
         match stage {
             Stage::GoesOn => self.waiting.pop_front(),
             Stage::New => {
@@ -114,8 +114,8 @@ impl Flow {
 }
 
 impl State {
-    /// Notes whether a call waits that has not begun.
-    pub(super) fn look(&mut self, now: Instant) {
+    /// Notes the time, if no call waits that has not begun.
+    pub(super) fn note_empty(&mut self, now: Instant) {
         if self.new == 0 {
             self.was_empty = now;
             self.trend = Trend::new(now);
@@ -141,7 +141,7 @@ impl State {
             self.order.insert((flow.used_ns, number));
         }
         let (granted, receiver) = oneshot::channel();
-        let waiting = Waiting {
+        let waiting = Waiter {
             since,
             stage,
             granted,
@@ -158,7 +158,7 @@ impl State {
     }
 
     /// Takes the next call out of the queue if there is a turn for it.
-    pub(super) fn next(&mut self, now: Instant) -> Option<(FlowNumber, usize, Waiting)> {
+    pub(super) fn next(&mut self, now: Instant) -> Option<(FlowNumber, usize, Waiter)> {
         let &(used_ns, number) = self.order.first()?;
         let stage = self.flows.get(&number)?.next_stage()?;
         let size = self.size(number, stage);

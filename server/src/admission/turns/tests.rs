@@ -7,7 +7,7 @@ const BURST: Duration = Duration::from_secs(3600);
 /// A turn at once.
 fn take(turns: &Arc<Turns>, flow: FlowNumber) -> Turn {
     match turns
-        .ask(flow, New, Duration::ZERO, Instant::now())
+        .request(flow, New, Duration::ZERO, Instant::now())
         .unwrap()
     {
         TurnRequest::Granted(turn) => turn,
@@ -23,7 +23,7 @@ fn wait(
     ago: Duration,
 ) -> oneshot::Receiver<Granted> {
     match turns
-        .ask(flow, stage, Duration::ZERO, Instant::now() - ago)
+        .request(flow, stage, Duration::ZERO, Instant::now() - ago)
         .unwrap()
     {
         TurnRequest::Waits(granted) => granted,
@@ -165,7 +165,7 @@ fn a_late_call_of_a_standing_queue_is_refused_and_so_are_those_that_would_be_lat
     begun.try_recv().unwrap().unwrap().end(MS);
     assert_eq!(late.try_recv().unwrap().err(), Some(Overloaded(TARGET)));
     let turn = in_time.try_recv().unwrap().unwrap();
-    let other = turns.ask(flow, New, Duration::ZERO, Instant::now());
+    let other = turns.request(flow, New, Duration::ZERO, Instant::now());
     assert_eq!(other.err(), Some(Overloaded(TARGET)));
     turn.end(MS);
     last.try_recv().unwrap().unwrap().end(MS);
