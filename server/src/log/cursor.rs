@@ -8,7 +8,7 @@ impl<'a> Cursor<'a> {
         Self(bytes)
     }
 
-    pub(super) fn left(&self) -> usize {
+    pub(super) fn remaining(&self) -> usize {
         self.0.len()
     }
 

@@ -14,12 +14,12 @@ use super::{
     follow,
     index::{Index, State},
     journal::{self, Journal},
-    layout::{Named, Number, Stage, Sum, entry_key},
+    layout::{Number, Stage, StagedEntry, Sum, entry_key},
     manifest, manifest_copy, recovery,
     restoring::RestoringIndex,
     store::{Store, not_readable, shut, storage, unopened},
     sweeper::Sweeper,
-    sync_marks::{Mark, Marked, Marks},
+    sync_marks::{Mark, MarkTable, Marks},
     syncer::Syncer,
     unclean_marker,
 };
@@ -45,7 +45,7 @@ impl Engine {
         directory: &Arc<Directory>,
         durability: Durability,
         memory: u64,
-        marks: (Marks, &Marked),
+        marks: (Marks, &MarkTable),
     ) -> Result<Self, LogError> {
         let (mut marks, marked) = marks;
         let path = directory.join(STORE);
@@ -183,7 +183,7 @@ impl Engine {
         self.writable()?;
         let handles = self.store.handles()?;
         let entry = index.entry.clone();
-        let named = Named { entry, stage }.encode(index.number);
+        let named = StagedEntry { entry, stage }.encode(index.number);
         let stored = handles.wait_for_room().and_then(|()| {
             let stored = handles.keyspace.insert(entry_key(index.number), named);
             stored.map_err(storage)

@@ -4,7 +4,7 @@
 use sha2::{Digest as _, Sha256};
 
 use super::{
-    layout::{Head, Named, block_key, entry_key, head_key, point_key, seal, session_key},
+    layout::{Head, StagedEntry, block_key, entry_key, head_key, point_key, seal, session_key},
     point::{self, PointForm},
     session, sync_marks,
 };
@@ -62,8 +62,11 @@ pub fn value(bytes: &[u8]) {
         }
         1 => {
             let stored = seal(&entry_key(number), bytes.to_vec());
-            if let Some(named) = Named::decode(number, &stored) {
-                assert_eq!(Named::decode(number, &named.encode(number)), Some(named));
+            if let Some(named) = StagedEntry::decode(number, &stored) {
+                assert_eq!(
+                    StagedEntry::decode(number, &named.encode(number)),
+                    Some(named)
+                );
             }
         }
         2 => {

@@ -3,7 +3,7 @@
 //!
 //! | key | value |
 //! |---|---|
-//! | `e`, index | [`Named`]: its [`Stage`], its uid, its name, its content as text |
+//! | `e`, index | [`StagedEntry`]: its [`Stage`], its uid, its name, its content as text |
 //! | `h`, index | [`Head`]: revision, next id, newest trimmed revision, newest digest, [`Sum`] of the points |
 //! | `p`, index, id | the point: see [`point`](super::point) |
 //! | `r`, index, revision | the record, as [`Record`](crate::log::Record) documents it |
@@ -109,9 +109,9 @@ fn checksum(key: &[u8], value: &[u8]) -> [u8; 8] {
     (xxh3_64(value) ^ xxh3_64(key).rotate_left(1)).to_le_bytes()
 }
 
-/// An index by its number.
+/// The entry of an index, and its stage.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Named {
+pub(super) struct StagedEntry {
     pub(super) entry: Entry,
     pub(super) stage: Stage,
 }
@@ -129,7 +129,7 @@ pub(super) enum Stage {
     Unreadable,
 }
 
-impl Named {
+impl StagedEntry {
     pub(super) fn encode(&self, number: Number) -> Vec<u8> {
         let mut value = vec![match self.stage {
             Stage::Whole => 0,
@@ -156,7 +156,7 @@ impl Named {
         let uid = Uid::from_bytes(cursor.array()?);
         let length = cursor.length()?;
         let name = str::from_utf8(cursor.take(length)?).ok()?.into();
-        let content = str::from_utf8(cursor.take(cursor.left())?).ok()?;
+        let content = str::from_utf8(cursor.take(cursor.remaining())?).ok()?;
         let entry = Entry::of(uid, name, content)?;
         Some(Self { entry, stage })
     }
@@ -260,7 +260,7 @@ mod tests {
 
     #[test]
     fn values_are_read_again_and_only_under_their_own_key() {
-        let named = Named {
+        let named = StagedEntry {
             entry: Entry {
                 uid: Uid::unique(),
                 name: "arm".into(),
@@ -269,8 +269,11 @@ mod tests {
             },
             stage: Stage::Copied,
         };
-        assert_eq!(Named::decode(7, &named.encode(7)), Some(named.clone()));
-        assert_eq!(Named::decode(8, &named.encode(7)), None);
+        assert_eq!(
+            StagedEntry::decode(7, &named.encode(7)),
+            Some(named.clone())
+        );
+        assert_eq!(StagedEntry::decode(8, &named.encode(7)), None);
         let head = Head {
             revision: 1,
             next_id: 2,
@@ -290,10 +293,10 @@ mod tests {
 
         #[test]
         fn no_bytes_are_too_odd_to_read(bytes in prop::collection::vec(any::<u8>(), 0..100)) {
-            prop_assert_eq!(Named::decode(1, &bytes), None);
+            prop_assert_eq!(StagedEntry::decode(1, &bytes), None);
             prop_assert_eq!(Head::decode(1, &bytes), None);
             // Bypasses the checksum.
-            let _ = Named::decode(1, &seal(&entry_key(1), bytes.clone()));
+            let _ = StagedEntry::decode(1, &seal(&entry_key(1), bytes.clone()));
             let _ = Head::decode(1, &seal(&head_key(1), bytes));
         }
     }

@@ -58,7 +58,7 @@ use super::{
 use directory::Directory;
 use engine::Engine;
 use store::shut;
-use sync_marks::{Mark, Marked, Marks};
+use sync_marks::{Mark, MarkTable, Marks};
 
 const STORE: &str = "store";
 /// A store that is being made; it is renamed once it is whole.
@@ -99,7 +99,7 @@ impl TryFrom<String> for Durability {
 /// Closing or dropping it syncs all appended records and closes its views.
 pub struct FjallLog {
     // Dropped before the directory is unlocked.
-    opened: RwLock<Opened>,
+    opened: RwLock<StoreState>,
     /// Held while the store is reopened.
     reopening: Mutex<()>,
     durability: Durability,
@@ -108,10 +108,10 @@ pub struct FjallLog {
     directory: Arc<Directory>,
 }
 
-enum Opened {
+enum StoreState {
     Open(Arc<Engine>),
     /// The store is not open. Holds the cause, and the marks of the indices.
-    Not(LogError, Marked),
+    Unopened(LogError, MarkTable),
 }
 
 impl FjallLog {
@@ -141,7 +141,7 @@ impl FjallLog {
         let path = directory.join(MARKS);
         let (_, marked) = Marks::open(&path).map_err(|source| failed(&path, source))?;
         let log = Self {
-            opened: RwLock::new(Opened::Not(LogError::Closed, Marked::default())),
+            opened: RwLock::new(StoreState::Unopened(LogError::Closed, MarkTable::default())),
             reopening: Mutex::default(),
             durability,
             memory,
@@ -151,11 +151,11 @@ impl FjallLog {
         let opened = match log.open_engine() {
             Ok(engine) => {
                 info!(%directory, "opened the log");
-                Opened::Open(Arc::new(engine))
+                StoreState::Open(Arc::new(engine))
             }
             Err(why) => {
                 error!(%directory, error = %why, "the log cannot be opened: every call fails");
-                Opened::Not(why, marked)
+                StoreState::Unopened(why, marked)
             }
         };
         *log.opened.write() = opened;
@@ -164,8 +164,8 @@ impl FjallLog {
 
     fn engine(&self) -> Result<Arc<Engine>, LogError> {
         match &*self.opened.read() {
-            Opened::Open(engine) => Ok(Arc::clone(engine)),
-            Opened::Not(why, _) => Err(why.clone()),
+            StoreState::Open(engine) => Ok(Arc::clone(engine)),
+            StoreState::Unopened(why, _) => Err(why.clone()),
         }
     }
 
@@ -253,8 +253,8 @@ impl Journal for FjallLog {
 
 impl PointStore for FjallLog {
     fn close(&self) {
-        let closed = Opened::Not(LogError::Closed, Marked::default());
-        if let Opened::Open(engine) = mem::replace(&mut *self.opened.write(), closed) {
+        let closed = StoreState::Unopened(LogError::Closed, MarkTable::default());
+        if let StoreState::Open(engine) = mem::replace(&mut *self.opened.write(), closed) {
             engine.shut();
         }
     }
@@ -329,18 +329,18 @@ impl PointStore for FjallLog {
             return Err(why);
         }
         if let Some(failed) = failed {
-            *self.opened.write() = Opened::Not(LogError::Closed, Marked::default());
+            *self.opened.write() = StoreState::Unopened(LogError::Closed, MarkTable::default());
             failed.shut();
         }
         let (opened, outcome) = match self.open_after(&failure) {
             Ok(engine) => {
                 info!("reopened the log");
-                (Opened::Open(Arc::new(engine)), Ok(()))
+                (StoreState::Open(Arc::new(engine)), Ok(()))
             }
             Err(why) => {
                 let marked = Marks::open(&self.directory.join(MARKS));
                 let marked = marked.map(|(_, marked)| marked).unwrap_or_default();
-                (Opened::Not(why.clone(), marked), Err(why))
+                (StoreState::Unopened(why.clone(), marked), Err(why))
             }
         };
         *self.opened.write() = opened;
@@ -360,8 +360,8 @@ impl Catalogue for FjallLog {
 
     fn lost(&self) -> Vec<Lost> {
         match &*self.opened.read() {
-            Opened::Open(engine) => engine.lost(),
-            Opened::Not(why, marked) => {
+            StoreState::Open(engine) => engine.lost(),
+            StoreState::Unopened(why, marked) => {
                 let lost = marked.live().map(|(_, mark)| Lost {
                     name: mark.name.to_string(),
                     uid: mark.uid,

@@ -66,7 +66,7 @@ pub(super) fn decode(number: Number, id: u64, value: &[u8]) -> Option<StoredPoin
     let state = (0..coordinates)
         .map(|_| cursor.f64())
         .collect::<Option<_>>()?;
-    let payload = Bytes::copy_from_slice(cursor.take(cursor.left())?);
+    let payload = Bytes::copy_from_slice(cursor.take(cursor.remaining())?);
     Some(StoredPoint {
         id,
         revision,

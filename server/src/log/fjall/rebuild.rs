@@ -23,13 +23,13 @@ use super::{
     directory::{Directory, sync_directories, sync_directory},
     journal::{self, Journal},
     layout::{
-        Head, Named, Number, Stage, block_key, entry_key, head_key, operation_key, point_key,
+        Head, Number, Stage, StagedEntry, block_key, entry_key, head_key, operation_key, point_key,
         record_key, session_key,
     },
     manifest, manifest_copy,
     recovery::{self, read_one, stored_entries},
     store::{Handles, Store, damage, shut, storage, unopened},
-    sync_marks::{Marked, Marks},
+    sync_marks::{MarkTable, Marks},
 };
 use crate::log::LogError;
 
@@ -227,7 +227,7 @@ struct Content {
 }
 
 /// Surveys the readable part of each index.
-fn survey(store: &Handles, marks: &Marked) -> Result<Vec<Content>, LogError> {
+fn survey(store: &Handles, marks: &MarkTable) -> Result<Vec<Content>, LogError> {
     let mut contents = Vec::new();
     for (number, entry) in stored_entries(store, marks)? {
         let mut content = Content {
@@ -242,7 +242,7 @@ fn survey(store: &Handles, marks: &Marked) -> Result<Vec<Content>, LogError> {
                 content.lost = name.map(|name| (name, damage));
             }
             Ok(entry) => {
-                let named = Named::decode(number, &entry);
+                let named = StagedEntry::decode(number, &entry);
                 let is_left = named
                     .as_ref()
                     .is_none_or(|named| named.stage == Stage::Whole);
@@ -256,7 +256,7 @@ fn survey(store: &Handles, marks: &Marked) -> Result<Vec<Content>, LogError> {
                 if let (Some(named), Some(damage)) = (named, damage) {
                     content.lost = Some((named.entry.name.clone(), damage));
                     let stage = Stage::Unreadable;
-                    content.entry = Some(Named { stage, ..named }.encode(number).into());
+                    content.entry = Some(StagedEntry { stage, ..named }.encode(number).into());
                 }
             }
         }

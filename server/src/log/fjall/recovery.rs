@@ -11,15 +11,17 @@ use tracing::{error, warn};
 use super::{
     DAMAGED_STORE,
     index::{Index, State},
-    layout::{Head, Named, Number, Stage, Sum, entry_key, head_key, number_of_entry, record_key},
+    layout::{
+        Head, Number, Stage, StagedEntry, Sum, entry_key, head_key, number_of_entry, record_key,
+    },
     session,
     store::{Handles, damage, damaged_index, unopened, unreadable},
-    sync_marks::{Mark, Marked},
+    sync_marks::{Mark, MarkTable},
 };
 use crate::log::{Entry, LogError, Lost, Origin, Uid};
 
 /// The content of a store.
-pub(super) struct Found {
+pub(super) struct StoreContent {
     /// The indices; damaged ones are closed.
     pub(super) indexes: Vec<Arc<Index>>,
     /// True if a part of the indices was unreadable.
@@ -35,8 +37,12 @@ pub(super) struct Found {
 }
 
 /// Reads the store. With `renamed` every index gets a new uid, because its history may have changed.
-pub(super) fn recover(handles: &Handles, marks: &Marked, renamed: bool) -> Result<Found, LogError> {
-    let mut found = Found {
+pub(super) fn recover(
+    handles: &Handles,
+    marks: &MarkTable,
+    renamed: bool,
+) -> Result<StoreContent, LogError> {
+    let mut found = StoreContent {
         indexes: Vec::new(),
         unreadable: false,
         lost: BTreeMap::new(),
@@ -59,7 +65,7 @@ pub(super) fn recover(handles: &Handles, marks: &Marked, renamed: bool) -> Resul
                 continue;
             }
         };
-        let Some(named) = Named::decode(number, &value) else {
+        let Some(named) = StagedEntry::decode(number, &value) else {
             if !marks.is_marked(number) {
                 error!(
                     number,
@@ -102,7 +108,7 @@ pub(super) fn recover(handles: &Handles, marks: &Marked, renamed: bool) -> Resul
     Ok(found)
 }
 
-impl Found {
+impl StoreContent {
     /// Adds a lost index. Only its mark is left.
     fn add_lost(&mut self, number: Number, mark: &Mark, why: LogError) {
         error!(index = &*mark.name, error = %why, "an index is lost: every call for it fails");
@@ -118,7 +124,7 @@ pub(super) type StoredEntry = (Number, Result<Slice, String>);
 /// The entry of each number that has one. A damaged entry without a mark is an error.
 pub(super) fn stored_entries(
     handles: &Handles,
-    marks: &Marked,
+    marks: &MarkTable,
 ) -> Result<Vec<StoredEntry>, LogError> {
     let all = entry_key(0)..=entry_key(Number::MAX);
     let newest = match handles.keyspace.range(all).next_back().map(Guard::key) {
@@ -156,7 +162,7 @@ pub(super) fn read_one(handles: &Handles, key: &[u8]) -> Option<fjall::Result<Kv
 fn open(
     handles: &Handles,
     number: Number,
-    mut named: Named,
+    mut named: StagedEntry,
     mark: Option<&Mark>,
     renamed: bool,
 ) -> Result<Arc<Index>, LogError> {

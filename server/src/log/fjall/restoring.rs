@@ -11,7 +11,7 @@ use super::{
     engine::Engine,
     index::{Index, State},
     layout::{
-        Head, Named, Number, Stage, Sum, entry_key, head_key, operation_key, point_key, seal,
+        Head, Number, Stage, StagedEntry, Sum, entry_key, head_key, operation_key, point_key, seal,
     },
     point::PointForm,
     session,
@@ -97,7 +97,7 @@ impl RestoringIndex {
                 batch.insert(keyspace, key, seal(&key, operation.encode()));
             }
             if let Some(replaced) = end.replaced {
-                let named = Named {
+                let named = StagedEntry {
                     entry: replaced.entry.clone(),
                     stage: Stage::Deleted,
                 };
@@ -105,7 +105,7 @@ impl RestoringIndex {
                 batch.insert(keyspace, key, named.encode(replaced.number));
             }
         }
-        let named = Named {
+        let named = StagedEntry {
             entry: self.entry.clone(),
             stage: match end {
                 Some(_) => Stage::Whole,

@@ -113,7 +113,7 @@ fn decode_session(key: &[u8], value: &[u8]) -> Option<Session> {
         batch: cursor.u64()?,
         used_ms: cursor.u64()?,
         fingerprint: cursor.array()?,
-        response: Bytes::copy_from_slice(cursor.take(cursor.left())?),
+        response: Bytes::copy_from_slice(cursor.take(cursor.remaining())?),
     })
 }
 

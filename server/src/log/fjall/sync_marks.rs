@@ -129,12 +129,12 @@ impl Layout {
 
 /// The content of a file of marks.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Marked {
+pub(super) struct MarkTable {
     layout: Layout,
     marks: BTreeMap<Number, Mark>,
 }
 
-impl Marked {
+impl MarkTable {
     fn read(bytes: &[u8]) -> Self {
         let layout = Layout::of(bytes);
         let slots = bytes.get(layout.start..).unwrap_or_default();
@@ -193,7 +193,7 @@ pub(super) struct Marks {
 
 impl Marks {
     /// Opens or creates the file, and returns its marks.
-    pub(super) fn open(path: &Path) -> io::Result<(Self, Marked)> {
+    pub(super) fn open(path: &Path) -> io::Result<(Self, MarkTable)> {
         let mut file = File::options()
             .read(true)
             .write(true)
@@ -202,7 +202,7 @@ impl Marks {
             .open(path)?;
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes)?;
-        let marked = Marked::read(&bytes);
+        let marked = MarkTable::read(&bytes);
         let layout = marked.layout.clone();
         Ok((Self { file, layout }, marked))
     }
@@ -248,7 +248,7 @@ impl Marks {
         if slots <= MAX_UNUSED.max(2 * kept.len()) {
             return Ok(self);
         }
-        let marked = Marked::read(&bytes);
+        let marked = MarkTable::read(&bytes);
         let layout = Layout::new(floor, kept.iter().copied().collect());
         let mut rewritten = layout.encode();
         for &number in kept {
@@ -361,7 +361,7 @@ mod tests {
             Marks::open(&path).unwrap().1
         };
         let found = check(None);
-        let live = |found: &Marked| -> Vec<(Number, u64)> {
+        let live = |found: &MarkTable| -> Vec<(Number, u64)> {
             found
                 .live()
                 .map(|(number, mark)| (number, mark.revision))

@@ -39,7 +39,7 @@ pub(super) struct Syncer {
 }
 
 struct Shared {
-    announced: Mutex<Announced>,
+    state: Mutex<SyncState>,
     /// Notified when a batch was announced, or the thread is to end.
     wake: Condvar,
     /// Notified when batches were synced, or the syncer has failed.
@@ -48,7 +48,7 @@ struct Shared {
 }
 
 #[derive(Default)]
-struct Announced {
+struct SyncState {
     batches: u64,
     /// The number of announcements that the thread waits for.
     enough: usize,
@@ -69,7 +69,7 @@ impl Syncer {
         failure: Arc<Failure>,
     ) -> std::io::Result<Self> {
         let shared = Arc::new(Shared {
-            announced: Mutex::default(),
+            state: Mutex::default(),
             wake: Condvar::new(),
             done: Condvar::new(),
             failure,
@@ -86,11 +86,11 @@ impl Syncer {
 
     /// Announces a committed batch that moved an index to `mark`.
     pub(super) fn written(&self, index: &Arc<Index>, mark: Mark) {
-        let mut announced = self.shared.announced.lock();
-        announced.batches += 1;
-        announced.marks.push((Arc::clone(index), mark));
-        let enough = announced.marks.len() >= announced.enough;
-        drop(announced);
+        let mut state = self.shared.state.lock();
+        state.batches += 1;
+        state.marks.push((Arc::clone(index), mark));
+        let enough = state.marks.len() >= state.enough;
+        drop(state);
         if enough {
             self.shared.wake.notify_one();
         }
@@ -98,7 +98,7 @@ impl Syncer {
 
     /// Ends the thread, once all announced batches are synced.
     pub(super) fn stop(&self) {
-        self.shared.announced.lock().stop = true;
+        self.shared.state.lock().stop = true;
         self.shared.wake.notify_one();
         if let Some(thread) = self.thread.lock().take() {
             // The thread panics only by a bug, and the panic hook has printed it.
@@ -108,13 +108,13 @@ impl Syncer {
 
     /// Returns once all batches announced before are synced.
     pub(super) fn wait(&self) -> Result<(), LogError> {
-        let mut announced = self.shared.announced.lock();
-        let batches = announced.batches;
+        let mut state = self.shared.state.lock();
+        let batches = state.batches;
         loop {
-            match &announced.failed {
-                _ if announced.synced >= batches => return Ok(()),
+            match &state.failed {
+                _ if state.synced >= batches => return Ok(()),
                 Some(why) => return Err(why.clone()),
-                None => self.shared.done.wait(&mut announced),
+                None => self.shared.done.wait(&mut state),
             }
         }
     }
@@ -130,21 +130,18 @@ impl Shared {
     fn run(&self, journal: &mut Journal, marks: &mut Marks) {
         let mut last = 0;
         loop {
-            let mut announced = self.announced.lock();
-            announced.enough = 1;
-            while announced.marks.is_empty() && !announced.stop {
-                self.wake.wait(&mut announced);
+            let mut state = self.state.lock();
+            state.enough = 1;
+            while state.marks.is_empty() && !state.stop {
+                self.wake.wait(&mut state);
             }
-            announced.enough = last / 4 * 3;
-            if last >= MIN_SHARED_BATCHES
-                && announced.marks.len() < announced.enough
-                && !announced.stop
-            {
-                self.wake.wait_for(&mut announced, MAX_WAIT);
+            state.enough = last / 4 * 3;
+            if last >= MIN_SHARED_BATCHES && state.marks.len() < state.enough && !state.stop {
+                self.wake.wait_for(&mut state, MAX_WAIT);
             }
-            let batches = announced.batches;
-            let reached = std::mem::take(&mut announced.marks);
-            drop(announced);
+            let batches = state.batches;
+            let reached = std::mem::take(&mut state.marks);
+            drop(state);
             if reached.is_empty() {
                 return;
             }
@@ -169,11 +166,11 @@ impl Shared {
                     index.set_durable(mark.revision);
                 }
             }
-            let mut announced = self.announced.lock();
+            let mut state = self.state.lock();
             if failed.is_none() {
-                announced.synced = batches;
+                state.synced = batches;
             }
-            announced.failed.clone_from(&failed);
+            state.failed.clone_from(&failed);
             self.done.notify_all();
             if failed.is_some() {
                 return;

@@ -39,7 +39,7 @@ const SET_TIME: Duration = Duration::from_secs(5);
 /// A key's value: the index of a name, and those that had it before.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Named {
+struct CatalogueValue {
     name: String,
     /// The uid and [`Entry::content`]; None if the index was deleted.
     index: Option<(String, String)>,
@@ -47,8 +47,8 @@ struct Named {
     deleted: Vec<String>,
 }
 
-/// A value and the revision of its key.
-type Known = BTreeMap<String, (Named, u64)>;
+/// The values by name, each with the revision of its key.
+type CatalogueValues = BTreeMap<String, (CatalogueValue, u64)>;
 
 /// See the module.
 pub(super) struct NatsCatalogue {
@@ -57,7 +57,7 @@ pub(super) struct NatsCatalogue {
     runtime: Handle,
     /// The indices of this server's point store.
     local: Arc<dyn Catalogue>,
-    known: Arc<watch::Sender<Known>>,
+    known: Arc<watch::Sender<CatalogueValues>>,
     /// The uids of claims without an answer, by name. None of them is in the bucket once a later claim of the name is.
     unanswered: Mutex<BTreeMap<String, Vec<String>>>,
     changed: watch::Sender<()>,
@@ -104,7 +104,7 @@ impl NatsCatalogue {
 
     /// Sets the key of a name, which has this revision (0 if it does not exist). [`LogError::NameTaken`] if another server
     /// has changed it since. It waits a moment for a bucket without a leader, as at a start of NATS.
-    async fn set(&self, named: Named, revision: u64) -> Result<(), LogError> {
+    async fn set(&self, named: CatalogueValue, revision: u64) -> Result<(), LogError> {
         let key = key(&named.name);
         let value = Bytes::from(serde_json::to_vec(&named).map_err(unreachable)?);
         let (until, mut attempts) = (Instant::now() + SET_TIME, interval(RETRY_INTERVAL));
@@ -133,7 +133,7 @@ impl NatsCatalogue {
     }
 
     /// The value of a name and its revision, of the bucket's leader.
-    async fn newest(&self, name: &str) -> Result<Option<(Named, u64)>, LogError> {
+    async fn newest(&self, name: &str) -> Result<Option<(CatalogueValue, u64)>, LogError> {
         let subject = format!("$KV.{}.{}", self.connection.catalogue_name(), key(name));
         let last = self.bucket.stream.get_last_raw_message_by_subject(&subject);
         let last = within(async { found(last.await) }).await?;
@@ -223,7 +223,7 @@ impl Catalogue for NatsCatalogue {
         deleted.extend(replaced.filter(|uid| !deleted.contains(uid)));
         let unanswered = self.unanswered.lock().get(&entry.name).cloned();
         deleted.extend(unanswered.unwrap_or_default());
-        let named = Named {
+        let named = CatalogueValue {
             name: entry.name.clone(),
             index: Some((entry.uid.to_string(), entry.content())),
             deleted: newest(deleted),
@@ -272,7 +272,7 @@ impl Catalogue for NatsCatalogue {
     }
 }
 
-impl Named {
+impl CatalogueValue {
     fn is(&self, uid: Uid) -> bool {
         let index = self.index.as_ref();
         index.is_some_and(|(own, _)| *own == uid.to_string())
@@ -292,7 +292,7 @@ fn key(name: &str) -> String {
 }
 
 /// Notes a value unless a newer one is known; true if that changed anything.
-fn note(known: &watch::Sender<Known>, named: Named, revision: u64) -> bool {
+fn note(known: &watch::Sender<CatalogueValues>, named: CatalogueValue, revision: u64) -> bool {
     known.send_if_modified(|known| {
         if known
             .get(&named.name)
@@ -306,8 +306,8 @@ fn note(known: &watch::Sender<Known>, named: Named, revision: u64) -> bool {
 }
 
 /// The present content of a bucket.
-async fn read_all(bucket: &kv::Store) -> Result<Known, LogError> {
-    let mut known = Known::new();
+async fn read_all(bucket: &kv::Store) -> Result<CatalogueValues, LogError> {
+    let mut known = CatalogueValues::new();
     if bucket.status().await.map_err(unreachable)?.values() == 0 {
         return Ok(known);
     }
@@ -326,7 +326,11 @@ async fn read_all(bucket: &kv::Store) -> Result<Known, LogError> {
 }
 
 /// Notes every change of the bucket.
-async fn follow(bucket: kv::Store, known: Arc<watch::Sender<Known>>, changed: watch::Sender<()>) {
+async fn follow(
+    bucket: kv::Store,
+    known: Arc<watch::Sender<CatalogueValues>>,
+    changed: watch::Sender<()>,
+) {
     let mut attempts = interval(RETRY_INTERVAL);
     attempts.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
@@ -345,7 +349,7 @@ async fn follow(bucket: kv::Store, known: Arc<watch::Sender<Known>>, changed: wa
     }
 }
 
-fn read(value: &Bytes) -> Option<Named> {
+fn read(value: &Bytes) -> Option<CatalogueValue> {
     let named = serde_json::from_slice(value);
     named
         .inspect_err(|error| warn!(%error, "the catalogue in NATS has an entry that is not one of Wayfold's"))
