@@ -7,9 +7,9 @@ use tracing::warn;
 
 /// An address that reaches callers beyond this machine: one that is listened on, or a router to connect to.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Exposed {
+pub(crate) struct ExposedAddress {
     /// The address, with its setting.
-    pub(crate) at: String,
+    pub(crate) address: String,
     /// True if it speaks TLS.
     pub(crate) has_tls: bool,
 }
@@ -19,12 +19,12 @@ pub(crate) struct Exposed {
 pub enum ExposedError {
     /// Callers beyond this machine could.
     #[error(
-        "{at} reaches beyond this machine without {missing}: everyone there could read and change every index\n  \
+        "{address} reaches beyond this machine without {missing}: everyone there could read and change every index\n  \
          set {settings}, use an address of this machine (127.0.0.1), or allow it with --insecure"
     )]
     Callers {
         /// The address, with its setting.
-        at: String,
+        address: String,
         /// The missing protection.
         missing: &'static str,
         /// The settings that give it.
@@ -32,24 +32,24 @@ pub enum ExposedError {
     },
     /// So can every process that reaches the address for the members of a cluster.
     #[error(
-        "{at} takes calls of the other servers without their certificates: everyone who reaches it would act for every \
+        "{address} takes calls of the other servers without their certificates: everyone who reaches it would act for every \
          identity\n  set cluster.peer_ca, tls.certificate and tls.key, or allow it with --insecure"
     )]
     Members {
         /// The address, with its setting.
-        at: String,
+        address: String,
     },
 }
 
 /// Refuses `exposed` addresses without TLS or identities. With `is_allowed`, each is a warning in the log, which a filter may
 /// drop, and one of the returned texts.
 pub(crate) fn check(
-    exposed: &[Exposed],
+    exposed: &[ExposedAddress],
     has_identities: bool,
     is_allowed: bool,
 ) -> Result<Vec<String>, ExposedError> {
     let mut warnings = Vec::new();
-    for Exposed { at, has_tls } in exposed {
+    for ExposedAddress { address, has_tls } in exposed {
         let (missing, settings) = match (has_tls, has_identities) {
             (true, true) => continue,
             (false, true) => ("TLS", "tls.certificate and tls.key, or a locator tls/…"),
@@ -61,17 +61,17 @@ pub(crate) fn check(
         };
         if !is_allowed {
             return Err(ExposedError::Callers {
-                at: at.clone(),
+                address: address.clone(),
                 missing,
                 settings,
             });
         }
         warn!(
-            at,
+            address,
             missing, "insecure: everyone who reaches this address can read and change every index"
         );
         warnings.push(format!(
-            "insecure, without {missing}: everyone who reaches {at} can read and change every index"
+            "insecure, without {missing}: everyone who reaches {address} can read and change every index"
         ));
     }
     Ok(warnings)
@@ -87,16 +87,16 @@ pub(crate) fn check_members(
     if has_certificates || (address.ip().is_loopback() && !has_identities) {
         return Ok(None);
     }
-    let at = format!("cluster.listen: {address}");
+    let address = format!("cluster.listen: {address}");
     if !is_allowed {
-        return Err(ExposedError::Members { at });
+        return Err(ExposedError::Members { address });
     }
     warn!(
-        at,
+        address,
         "insecure: everyone who reaches this address acts for every identity"
     );
     Ok(Some(format!(
-        "insecure: everyone who reaches {at} acts for every identity"
+        "insecure: everyone who reaches {address} acts for every identity"
     )))
 }
 
@@ -135,8 +135,8 @@ mod tests {
             (true, false, Some("identities")),
             (false, false, Some("TLS and identities")),
         ] {
-            let exposed = [Exposed {
-                at: "grpc.listen = 0.0.0.0:1".into(),
+            let exposed = [ExposedAddress {
+                address: "grpc.listen = 0.0.0.0:1".into(),
                 has_tls,
             }];
             let refused = check(&exposed, has_identities, false);

@@ -24,7 +24,7 @@ use tracing::{error, info, warn};
 use crate::{
     cluster::{self, Cluster, ClusterError},
     config::{ClusterConfig, Config, DataConfig, HttpConfig, OFF, ON},
-    exposure::{self, Exposed},
+    exposure::{self, ExposedAddress},
     faces::{Addresses, Shared},
     grpc::{self, Callers, GrpcError, Tls},
     http::{self, Pages, State},
@@ -271,8 +271,8 @@ fn check_exposure(
     let listens = [("grpc.listen", Some(address)), ("http.listen", pages)];
     for (setting, address) in listens {
         if let Some(address) = address.filter(|address| !address.ip().is_loopback()) {
-            exposed.push(Exposed {
-                at: format!("{setting}: {address}"),
+            exposed.push(ExposedAddress {
+                address: format!("{setting}: {address}"),
                 has_tls,
             });
         }

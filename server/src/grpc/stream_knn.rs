@@ -116,9 +116,9 @@ struct UnreadAnswers {
 impl UnreadAnswers {
     /// Waits for room for the answer to a request. The room is given back as the answer leaves the stream, where it
     /// counts as unread.
-    async fn hold(self, read: Read) -> (Read, (HeldBytes, Arc<()>)) {
+    async fn hold(self, read: ReadOutcome) -> (ReadOutcome, (HeldBytes, Arc<()>)) {
         let (held, others) = (self.flow.hold(), self.others);
-        let Read::Request(request) = &read else {
+        let ReadOutcome::Request(request) = &read else {
             return (read, (held, others));
         };
         let bytes = self.service.most_answer_bytes(request);
@@ -131,7 +131,7 @@ impl UnreadAnswers {
         });
         let read = match taken.await {
             true => read,
-            false => Read::Bad(Box::new(too_many_bytes(self.flow.max_bytes()))),
+            false => ReadOutcome::Bad(Box::new(too_many_bytes(self.flow.max_bytes()))),
         };
         (read, (held, others))
     }
@@ -147,16 +147,16 @@ struct Searches {
 
 impl Searches {
     /// The answer to one message; an error ends the stream.
-    async fn answer(self, call: Call, read: Read) -> Result<v1::StreamKnnResponse, Status> {
+    async fn answer(self, call: Call, read: ReadOutcome) -> Result<v1::StreamKnnResponse, Status> {
         let Self {
             service,
             flow,
             latency_gate,
         } = self;
         let request = match read {
-            Read::Request(request) => request,
-            Read::Bad(status) => return Ok(refused(&status)),
-            Read::End(status) => return Err(*status),
+            ReadOutcome::Request(request) => request,
+            ReadOutcome::Bad(status) => return Ok(refused(&status)),
+            ReadOutcome::End(status) => return Err(*status),
         };
         // A stream that always has a request ready yields now and then.
         tokio::task::consume_budget().await;
@@ -193,7 +193,7 @@ fn refused(status: &Refusal) -> v1::StreamKnnResponse {
 }
 
 /// The result of reading one message.
-enum Read {
+enum ReadOutcome {
     Request(v1::KnnRequest),
     Bad(Box<Refusal>),
     End(Box<Status>),
@@ -207,7 +207,7 @@ struct Reader<M> {
 }
 
 impl<M: Stream<Item = Result<Incoming, Status>> + Unpin> Reader<M> {
-    async fn next(mut self) -> Option<(Read, Self)> {
+    async fn next(mut self) -> Option<(ReadOutcome, Self)> {
         if self.ended {
             return None;
         }
@@ -217,17 +217,19 @@ impl<M: Stream<Item = Result<Incoming, Status>> + Unpin> Reader<M> {
             message = self.messages.next() => message,
         };
         let read = match message? {
-            Ok(Ok(v1::StreamKnnRequest { knn: Some(request) })) => Read::Request(request),
-            Ok(Ok(v1::StreamKnnRequest { knn: None })) => Read::Bad(Box::new(refusals::invalid(
-                "knn",
-                "REQUIRED",
-                "not set, and there is nothing else to ask for".to_owned(),
-            ))),
-            Ok(Err(error)) => Read::Bad(Box::new(refusals::malformed(&error))),
+            Ok(Ok(v1::StreamKnnRequest { knn: Some(request) })) => ReadOutcome::Request(request),
+            Ok(Ok(v1::StreamKnnRequest { knn: None })) => {
+                ReadOutcome::Bad(Box::new(refusals::invalid(
+                    "knn",
+                    "REQUIRED",
+                    "not set, and there is nothing else to ask for".to_owned(),
+                )))
+            }
+            Ok(Err(error)) => ReadOutcome::Bad(Box::new(refusals::malformed(&error))),
             Err(status) => {
                 // The end of a message of the wrong size is unknown: nothing can be read after it.
                 self.ended = true;
-                Read::End(Box::new(refusals::restate(
+                ReadOutcome::End(Box::new(refusals::restate(
                     status,
                     self.max_message_bytes,
                     refusals::SPLIT,

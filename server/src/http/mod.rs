@@ -71,13 +71,13 @@ pub(crate) struct Pages {
 /// Serves the pages on `listener`, over TLS if there is any, until it is dropped.
 pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages) -> io::Result<()> {
     let routes = routes(pages, tls.is_some());
-    let secured = Secured {
+    let listener = PagesListener {
         listener,
         tls,
         places: Places::new(MAX_CONNECTIONS),
     };
     let routes = routes.into_make_service_with_connect_info::<Connection>();
-    axum::serve(secured, routes).await
+    axum::serve(listener, routes).await
 }
 
 /// The other end of a connection, and the certificate of the client once it has shown one.
@@ -87,8 +87,8 @@ struct Connection {
     client: Client,
 }
 
-impl Connected<IncomingStream<'_, Secured>> for Connection {
-    fn connect_info(connection: IncomingStream<'_, Secured>) -> Self {
+impl Connected<IncomingStream<'_, PagesListener>> for Connection {
+    fn connect_info(connection: IncomingStream<'_, PagesListener>) -> Self {
         connection.remote_addr().clone()
     }
 }
@@ -168,13 +168,13 @@ async fn ready(Of(pages): Of<Arc<Pages>>) -> (StatusCode, &'static str) {
 }
 
 /// A listener with TLS, or without.
-struct Secured {
+struct PagesListener {
     listener: TcpListener,
     tls: Option<Tls>,
     places: Arc<Places>,
 }
 
-impl Listener for Secured {
+impl Listener for PagesListener {
     type Io = Bounded;
     type Addr = Connection;
 

@@ -66,7 +66,7 @@ pub(crate) struct ClientCertificate {
 
 /// A call of an identity. It counts until it is dropped.
 #[derive(Debug)]
-pub struct Calling {
+pub struct CountedCall {
     identity: Arc<Identity>,
     /// The end of the rights: that of the identity, or of the certificate if that is earlier.
     expires: Option<SystemTime>,
@@ -74,7 +74,7 @@ pub struct Calling {
     exceeds: Option<usize>,
 }
 
-impl Calling {
+impl CountedCall {
     fn new(identity: &Arc<Identity>, certificate: Option<&ClientCertificate>) -> Self {
         let before = identity.calls.fetch_add(1, Relaxed);
         let ends = [identity.expires, certificate.map(|it| it.expires)];
@@ -86,7 +86,7 @@ impl Calling {
     }
 }
 
-impl Drop for Calling {
+impl Drop for CountedCall {
     fn drop(&mut self) {
         self.identity.calls.fetch_sub(1, Relaxed);
     }
@@ -144,14 +144,14 @@ pub enum Caller {
     #[default]
     Anyone,
     /// An identity.
-    Known(Arc<Calling>),
+    Known(Arc<CountedCall>),
     /// Not identified.
     Unknown(Stranger),
 }
 
 impl Caller {
     fn known(identity: &Arc<Identity>, certificate: Option<&ClientCertificate>) -> Self {
-        Self::Known(Arc::new(Calling::new(identity, certificate)))
+        Self::Known(Arc::new(CountedCall::new(identity, certificate)))
     }
 
     fn identity(&self) -> Option<&Identity> {
@@ -178,7 +178,7 @@ impl Caller {
 
     /// Refuses a caller whose identity is missing, expired or revoked, or has too many calls under way.
     pub fn check(&self) -> Result<(), Stranger> {
-        let Calling {
+        let CountedCall {
             identity,
             expires,
             exceeds,

@@ -6,7 +6,7 @@ use tracing::{Span, debug, field, info_span, warn};
 use wayfold_proto::v1;
 
 use super::{
-    metrics::{Ended, IndexLabel, Metrics},
+    metrics::{EndedCall, IndexLabel, Metrics},
     slow::{SlowCalls, Times},
     trace::trace_ids,
 };
@@ -137,7 +137,7 @@ impl Drop for CallRecord {
         if let Some((slow_calls, times)) = &self.times {
             slow_calls.report(&self.span, self.peer, whole, times);
         }
-        self.metrics.count(&Ended {
+        self.metrics.count(&EndedCall {
             face: self.face,
             verb: self.verb,
             index: &self.index,

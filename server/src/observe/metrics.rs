@@ -78,7 +78,7 @@ struct IndexSeries {
 }
 
 /// A call that has ended.
-pub(super) struct Ended<'a> {
+pub(super) struct EndedCall<'a> {
     pub(super) face: &'static str,
     pub(super) verb: &'static str,
     pub(super) index: &'a IndexLabel,
@@ -168,8 +168,8 @@ impl Metrics {
         self.0.wrong_files.get_or_create_owned(&[("file", file)])
     }
 
-    pub(super) fn count(&self, ended: &Ended<'_>) {
-        let Ended { face, verb, .. } = *ended;
+    pub(super) fn count(&self, ended: &EndedCall<'_>) {
+        let EndedCall { face, verb, .. } = *ended;
         if !self.0.are_read {
             return;
         }

@@ -40,14 +40,14 @@ const SETTLE_INTERVAL: Duration = Duration::from_millis(50);
 const BEHIND_TIME: Duration = Duration::from_secs(2);
 
 /// The forest of an index, as of the published revision.
-pub(super) struct Applied {
+pub(super) struct AppliedForest {
     pub(super) forest: Forest,
     /// The number of tasks that merge this forest's levels.
     pub(super) mergers: usize,
 }
 
 /// A receipt for which the loop waits.
-pub(super) struct Awaited {
+pub(super) struct AwaitedReceipt {
     /// The submitted record.
     pub(super) record: Arc<Record>,
     /// The record that was published when it was submitted: the journal had it.
@@ -60,7 +60,7 @@ pub(super) async fn run(
     hosted: Weak<Hosted>,
     number: u64,
     mut records: RecordStream,
-    mut receipts: mpsc::UnboundedReceiver<Awaited>,
+    mut receipts: mpsc::UnboundedReceiver<AwaitedReceipt>,
 ) {
     // A receipt counts after those of the records before its own: a lost record is settled before the next one.
     let (mut awaited, mut arrivals) = (FuturesOrdered::new(), FuturesUnordered::new());
@@ -90,7 +90,7 @@ pub(super) async fn run(
                 }
             }
             Some(receipt) = receipts.recv() => {
-                let Awaited { record, base, outcome } = receipt;
+                let AwaitedReceipt { record, base, outcome } = receipt;
                 awaited.push_back(async move { (record, base, outcome.await) });
                 Ok(())
             }
@@ -196,7 +196,7 @@ impl Hosted {
     /// Applies consecutive records that lead to the points of `view`, which gets the last of them.
     pub(super) fn apply_now(
         self: &Arc<Self>,
-        mut applied: OwnedMutexGuard<Applied>,
+        mut applied: OwnedMutexGuard<AppliedForest>,
         records: &[Arc<Record>],
         view: impl FnOnce(&[Arc<Record>]) -> Result<Arc<dyn View>, LogError>,
     ) -> Result<(), RegistryError> {

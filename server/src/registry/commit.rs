@@ -7,7 +7,9 @@ use std::sync::{
 
 use tokio::sync::oneshot;
 
-use super::{Hosted, OperationWindow, RegistryError, WriteGuard, apply::Awaited, in_flight::Fate};
+use super::{
+    Hosted, OperationWindow, RegistryError, WriteGuard, apply::AwaitedReceipt, in_flight::Fate,
+};
 use crate::log::{Effects, LogError, Operation, Receipt, Record};
 
 /// A mutation above these sizes, or one that changes existing points, is submitted on a blocking thread. A batch above
@@ -31,7 +33,7 @@ pub(super) struct Fences {
 /// The outcome of a commit.
 #[must_use]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Committed {
+pub enum CommitOutcome {
     /// It took effect, is published, and is as durable as configured.
     Done,
     /// Another writer was first, and the mutation had no effect. Evaluate it again.
@@ -47,7 +49,7 @@ impl Hosted {
         writer: WriteGuard,
         effects: Effects,
         window: OperationWindow,
-    ) -> Result<Committed, RegistryError> {
+    ) -> Result<CommitOutcome, RegistryError> {
         if !effects.stored().is_empty() {
             self.host
                 .watermarks
@@ -70,14 +72,14 @@ impl Hosted {
     async fn decided(
         &self,
         submitted: Result<oneshot::Receiver<Fate>, RegistryError>,
-    ) -> Result<Committed, RegistryError> {
+    ) -> Result<CommitOutcome, RegistryError> {
         match submitted {
             Ok(fate) => decided(fate).await,
             Err(RegistryError::Log(LogError::Fenced { head, .. })) => {
                 // A mutation that is evaluated again before the other writer's records are published would be refused
                 // again.
                 self.reached(head).await?;
-                Ok(Committed::Refused)
+                Ok(CommitOutcome::Refused)
             }
             Err(error) => Err(error),
         }
@@ -86,7 +88,7 @@ impl Hosted {
     /// Waits until the newest record of `writer` is published. A response that was evaluated under `writer` and changes
     /// nothing may be returned then. If other servers share the journal, an empty record shows that none has written
     /// since.
-    pub async fn settled(&self, writer: WriteGuard) -> Result<Committed, RegistryError> {
+    pub async fn settled(&self, writer: WriteGuard) -> Result<CommitOutcome, RegistryError> {
         if self.is_shared() {
             let effects = Effects::new(self.space().coordinates());
             return self.decided(self.submit(writer, effects)).await;
@@ -113,7 +115,7 @@ impl Hosted {
             return Ok(());
         }
         let number = begun.fetch_add(1, SeqCst) + 1;
-        while self.settled(self.write().await?).await? == Committed::Refused {}
+        while self.settled(self.write().await?).await? == CommitOutcome::Refused {}
         *done = number;
         Ok(())
     }
@@ -156,7 +158,7 @@ impl Hosted {
             .submit(self.uid(), Arc::clone(&record))
         {
             Ok(Receipt::Accepted) => {}
-            Ok(Receipt::Awaited(outcome)) => self.await_receipt(Awaited {
+            Ok(Receipt::Awaited(outcome)) => self.await_receipt(AwaitedReceipt {
                 record,
                 base: writer.base().view.tip(),
                 outcome,
@@ -171,10 +173,10 @@ impl Hosted {
     }
 }
 
-async fn decided(fate: oneshot::Receiver<Fate>) -> Result<Committed, RegistryError> {
+async fn decided(fate: oneshot::Receiver<Fate>) -> Result<CommitOutcome, RegistryError> {
     match fate.await {
-        Ok(Fate::Published) => Ok(Committed::Done),
-        Ok(Fate::Refused) => Ok(Committed::Refused),
+        Ok(Fate::Published) => Ok(CommitOutcome::Done),
+        Ok(Fate::Refused) => Ok(CommitOutcome::Refused),
         Ok(Fate::Failed(why)) => Err(why),
         // The sender is dropped unanswered only together with the index.
         Err(_) => Err(RegistryError::Stopped),

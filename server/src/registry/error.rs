@@ -36,12 +36,12 @@ pub enum RegistryError {
         found: Uid,
     },
     /// There are as many indices as a limit allows.
-    #[error("there are {most} indices, as many as {setting} allows")]
+    #[error("there are {max} indices, as many as {setting} allows")]
     Full {
         /// The name of the limit.
         setting: &'static str,
         /// The limit.
-        most: usize,
+        max: usize,
     },
     /// The server takes in nothing that grows it.
     #[error(transparent)]

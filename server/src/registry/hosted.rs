@@ -20,7 +20,7 @@ use wayfold_proto::v1::PayloadEncoding;
 
 use super::{
     Host, RegistryError, WriteGuard, Writer,
-    apply::{self, Applied, Awaited, SETTLE_TIME},
+    apply::{self, AppliedForest, AwaitedReceipt, SETTLE_TIME},
     commit::Fences,
     followers::{Follower, Followers},
     in_flight::InFlight,
@@ -54,7 +54,7 @@ pub struct Hosted {
     pub(super) host: Arc<Host>,
     state: watch::Sender<State>,
     pub(super) writer: Arc<Mutex<Writer>>,
-    pub(super) applied: Arc<Mutex<Applied>>,
+    pub(super) applied: Arc<Mutex<AppliedForest>>,
     pub(super) in_flight: parking_lot::Mutex<InFlight>,
     pub(super) operations: parking_lot::Mutex<Operations>,
     pub(super) payload_sizes: parking_lot::Mutex<PayloadSizes>,
@@ -91,7 +91,7 @@ struct ApplyLoop {
     /// The number of loops before it.
     number: u64,
     /// None before the first loop.
-    receipts: Option<mpsc::UnboundedSender<Awaited>>,
+    receipts: Option<mpsc::UnboundedSender<AwaitedReceipt>>,
     _task: Option<AbortOnDropHandle<()>>,
 }
 
@@ -128,7 +128,7 @@ impl Hosted {
             writer: Arc::new(Mutex::new(Writer::new(&space, Arc::clone(&published)))),
             space,
             payload_encoding: entry.payload_encoding,
-            applied: Arc::new(Mutex::new(Applied { forest, mergers: 0 })),
+            applied: Arc::new(Mutex::new(AppliedForest { forest, mergers: 0 })),
             in_flight: parking_lot::Mutex::default(),
             operations: parking_lot::Mutex::new(operations),
             payload_sizes: parking_lot::Mutex::new(payload_sizes),
@@ -331,7 +331,7 @@ impl Hosted {
     }
 
     /// Gives the apply loop a receipt to wait for.
-    pub(super) fn await_receipt(&self, awaited: Awaited) {
+    pub(super) fn await_receipt(&self, awaited: AwaitedReceipt) {
         if let Some(receipts) = &self.apply_loop.lock().receipts {
             // It fails if the loop has ended, which closed the index.
             let _ = receipts.send(awaited);

@@ -22,13 +22,13 @@ pub(super) enum Fate {
 #[derive(Default)]
 pub(super) struct InFlight {
     /// The records, oldest first, with consecutive revisions.
-    records: VecDeque<Submitted>,
+    records: VecDeque<SubmittedRecord>,
     refusals: u64,
     /// The newest revision whose record is known.
     decided: u64,
 }
 
-struct Submitted {
+struct SubmittedRecord {
     tip: Tip,
     /// True if the journal refused it. It is void once the records before it are decided.
     is_refused: bool,
@@ -36,7 +36,7 @@ struct Submitted {
 }
 
 /// Calls to notify once the index has published what decided their records.
-pub(super) type Decided = Vec<(oneshot::Sender<Fate>, Fate)>;
+pub(super) type Notifications = Vec<(oneshot::Sender<Fate>, Fate)>;
 
 impl InFlight {
     /// The number of times that records were refused. The pending records of an earlier count are void.
@@ -56,7 +56,7 @@ impl InFlight {
         if tip.revision <= self.decided || self.refusals != refusals {
             return Err(self.decided);
         }
-        self.records.push_back(Submitted {
+        self.records.push_back(SubmittedRecord {
             tip,
             is_refused: false,
             waiting: Vec::new(),
@@ -97,8 +97,8 @@ impl InFlight {
     }
 
     /// Decides each submitted record by the record that the journal has at its revision.
-    pub(super) fn meet(&mut self, records: &[Arc<Record>]) -> Decided {
-        let mut decided = Decided::new();
+    pub(super) fn meet(&mut self, records: &[Arc<Record>]) -> Notifications {
+        let mut decided = Notifications::new();
         let last = records.last().map_or(0, |last| last.revision());
         self.decided = self.decided.max(last);
         for record in records {
@@ -118,8 +118,8 @@ impl InFlight {
     }
 
     /// Notes that the journal refused this record without having another one in its place: an earlier record was lost.
-    pub(super) fn refused(&mut self, tip: Tip) -> Decided {
-        let mut decided = Decided::new();
+    pub(super) fn refused(&mut self, tip: Tip) -> Notifications {
+        let mut decided = Notifications::new();
         if let Some(refused) = self.records.iter_mut().find(|record| record.tip == tip) {
             refused.is_refused = true;
             self.refuse_first(&mut decided);
@@ -128,20 +128,20 @@ impl InFlight {
     }
 
     /// Refuses all records if the journal refused the first.
-    fn refuse_first(&mut self, decided: &mut Decided) {
+    fn refuse_first(&mut self, decided: &mut Notifications) {
         if self.records.front().is_some_and(|first| first.is_refused) {
             self.refuse(decided);
         }
     }
 
-    fn refuse(&mut self, decided: &mut Decided) {
+    fn refuse(&mut self, decided: &mut Notifications) {
         self.refusals += 1;
         let waiting = self.records.drain(..).flat_map(|record| record.waiting);
         decided.extend(waiting.map(|waiting| (waiting, Fate::Refused)));
     }
 
     /// Forgets all submitted records: it is unknown which of them are in the journal.
-    pub(super) fn fail(&mut self, why: &RegistryError) -> Decided {
+    pub(super) fn fail(&mut self, why: &RegistryError) -> Notifications {
         self.refusals += 1;
         let waiting = self.records.drain(..).flat_map(|record| record.waiting);
         let failed = waiting.map(|waiting| (waiting, Fate::Failed(why.clone())));
@@ -150,7 +150,7 @@ impl InFlight {
 }
 
 /// Notifies calls.
-pub(super) fn notify(decided: Decided) {
+pub(super) fn notify(decided: Notifications) {
     for (waiting, fate) in decided {
         // The caller may have left.
         let _ = waiting.send(fate);

@@ -10,7 +10,7 @@ pub struct IndexLimit {
     /// The name of the limit, for its error.
     pub setting: &'static str,
     /// The most indices.
-    pub most: usize,
+    pub max: usize,
     /// True for the name of an index that counts.
     pub counts: Arc<dyn Fn(&str) -> bool + Send + Sync>,
 }
@@ -21,12 +21,12 @@ impl IndexLimit {
         &self,
         names: impl Iterator<Item = &'a String>,
     ) -> Result<(), RegistryError> {
-        if names.filter(|name| (self.counts)(name)).count() < self.most {
+        if names.filter(|name| (self.counts)(name)).count() < self.max {
             return Ok(());
         }
         Err(RegistryError::Full {
             setting: self.setting,
-            most: self.most,
+            max: self.max,
         })
     }
 }

@@ -6,7 +6,7 @@ use tokio::task::JoinError;
 use tracing::{debug, error};
 use wayfold_index::{Merge, Merged};
 
-use super::{Hosted, Published, apply::Applied};
+use super::{Hosted, Published, apply::AppliedForest};
 
 /// A merge that ran and is not yet swapped in.
 pub(super) struct FinishedMerge {
@@ -18,7 +18,7 @@ impl Hosted {
     /// Starts the merges that are due. An index runs at most as many merge tasks as all indices may run merges. Further
     /// levels wait in the forest, where they may become part of one merge instead of several. So do those whose merge
     /// would take more memory than is left.
-    pub(super) fn start_merging(self: &Arc<Self>, applied: &mut Applied) {
+    pub(super) fn start_merging(self: &Arc<Self>, applied: &mut AppliedForest) {
         while applied.mergers < self.host.options.merge_threads.max(1)
             && let rows = self.host.merge_rows(self.space())
             && let Some(merge) = applied.forest.begin_merge_up_to(rows)
@@ -73,7 +73,7 @@ impl Hosted {
 
     /// Swaps in the finished merges; true if there were any. The apply loop calls this too: a merge that queued for a
     /// contended forest would come late, and searches would visit dozens of small levels meanwhile.
-    pub(super) fn swap_in(&self, applied: &mut Applied) -> bool {
+    pub(super) fn swap_in(&self, applied: &mut AppliedForest) -> bool {
         let finished = std::mem::take(&mut *self.finished_merges.lock());
         let any = !finished.is_empty();
         for FinishedMerge { rows, merged } in finished {

@@ -48,7 +48,7 @@ use crate::{
     log::{Entry, Log, LogError, RunId, Uid},
     watermark::{Level, Watermarks},
 };
-pub use commit::Committed;
+pub use commit::CommitOutcome;
 pub use error::RegistryError;
 pub use followers::Follower;
 pub use hosted::{Hosted, Published};
@@ -61,7 +61,7 @@ use payload_sizes::PayloadSizes;
 pub(crate) use reseed::{Seed, reseed};
 pub use restore::Restore;
 pub(crate) use stopped::Stopped;
-pub(crate) use stored::{Failed, Stored};
+pub(crate) use stored::{ComparisonFailure, StoredRevision};
 pub use usage::BatchUnderWay;
 pub(crate) use usage::Part;
 pub use writer::{WriteGuard, Writer};

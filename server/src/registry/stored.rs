@@ -20,7 +20,7 @@ const MAX_TRIM_INTERVAL: Duration = Duration::from_secs(60);
 
 /// The newest revision of an index that a server stores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Stored {
+pub(crate) struct StoredRevision {
     /// The newest stored revision; if `is_durable`, the newest that survives a loss of power.
     pub(crate) revision: u64,
     /// True if it survives a loss of power.
@@ -42,7 +42,10 @@ impl Registry {
 
     /// The stored revisions of this server's indices with these uids. A revision beside a uid asks for the record of that
     /// revision too. Blocks.
-    pub(crate) fn stored(&self, requested: &BTreeMap<Uid, Option<u64>>) -> HashMap<Uid, Stored> {
+    pub(crate) fn stored(
+        &self,
+        requested: &BTreeMap<Uid, Option<u64>>,
+    ) -> HashMap<Uid, StoredRevision> {
         let hosted = self.hosted().into_iter();
         let stored = hosted.filter_map(|hosted| {
             let revision = requested.get(&hosted.uid())?;
@@ -65,11 +68,11 @@ pub(crate) struct FirstWrite {
     /// The count of changes at the last comparison; 0 before the first. Live servers and the connection to NATS change.
     pub(crate) compared: AtomicU64,
     /// Held while they are compared. It has the last failure.
-    pub(crate) turn: Mutex<Option<Failed>>,
+    pub(crate) turn: Mutex<Option<ComparisonFailure>>,
 }
 
 /// The records could not be compared, or differ.
-pub(crate) struct Failed {
+pub(crate) struct ComparisonFailure {
     /// The time at which that was found.
     pub(crate) at: Instant,
     /// True if they differ.
@@ -84,7 +87,7 @@ impl Hosted {
         &self.first_write
     }
 
-    fn stored(&self, requested: Option<u64>) -> Result<Stored, RegistryError> {
+    fn stored(&self, requested: Option<u64>) -> Result<StoredRevision, RegistryError> {
         let tip = self.published().view.tip();
         let applied = tip.revision;
         let requested = match requested {
@@ -94,7 +97,7 @@ impl Hosted {
             None => None,
         };
         let durable = self.host.log.points.durable(self.uid())?;
-        Ok(Stored {
+        Ok(StoredRevision {
             revision: durable.map_or(applied, |durable| durable.min(applied)),
             // A server that has stopped may store records that the journal does not have.
             is_durable: durable.is_some() && self.follows(),

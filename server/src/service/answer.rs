@@ -25,7 +25,7 @@ impl Room {
     }
 
     /// The bytes left.
-    pub(super) fn left(&self) -> usize {
+    pub(super) fn remaining(&self) -> usize {
         self.left
     }
 
@@ -147,7 +147,7 @@ impl NeighborColumns {
                 .take(BATCH_ROWS)
                 .copied()
                 .collect();
-            for payload in view.payloads(batch, self.room.left()).await? {
+            for payload in view.payloads(batch, self.room.remaining()).await? {
                 self.push_payload(payload)?;
             }
         }

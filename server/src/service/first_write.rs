@@ -21,7 +21,7 @@ use super::{
 };
 use crate::{
     log::{Digest, Tip},
-    registry::{Failed, Hosted},
+    registry::{ComparisonFailure, Hosted},
 };
 
 /// The time in which a member answers. One that does not does not hold up the mutation.
@@ -79,7 +79,7 @@ async fn compare_in_turn(
         });
     }
     if let Err(error) = compare(&*peers, &hosted).await {
-        *turn = Some(Failed {
+        *turn = Some(ComparisonFailure {
             at: Instant::now(),
             is_loss: matches!(error, Error::DataLoss { .. }),
             what: error.to_string(),

@@ -53,7 +53,7 @@ impl Service {
         let mut points = PointColumns::new(request.include);
         for ids in request.ids.chunks(BATCH_ROWS) {
             let mut payloads = match points.with_payloads() {
-                true => view.payloads(ids.to_vec(), room.left()).await?,
+                true => view.payloads(ids.to_vec(), room.remaining()).await?,
                 false => Vec::new(),
             }
             .into_iter();

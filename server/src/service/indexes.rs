@@ -54,11 +54,11 @@ impl Damaged {
 }
 
 /// The refusal of an index beyond a limit on their number.
-pub(super) fn too_many_indexes(limit: &'static str, most: usize) -> Error {
+pub(super) fn too_many_indexes(limit: &'static str, max: usize) -> Error {
     Error::LimitExceeded {
         limit,
-        value: most as u64,
-        requested: most as u64 + 1,
+        value: max as u64,
+        requested: max as u64 + 1,
         advice: "delete an index first",
     }
 }
@@ -68,14 +68,14 @@ impl Service {
     pub(super) fn index_limits(&self, caller: &Caller) -> Vec<IndexLimit> {
         let mut limits = vec![IndexLimit {
             setting: "max_indexes",
-            most: self.limits().max_indexes,
+            max: self.limits().max_indexes,
             counts: Arc::new(|_| true),
         }];
-        if let Some(most) = caller.max_indexes() {
+        if let Some(max) = caller.max_indexes() {
             let caller = caller.clone();
             limits.push(IndexLimit {
                 setting: "max_indexes of the identity",
-                most,
+                max,
                 counts: Arc::new(move |name| caller.sees(name)),
             });
         }
@@ -120,7 +120,7 @@ impl Service {
                 existing,
                 requested,
             },
-            RegistryError::Full { setting, most } => too_many_indexes(setting, most),
+            RegistryError::Full { setting, max } => too_many_indexes(setting, max),
             error => registry_error(&request.name, error),
         })?;
         Ok(v1::CreateIndexResponse {

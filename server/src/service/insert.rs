@@ -23,7 +23,7 @@ use super::{
 };
 use crate::{
     identity::Role,
-    registry::{Committed, Hosted, Published},
+    registry::{CommitOutcome, Hosted, Published},
 };
 
 const DOING: &str = "while evaluating the rows; nothing was changed";
@@ -95,7 +95,7 @@ impl Service {
                 response.revision = Some(revision(&hosted, after));
                 let claim = claim.as_ref();
                 let committed = self.commit(call, &hosted, writer, effects, claim, &response);
-                if committed.await? == Committed::Done {
+                if committed.await? == CommitOutcome::Done {
                     return Ok(response);
                 }
                 continue;

@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     log::{Batch, Digest, Effects, Operation, StoredPoint},
-    registry::{Committed, Hosted, OperationWindow, WriteGuard},
+    registry::{CommitOutcome, Hosted, OperationWindow, WriteGuard},
 };
 
 /// Bytes of a request digested between two pauses.
@@ -154,7 +154,7 @@ impl Service {
             let Some(response) = recalled else {
                 return Ok(Start::Writing(writer));
             };
-            if settled(call, hosted, writer).await? == Committed::Done {
+            if settled(call, hosted, writer).await? == CommitOutcome::Done {
                 return Ok(Start::Remembered(response));
             }
         }
@@ -192,7 +192,7 @@ impl Service {
         }
     }
 
-    /// Commits a mutation that was evaluated under `writer`; returns [`Committed::Done`] once it may be acknowledged
+    /// Commits a mutation that was evaluated under `writer`; returns [`CommitOutcome::Done`] once it may be acknowledged
     /// with `response`. Before the first poll nothing has happened; after it the mutation completes or is refused.
     pub(super) async fn commit(
         &self,
@@ -202,7 +202,7 @@ impl Service {
         mut effects: Effects,
         claim: Option<&Claim>,
         response: &impl Message,
-    ) -> Result<Committed, Error> {
+    ) -> Result<CommitOutcome, Error> {
         call.check("before anything was changed")?;
         let (index, limits) = (hosted.name(), self.limits());
         let inserted = effects.inserted();
@@ -232,7 +232,7 @@ impl Service {
                 remember();
             }
             let committed = settled(call, hosted, writer).await?;
-            if hosted.is_shared() && committed == Committed::Done {
+            if hosted.is_shared() && committed == CommitOutcome::Done {
                 remember();
             }
             return Ok(committed);
@@ -293,7 +293,7 @@ fn recalled<R: Message + Default>(
 }
 
 /// Waits until all that a response was evaluated against is as durable as configured.
-async fn settled(call: &Call, hosted: &Hosted, writer: WriteGuard) -> Result<Committed, Error> {
+async fn settled(call: &Call, hosted: &Hosted, writer: WriteGuard) -> Result<CommitOutcome, Error> {
     call.bound("while the log was being synced", hosted.settled(writer))
         .await?
         .map_err(|error| registry_error(hosted.name(), error))

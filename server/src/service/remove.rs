@@ -8,7 +8,7 @@ use super::{
     mutation::{Claim, Start},
     read_view::revision,
 };
-use crate::{identity::Role, log::Effects, registry::Committed};
+use crate::{identity::Role, log::Effects, registry::CommitOutcome};
 
 impl Service {
     /// Removes points by id, and counts those that were not stored.
@@ -50,7 +50,7 @@ impl Service {
                 revision: Some(revision(&hosted, after)),
             };
             let committed = self.commit(call, &hosted, writer, effects, claim.as_ref(), &response);
-            if committed.await? == Committed::Done {
+            if committed.await? == CommitOutcome::Done {
                 return Ok(response);
             }
         }

@@ -18,7 +18,7 @@ use super::{
 use crate::{
     identity::Role,
     log::{Batch, Effects},
-    registry::{Committed, Hosted, Writer},
+    registry::{CommitOutcome, Hosted, Writer},
 };
 
 impl Service {
@@ -63,7 +63,7 @@ impl Service {
                 ended,
             })));
             let committed = self.commit(call, &hosted, writer, effects, claim, &response);
-            if committed.await? == Committed::Done {
+            if committed.await? == CommitOutcome::Done {
                 return Ok(response);
             }
         }

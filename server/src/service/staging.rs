@@ -22,11 +22,11 @@ pub(super) struct Staging<'a> {
     effects: Effects,
     /// The number of accepted rows that are new points.
     inserted: usize,
-    searched: Option<Searched>,
+    searched: Option<SearchState>,
 }
 
 /// The part that only searches need.
-struct Searched {
+struct SearchState {
     /// The accepted rows again, indexed. A search adds those accepted since the search before: most inserts have one
     /// row, which nothing searches.
     accepted: Overlay,
@@ -38,7 +38,7 @@ struct Searched {
     replaced: bool,
 }
 
-impl Searched {
+impl SearchState {
     /// Indexes the accepted rows that are not indexed yet. An id is accepted once.
     fn index(&mut self, accepted: &Points) -> Result<(), Error> {
         let indexed = self.slots.len();
@@ -66,7 +66,7 @@ impl<'a> Staging<'a> {
             writer,
             effects: Effects::new(space.coordinates()),
             inserted: 0,
-            searched: searched.then(|| Searched {
+            searched: searched.then(|| SearchState {
                 accepted: Overlay::new(Arc::clone(space)),
                 slots: HashMap::new(),
                 hidden: HashSet::new(),
@@ -192,7 +192,7 @@ mod tests {
     use super::*;
     use crate::{
         log::MemoryLog,
-        registry::{Committed, OperationWindow, Registry, RegistryOptions},
+        registry::{CommitOutcome, OperationWindow, Registry, RegistryOptions},
     };
 
     const WINDOW: OperationWindow = OperationWindow { count: 1, bytes: 0 };
@@ -249,7 +249,7 @@ mod tests {
                         under_way.push(commit);
                         continue;
                     }
-                    assert_eq!(commit.await.unwrap(), Committed::Done);
+                    assert_eq!(commit.await.unwrap(), CommitOutcome::Done);
                     if slot == seen {
                         let search = Search {
                             k: k.saturating_add(more),

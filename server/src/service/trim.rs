@@ -20,7 +20,7 @@ use super::{
 };
 use crate::{
     log::Uid,
-    registry::{Hosted, Registry, Stored},
+    registry::{Hosted, Registry, StoredRevision},
 };
 
 /// The members that store a record durably before it is forgotten.
@@ -63,8 +63,8 @@ struct Store {
     oldest: Option<u64>,
 }
 
-impl From<Stored> for Store {
-    fn from(stored: Stored) -> Self {
+impl From<StoredRevision> for Store {
+    fn from(stored: StoredRevision) -> Self {
         Self {
             revision: stored.revision,
             is_durable: stored.is_durable,
@@ -129,7 +129,7 @@ impl Service {
 async fn stored(
     registry: &Arc<Registry>,
     requested: BTreeMap<Uid, Option<u64>>,
-) -> HashMap<Uid, Stored> {
+) -> HashMap<Uid, StoredRevision> {
     let registry = Arc::clone(registry);
     let stored = tokio::task::spawn_blocking(move || registry.stored(&requested)).await;
     // The join fails only if the task panicked; the panic hook has printed it.

@@ -17,7 +17,7 @@ use super::{
 use crate::{
     identity::Role,
     log::{Effects, Outcome, StoredPoint},
-    registry::{Committed, Hosted},
+    registry::{CommitOutcome, Hosted},
 };
 
 const DOING: &str = "while evaluating the update; nothing was changed";
@@ -55,7 +55,7 @@ impl Service {
                 revision: Some(revision(&hosted, after)),
             };
             let committed = self.commit(call, &hosted, writer, effects, claim.as_ref(), &response);
-            if committed.await? == Committed::Done {
+            if committed.await? == CommitOutcome::Done {
                 return Ok(response);
             }
         }

@@ -24,7 +24,7 @@ use super::{
 use crate::{
     identity::Role,
     log::{Effects, Outcome, StoredPoint},
-    registry::{Committed, Hosted, Writer},
+    registry::{CommitOutcome, Hosted, Writer},
 };
 
 const DOING: &str = "while evaluating the steps; nothing was changed";
@@ -102,7 +102,7 @@ impl Service {
             };
             claim.reserve(reserved);
             let committed = self.commit(call, &hosted, writer, effects, Some(&claim), &response);
-            if committed.await? == Committed::Done {
+            if committed.await? == CommitOutcome::Done {
                 return Ok(response);
             }
         }

@@ -172,7 +172,7 @@ impl Watermark {
     }
 
     /// The bytes up to the limit, above the watermarks; None if the resource cannot be measured.
-    pub fn left(&self) -> Option<u64> {
+    pub fn remaining(&self) -> Option<u64> {
         let mut state = self.state.lock();
         let level = self.level(&mut state)?;
         Some(level.limit.saturating_sub(level.used + state.added))

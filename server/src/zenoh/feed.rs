@@ -43,7 +43,7 @@ pub(super) struct Announcer {
 }
 
 /// The announcements of one index.
-struct Announced {
+struct Announcement {
     uid: String,
     _token: LivelinessToken,
     /// One for each form that has a subscriber.
@@ -111,7 +111,7 @@ impl Announcer {
 
     async fn bring_up_to_date(
         &self,
-        announced: &mut BTreeMap<String, Announced>,
+        announced: &mut BTreeMap<String, Announcement>,
         indices: &BTreeMap<String, String>,
         followed: [bool; FEEDS.len()],
     ) -> Result<(), String> {
@@ -120,7 +120,7 @@ impl Announcer {
             if !announced.contains_key(name) {
                 let token = self.session.liveliness();
                 let token = token.declare_token(self.key(name, "@alive")?).await;
-                let known = Announced {
+                let known = Announcement {
                     uid: uid.clone(),
                     _token: token.map_err(|error| error.to_string())?,
                     feeds: [None, None],

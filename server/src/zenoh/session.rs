@@ -9,7 +9,7 @@ use zenoh::{Config, config::EndPoint, internal::runtime::RuntimeBuilder, key_exp
 use super::links::OpenSession;
 use crate::{
     config::ZenohConfig,
-    exposure::{Exposed, is_local},
+    exposure::{ExposedAddress, is_local},
     wrong_text,
 };
 
@@ -136,7 +136,7 @@ fn is_in_use(listen: &str) -> bool {
 }
 
 /// The addresses that reach beyond this machine.
-pub(crate) fn exposed(config: &ZenohConfig) -> Result<Vec<Exposed>, ZenohError> {
+pub(crate) fn exposed(config: &ZenohConfig) -> Result<Vec<ExposedAddress>, ZenohError> {
     if config.is_off() {
         return Ok(Vec::new());
     }
@@ -149,8 +149,8 @@ pub(crate) fn exposed(config: &ZenohConfig) -> Result<Vec<Exposed>, ZenohError> 
             let (protocol, address) = endpoint.split_once('/').unwrap_or(("", endpoint));
             let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
             if !is_local(host) {
-                exposed.push(Exposed {
-                    at: format!("Zenoh's {setting}: {}", without_options(endpoint)),
+                exposed.push(ExposedAddress {
+                    address: format!("Zenoh's {setting}: {}", without_options(endpoint)),
                     has_tls: protocol == "tls",
                 });
             }
@@ -159,8 +159,8 @@ pub(crate) fn exposed(config: &ZenohConfig) -> Result<Vec<Exposed>, ZenohError> 
     for scouting in ["scouting/multicast/enabled", "scouting/gossip/enabled"] {
         // Zenoh's own default, which null stands for, is on.
         if settings.get_json(scouting).is_ok_and(|on| on != "false") {
-            exposed.push(Exposed {
-                at: format!("Zenoh's {scouting}"),
+            exposed.push(ExposedAddress {
+                address: format!("Zenoh's {scouting}"),
                 has_tls: false,
             });
         }

@@ -202,7 +202,7 @@ fn a_resource_that_cannot_be_measured_refuses_nothing() {
     let watermark = Watermark::new(Resource::Disk, || Err(io::ErrorKind::Unsupported.into()));
     watermark.admit(u64::MAX).unwrap();
     watermark.fits_at_start(u64::MAX).unwrap();
-    assert_eq!(watermark.left(), None);
+    assert_eq!(watermark.remaining(), None);
 }
 
 #[tokio::test]

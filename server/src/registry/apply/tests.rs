@@ -10,7 +10,7 @@ use tokio_stream::wrappers::UnboundedReceiverStream;
 use super::*;
 use crate::{
     log::{Catalogue, Journal, Log, Operation, PointStore, Retention, Uid, Window},
-    registry::{Committed, OperationWindow, Registry, RegistryOptions},
+    registry::{CommitOutcome, OperationWindow, Registry, RegistryOptions},
     testing::recorded,
 };
 
@@ -102,7 +102,7 @@ impl Server {
             bytes: 900,
         };
         let committed = self.hosted.commit(writer, effects("own"), window).await;
-        assert_eq!(committed.unwrap(), Committed::Done);
+        assert_eq!(committed.unwrap(), CommitOutcome::Done);
     }
 
     fn brings(&self, records: &[Arc<Record>]) {

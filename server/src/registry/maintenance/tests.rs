@@ -15,7 +15,7 @@ use crate::{
         Catalogue, Effects, Journal, Log, MemoryLog, Origin, Outcome, PointStore, Receipt, Record,
         RecordStream, Retention, Sessions, Uid, Window,
     },
-    registry::{Committed, OperationWindow, RegistryOptions},
+    registry::{CommitOutcome, OperationWindow, RegistryOptions},
     testing::recorded,
 };
 
@@ -249,7 +249,7 @@ async fn an_idle_index_holds_no_former_revision() {
     let writer = hosted.write().await.unwrap();
     let window = OperationWindow { count: 0, bytes: 0 };
     let committed = hosted.commit(writer, effects, window).await.unwrap();
-    assert_eq!(committed, Committed::Done);
+    assert_eq!(committed, CommitOutcome::Done);
     // The second call finds that no mutation came since the first.
     hosted.merge_if_idle();
     hosted.merge_if_idle();
