@@ -72,8 +72,13 @@ fn fail(error: &dyn Error, status: u8) -> ExitCode {
 /// The most threads for the store, merges and other blocking work: tokio's default.
 const BLOCKING_THREADS: usize = 512;
 
+/// A thread takes every other task from the queue of all threads. While its own queue is never empty, tasks that did not fit
+/// into it, health checks among them, would wait for hundreds of milliseconds there at the runtime's own interval.
+const QUEUE_INTERVAL: u32 = 2;
+
 fn serve(config: Config) -> Result<(), Box<dyn Error>> {
     let mut threads = runtime::Builder::new_multi_thread();
+    threads.global_queue_interval(QUEUE_INTERVAL);
     if config.runtime.workers > 0 {
         threads.worker_threads(config.runtime.workers);
     }

@@ -61,7 +61,7 @@ pub enum GrpcError {
 }
 
 /// The calls of a connection that may be cancelled before the server looks at them; one more cuts it.
-const MAX_PENDING_RESETS: usize = 256;
+const MAX_PENDING_RESETS: usize = 2_048;
 
 /// The most lasting streams of a connection with `max_calls`: streams must not take the places of calls that end, which
 /// would wait in the client without a word.
