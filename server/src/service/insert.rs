@@ -14,7 +14,7 @@ use super::{
     answer::Room,
     call::Pace,
     check::{self, Rows, Violations},
-    mutation::{Claim, Start},
+    mutation::{Claim, Start, refused},
     neighbor_spec::NeighborSpec,
     payloads::{Payloads, Unread},
     prefetch::Prefetch,
@@ -90,7 +90,13 @@ impl Service {
             insertion.evaluate(&mut evaluation, &mut pace).await?;
             let unread = std::mem::take(&mut evaluation.unread);
             if unread.is_empty() {
-                let (effects, mut response) = evaluation.finish()?;
+                let (effects, mut response) = match evaluation.finish() {
+                    Ok(evaluated) => evaluated,
+                    Err(error) => {
+                        refused(call, &hosted, writer, error).await?;
+                        continue;
+                    }
+                };
                 let after = writer.revision() + u64::from(!effects.is_empty());
                 response.revision = Some(revision(&hosted, after));
                 let claim = claim.as_ref();

@@ -206,12 +206,19 @@ impl Service {
         call.check("before anything was changed")?;
         let (index, limits) = (hosted.name(), self.limits());
         let inserted = effects.inserted();
-        if inserted > 0 {
-            let points = writer.points() + inserted - effects.removed().len();
-            limits.check_quotas(index, hosted.space(), points as u64)?;
-        }
-        if limits.max_payload_bytes_per_index > 0 && effects.has_payloads() {
-            limits.check_payloads(index, hosted.payload_bytes(&writer, &effects))?;
+        let fits = || {
+            if inserted > 0 {
+                let points = writer.points() + inserted - effects.removed().len();
+                limits.check_quotas(index, hosted.space(), points as u64)?;
+            }
+            if limits.max_payload_bytes_per_index > 0 && effects.has_payloads() {
+                limits.check_payloads(index, hosted.payload_bytes(&writer, &effects))?;
+            }
+            Ok(())
+        };
+        if let Err(error) = fits() {
+            refused(call, hosted, writer, error).await?;
+            return Ok(CommitOutcome::Refused);
         }
         let window = OperationWindow {
             count: self.limits().max_operations,
@@ -290,6 +297,20 @@ fn recalled<R: Message + Default>(
         what: format!("a remembered response does not decode: {error}"),
     })?;
     Ok(Some(response))
+}
+
+/// Returns `error`, which a mutation met under `writer`, or Ok if it has to be evaluated again. Beside other servers the
+/// refusal may be one of the past, or of records that the journal refuses, until the journal has taken a record after it.
+pub(super) async fn refused(
+    call: &Call,
+    hosted: &Hosted,
+    writer: WriteGuard,
+    error: Error,
+) -> Result<(), Error> {
+    if hosted.is_shared() && settled(call, hosted, writer).await? == CommitOutcome::Refused {
+        return Ok(());
+    }
+    Err(error)
 }
 
 /// Waits until all that a response was evaluated against is as durable as configured.

@@ -10,7 +10,7 @@ use super::{
     Call, Error, Limits, Service,
     call::Pace,
     check::{self, Violations},
-    mutation::{Claim, Start},
+    mutation::{Claim, Start, refused},
     read_view::{revision, revision_number},
     stored::ReadAhead,
 };
@@ -46,7 +46,14 @@ impl Service {
                 Start::Remembered(response) => return Ok(response),
                 Start::Writing(writer) => writer,
             };
-            let effects = updated(&request, if_revision, &stored, &hosted, &mut pace).await?;
+            let evaluated = updated(&request, if_revision, &stored, &hosted, &mut pace).await;
+            let effects = match evaluated {
+                Ok(effects) => effects,
+                Err(error) => {
+                    refused(call, &hosted, writer, error).await?;
+                    continue;
+                }
+            };
             let updated = effects.len() as u64;
             let after = writer.revision() + u64::from(updated > 0);
             let response = v1::UpdateResponse {

@@ -16,7 +16,7 @@ use super::{
     Call, Error, Limits, Service,
     call::Pace,
     check::{self, Rows, Violations},
-    mutation::{Claim, Start},
+    mutation::{Claim, Start, refused},
     read_view::revision,
     session::{block, reserve},
     stored::ReadAhead,
@@ -93,7 +93,14 @@ impl Service {
                 Start::Writing(writer) => writer,
             };
             writer.index_pending();
-            let (effects, missing) = steps.net(&hosted, &writer, &stored, &mut pace).await?;
+            let evaluated = steps.net(&hosted, &writer, &stored, &mut pace).await;
+            let (effects, missing) = match evaluated {
+                Ok(evaluated) => evaluated,
+                Err(error) => {
+                    refused(call, &hosted, writer, error).await?;
+                    continue;
+                }
+            };
             let reserved = reserve(&hosted, &writer, &effects, reserve_count, self.limits())?;
             let response = v1::WriteResponse {
                 reserved: Some(block(&reserved)),

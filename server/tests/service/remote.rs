@@ -308,6 +308,41 @@ async fn a_journal_that_has_lost_applied_records_is_noticed() {
     );
 }
 
+/// What a server lacks may make a mutation right: it is refused only once no record can come before the refusal.
+#[tokio::test]
+async fn no_mutation_is_refused_for_what_another_server_has_changed() {
+    let (stream, entry) = (Stream::new(13, 0.0), named_arm());
+    let (one, ..) = server(&stream, &entry);
+    let (other, _, behind) = server(&stream, &entry);
+    one.insert(&CALL, insertion(&[[7.0]], &[7])).await.unwrap();
+    other
+        .insert(&CALL, insertion(&[[8.0]], &[8]))
+        .await
+        .unwrap();
+    behind.fall_behind();
+    one.remove(&CALL, removal(&[7])).await.unwrap();
+    one.insert(&CALL, insertion(&[[9.0]], &[9])).await.unwrap();
+    let mut inserted = Box::pin(other.insert(&CALL, insertion(&[[7.5]], &[7])));
+    let mut updated = Box::pin(other.update(
+        &CALL,
+        v1::UpdateRequest {
+            index_name: "arm".into(),
+            ids: vec![9],
+            tags: vec![1],
+            ..Default::default()
+        },
+    ));
+    assert!(futures_util::poll!(inserted.as_mut()).is_pending());
+    assert!(futures_util::poll!(updated.as_mut()).is_pending());
+    behind.come_back();
+    let (inserted, updated) = tokio::join!(inserted, updated);
+    inserted.unwrap();
+    assert_eq!(updated.unwrap().updated_count, 1);
+    let twice = other.insert(&CALL, insertion(&[[7.0]], &[7])).await;
+    assert_eq!(twice.unwrap_err().reason(), "POINTS_EXIST");
+    settled(&stream, &entry, &[&one, &other]).await;
+}
+
 /// Each server reads what the other has just acknowledged. Without `latest` it may lag behind.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_latest_read_sees_what_another_server_acknowledged() {
