@@ -4,6 +4,10 @@
 //! run ← cli`. The [`service`] knows no transport. `grpc`, `zenoh` and `http` translate and hold no policy. The mutation [`log`] is
 //! the only record of an index's past.
 
+// Helpers of the integration tests that unit tests include name the crate as those do.
+#[cfg(test)]
+extern crate self as wayfold_server;
+
 pub mod config;
 pub mod log;
 pub mod registry;
