@@ -3,9 +3,10 @@
 //! A request arrives whole before its call waits for a turn, unless it is a stream. Health and reflection pass through:
 //! they must answer just when the server is busy.
 
+mod admitted;
+
 use std::{
     convert::Infallible,
-    future::poll_fn,
     panic::AssertUnwindSafe,
     pin::{Pin, pin},
     sync::Arc,
@@ -15,22 +16,22 @@ use std::{
 
 use futures_util::{FutureExt, poll};
 use http::{HeaderMap, Request, Response, header};
-use http_body::Body as HttpBody;
-use http_body_util::BodyExt;
 use tokio_util::task::TaskTracker;
 use tonic::{Status, body::Body};
 use tower::{Layer, Service};
 use tracing::Instrument;
 
+use admitted::Admitted;
+
 use super::{
-    body::{AnswerFrame, CallBody, Place},
+    body::{CallBody, Place},
     connections::Activity,
     deadline, refusals,
-    request_body::{RequestBody, RequestLimits},
+    request_body::RequestLimits,
     verbs::{has_stream_of_answers, has_stream_of_requests, is_lasting, our_rpc, verb},
 };
 use crate::{
-    admission::{CALL_BYTES, Flow, HeldBytes},
+    admission::{CALL_BYTES, Flow},
     config::GrpcConfig,
     faces::Shared,
     identity::{Caller, Denial, Stranger},
@@ -343,70 +344,6 @@ impl CallsLayer {
             Some(activity) if !is_admin => Arc::clone(activity.flow()),
             _ => self.shared.admission.admin(),
         }
-    }
-}
-
-/// A call that may wait for its turns.
-struct Admitted<S> {
-    inner: S,
-    limits: RequestLimits,
-    held: Arc<HeldBytes>,
-    arrived: Instant,
-    call: Call,
-    /// True if its request is a stream.
-    is_stream: bool,
-}
-
-impl<S> Admitted<S>
-where
-    S: Service<Request<Body>, Response = Response<Body>, Error = Infallible>,
-{
-    /// Receives the request.
-    async fn receive(self, mut request: Request<Body>) -> Result<(Self, Request<Body>), Status> {
-        request.extensions_mut().insert(self.call.clone());
-        request
-            .extensions_mut()
-            .insert(Arc::clone(self.held.flow()));
-        let activity = request.extensions().get::<Activity>().cloned();
-        let (parts, body) = request.into_parts();
-        let held = Arc::clone(&self.held);
-        let (is_stream, arrived) = (self.is_stream, self.arrived);
-        let body = RequestBody::new(body, &self.limits, held, activity, is_stream, arrived);
-        let body = match self.is_stream {
-            true => Body::new(body),
-            false => Body::new(body.collect().await.map_err(unless_left)?),
-        };
-        Ok((self, Request::from_parts(parts, body)))
-    }
-
-    /// Answers the request, and makes the first frame of the answer if that can be done at once.
-    async fn answer(
-        mut self,
-        request: Request<Body>,
-    ) -> Result<(Response<Body>, Option<AnswerFrame>), Status> {
-        if !self.held.has_room() {
-            return Err(status::too_many_bytes(self.held.flow().max_bytes()).into());
-        }
-        let response = match self.inner.call(request).await {
-            Ok(response) => response,
-            Err(never) => match never {},
-        };
-        let mut response = refusals::rewrite(response, self.limits.max_message_bytes);
-        let body = response.body_mut();
-        let first = poll_fn(|context| Poll::Ready(Pin::new(&mut *body).poll_frame(context)));
-        let made = match first.await {
-            Poll::Ready(made) => made,
-            Poll::Pending => None,
-        };
-        Ok((response, made))
-    }
-}
-
-/// Our own refusal of a request, or the end of a call whose client cut it: that is no fault of the server.
-fn unless_left(status: Status) -> Status {
-    match status.details().is_empty() {
-        true => Status::cancelled("the request was cut"),
-        false => status,
     }
 }
 

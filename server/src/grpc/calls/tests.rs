@@ -2,6 +2,7 @@
 
 use bytes::Bytes;
 use futures_util::stream;
+use http_body::Body as HttpBody;
 use http_body_util::Full;
 use tonic::Code;
 use tonic_types::StatusExt;
