@@ -72,9 +72,9 @@ fn fail(error: &dyn Error, status: u8) -> ExitCode {
 /// The most threads for the store, merges and other blocking work: tokio's default.
 const BLOCKING_THREADS: usize = 512;
 
-/// A thread takes every fourth task from the queue of all threads. While its own queue is never empty, tasks that did not fit
-/// into it, health checks among them, would wait for hundreds of milliseconds there at the runtime's own interval. At every
-/// second task fewer calls with short deadlines are answered in time.
+/// A thread takes every fourth task from the queue of all threads. Tasks that do not fit into its own queue wait there, health
+/// checks among them, and the runtime's own interval would keep them for hundreds of milliseconds under load. An interval of
+/// two answers fewer calls with short deadlines in time.
 const QUEUE_INTERVAL: u32 = 4;
 
 fn serve(config: Config) -> Result<(), Box<dyn Error>> {

@@ -129,7 +129,7 @@ impl CallsLayer {
             shared,
             callers,
             under_way,
-            max_calls: config.max_calls_per_connection,
+            max_calls: callers.max_calls(config),
             requests: RequestLimits {
                 max_message_bytes: config.max_message_bytes,
                 time: Duration::from_millis(config.receive_timeout_ms),
@@ -211,10 +211,8 @@ where
         let mut record = CallRecord::begin(rpc, verb, arrived, &settings.shared.metrics, &call);
         let held = Arc::new(flow.hold());
         let is_stream = has_stream_of_answers(rpc) || has_stream_of_requests(rpc);
-        let stream = match activity.as_ref().filter(|_| is_lasting(rpc)) {
-            Some(activity) => activity.stream().ok_or(()).map(Some),
-            None => Ok(None),
-        };
+        let lasting = activity.as_ref().filter(|_| is_lasting(rpc));
+        let stream = lasting.map(Activity::stream);
         // The service checks the caller too; here a stranger is refused before it sends its request.
         let deadline = match (
             call.caller.check(),
@@ -225,7 +223,7 @@ where
                 Err(status::from_error(&Error::Denied { why }))
             }
             (Ok(()), Err(problem)) => Err(refusals::malformed_timeout(&problem)),
-            _ if stream.is_err() => {
+            _ if matches!(stream, Some(None)) => {
                 settings.shared.admission.count_excess();
                 Err(refusals::too_many_streams(settings.max_calls))
             }
@@ -245,7 +243,7 @@ where
         let place = Place {
             activity,
             _active: active,
-            _stream: stream.unwrap_or_default(),
+            _stream: stream.flatten(),
             _under_way: settings.under_way.token(),
             held: Arc::clone(&held),
         };

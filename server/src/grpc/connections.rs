@@ -106,7 +106,7 @@ pub(super) struct ActiveCall(Activity);
 pub(super) struct Sending(Arc<State>);
 
 impl Connections {
-    /// Room for `limit` connections, each of which is a flow and has `max_streams` lasting streams at most.
+    /// Room for `limit` connections. Each is a flow and has at most `max_streams` lasting streams.
     pub(super) fn new(limit: usize, max_streams: usize, admission: Admission) -> Arc<Self> {
         Arc::new(Self {
             places: Arc::new(Semaphore::new(limit.min(Semaphore::MAX_PERMITS))),

@@ -308,7 +308,8 @@ async fn a_journal_that_has_lost_applied_records_is_noticed() {
     );
 }
 
-/// What a server lacks may make a mutation right: it is refused only once no record can come before the refusal.
+/// A mutation may be right by records that its server lacks: the server refuses it only once no record can come before the
+/// refusal.
 #[tokio::test]
 async fn no_mutation_is_refused_for_what_another_server_has_changed() {
     let (stream, entry) = (Stream::new(13, 0.0), named_arm());
