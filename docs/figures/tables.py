@@ -26,8 +26,6 @@ SEARCHES = ["knn1", "knn10", "radius"]
 def against(data, case, op, ours, peers):
     """The time of the best of these peers divided by ours."""
     space, n = case
-    if "ratios" in data:
-        return data["ratios"].get(f"{space} {op}") if n == "50000" else None
     values = data.get(space, {}).get(n, {}).get("uniform", {}).get(op, {})
     theirs = [values[peer] for peer in PEERS[peers] if peer in values]
     return min(theirs) / values[ours] if theirs and ours in values else None
