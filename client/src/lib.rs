@@ -69,7 +69,7 @@ mod state;
 
 pub use error::Error;
 pub use index::{
-    Changes, Found, Index, InsertOptions, InsertedPoint, Search, StoredPoint, StoredPoints,
+    Changes, Index, InsertOptions, InsertedPoint, Search, SearchResult, StoredPoint, StoredPoints,
 };
 #[cfg(feature = "net")]
 pub use index::{Meanwhile, MeanwhileAnswers, OpenRemote, OpenShared, Status, UnsentWrite};

@@ -79,12 +79,12 @@ fn measure() {
         ));
     }
     let rounds: Vec<_> = (0..ROUNDS).map(|_| next_to_a_writer()).collect();
-    let [alone, beside, ratio, inserts] = medians(&rounds);
+    let [alone, next_to_writer, ratio, inserts] = medians(&rounds);
     println!(
-        "a reader next to a writer: {beside:.0}/s of {alone:.0}/s alone, ratio {ratio:.2}; {inserts:.0} inserts/s"
+        "a reader next to a writer: {next_to_writer:.0}/s of {alone:.0}/s alone, ratio {ratio:.2}; {inserts:.0} inserts/s"
     );
     parts.push(format!(
-        "\"beside_a_writer\": {{\"per_second\": {beside}, \"alone\": {alone}, \"ratio\": {ratio}, \"inserts_per_second\": {inserts}}}"
+        "\"beside_a_writer\": {{\"per_second\": {next_to_writer}, \"alone\": {alone}, \"ratio\": {ratio}, \"inserts_per_second\": {inserts}}}"
     ));
     parts.push(slowest(points.unwrap_or(LARGE_POINTS)));
     if let Some(file) = json {
@@ -313,9 +313,9 @@ fn next_to_a_writer() -> [f64; 4] {
             writing += started.elapsed();
         }
         turn.store(TURNS, Relaxed);
-        let [alone, beside] = reader.join().expect("no panic");
+        let [alone, next_to_writer] = reader.join().expect("no panic");
         let inserts = inserted / writing.as_secs_f64();
-        [alone, beside, beside / alone, inserts]
+        [alone, next_to_writer, next_to_writer / alone, inserts]
     })
 }
 

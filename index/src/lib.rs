@@ -58,10 +58,10 @@ pub use lanes::Kernels;
 pub use linear::Linear;
 pub use mpnn::Mpnn;
 pub use nearest_neighbors::{
-    Changes, NearestNeighbors, NewPoint, Question, ReadRevision, ScannedPoints,
+    Changes, NearestNeighbors, NewPoint, ReadRevision, ScaledSearch, ScannedPoints,
 };
 pub use neighbor::Neighbor;
-pub use overlay::{Known, Overlay, search_overlaid};
+pub use overlay::{EarlierAnswer, Overlay, search_overlaid};
 pub use points::{Point, PointRef, Points};
 pub use scaling::Scaling;
 pub use search::{Answer, Filter, Search};

@@ -24,14 +24,14 @@ pub struct NewPoint<'a> {
 
 /// A search and the factors that its number of neighbours and its radius depend on.
 #[derive(Clone, Copy, Debug)]
-pub struct Question<'a> {
+pub struct ScaledSearch<'a> {
     /// The search. Its filter's revision is that of a [`ReadRevision`].
     pub search: Search<'a>,
     /// The factors, if `k` or the radius depends on the number of points.
     pub scaling: Scaling,
 }
 
-impl<'a> Question<'a> {
+impl<'a> ScaledSearch<'a> {
     /// The search among `points` points of a space of this dimension.
     pub fn among(&self, points: usize, dimension: usize) -> Search<'a> {
         let mut search = self.search;
@@ -87,7 +87,7 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
     fn search(
         &self,
         row: &[f64],
-        question: &Question<'_>,
+        question: &ScaledSearch<'_>,
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Self::Error>;
 
@@ -99,7 +99,7 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
     fn search_many(
         &self,
         rows: &[f64],
-        questions: &[Question<'_>],
+        questions: &[ScaledSearch<'_>],
     ) -> Result<Vec<Vec<Neighbor>>, Self::Error>;
 
     /// Stores a point. With a question, puts what it has found among the points before it into `found`. Returns the
@@ -110,7 +110,7 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
     fn insert(
         &self,
         point: &NewPoint<'_>,
-        question: Option<&Question<'_>>,
+        question: Option<&ScaledSearch<'_>>,
         found: &mut Vec<Neighbor>,
     ) -> Result<(u64, ReadRevision), Self::Error>;
 

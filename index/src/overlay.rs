@@ -54,7 +54,7 @@ impl Overlay {
 
 /// The neighbours that an earlier search found.
 #[derive(Clone, Copy, Debug)]
-pub struct Known<'a> {
+pub struct EarlierAnswer<'a> {
     /// The revision of the searched snapshot.
     pub revision: u64,
     /// The nearest points of that revision, nearest first: at least as many and as far as the search to answer asks
@@ -71,7 +71,7 @@ pub struct Known<'a> {
 pub fn search_overlaid(
     snapshot: &Snapshot,
     overlays: &[&Overlay],
-    known: Option<Known<'_>>,
+    known: Option<EarlierAnswer<'_>>,
     state: &[f64],
     search: &Search<'_>,
 ) -> Result<Vec<Neighbor>, SearchError> {

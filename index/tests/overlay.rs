@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, HashSet};
 
 use proptest::prelude::*;
 use wayfold_index::{
-    Filter, Forest, ForestOptions, Known, Linear, Overlay, Point, PointRef, Points, Search, Space,
-    search_overlaid,
+    EarlierAnswer, Filter, Forest, ForestOptions, Linear, Overlay, Point, PointRef, Points, Search,
+    Space, search_overlaid,
 };
 
 /// The ids that a change stores with a coordinate, and the ids that it removes.
@@ -111,7 +111,7 @@ proptest! {
             let wider = Search { k: k.saturating_add(1), ..search };
             for known in [&earlier, &snapshot] {
                 let neighbors = known.search(&query, &wider).unwrap().neighbors;
-                let known = Known { revision: known.revision(), neighbors: &neighbors };
+                let known = EarlierAnswer { revision: known.revision(), neighbors: &neighbors };
                 let found = search_overlaid(&snapshot, &overlays, Some(known), &query, &search);
                 prop_assert_eq!(&found.unwrap(), &truth);
             }

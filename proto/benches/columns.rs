@@ -99,14 +99,14 @@ fn neighbors(criterion: &mut Criterion) {
         group.bench_function(BenchmarkId::new("doubles", rows), |b| {
             b.iter(|| {
                 let message = v1::Neighbors {
-                    counts: counts.clone(),
+                    neighbor_counts: counts.clone(),
                     ids: ids.clone(),
                     distances: distances.clone(),
                     ..Default::default()
                 };
                 let wire = Bytes::from(black_box(message).encode_to_vec());
                 let read = v1::Neighbors::decode(black_box(wire));
-                read.map(|read| (read.counts, read.ids, read.distances))
+                read.map(|read| (read.neighbor_counts, read.ids, read.distances))
             });
         });
         group.bench_function(BenchmarkId::new("bytes", rows), |b| {

@@ -282,11 +282,11 @@ fn points_that_no_index_holds_are_refused_with_their_place() {
     let beyond = (read_changed(|h| h.next_id = 6, |_| {}), "Id");
     for (error, kind) in cases.into_iter().chain([beyond]) {
         let text = error.to_string();
-        let SnapshotError::Point { place, problem } = error else {
+        let SnapshotError::Point { position, problem } = error else {
             panic!("{text}");
         };
-        assert_eq!(place.part, 2, "{text}");
-        assert!(text.contains(&format!("point {}", place.row)), "{text}");
+        assert_eq!(position.part, 2, "{text}");
+        assert!(text.contains(&format!("point {}", position.row)), "{text}");
         assert!(format!("{problem:?}").starts_with(kind), "{text}");
     }
     let largest = |p: &mut v1::SnapshotPoints| columns(p).payloads[1] = vec![0; 65_536].into();

@@ -23,7 +23,7 @@ use wayfold_proto::{snapshot::FileWriter, v1};
 use crate::{
     config::SnapshotConfig,
     observe::Metrics,
-    registry::{Hosted, Listed},
+    registry::{Hosted, IndexEntry},
     service::{self, Call, Service},
     watermark::{self, Full, Watermark},
 };
@@ -139,7 +139,7 @@ impl Schedule {
     fn take_due(&self, service: &Service, metrics: &Metrics, runtime: &Handle, now: SystemTime) {
         for listed in service.listed() {
             // The lists of the indices and the log tell of damaged ones.
-            let Listed::Hosted(hosted) = listed else {
+            let IndexEntry::Hosted(hosted) = listed else {
                 continue;
             };
             let index = hosted.name();

@@ -14,7 +14,7 @@ use wayfold_proto::v1;
 
 use crate::{
     admission::{MAX_BYTES, Overloaded, QUEUE_TARGET_MS},
-    identity::{Denial, Stranger},
+    identity::{Denial, IdentificationError},
     service::{Code, Damaged, Error, Listing, Violation},
 };
 
@@ -92,7 +92,7 @@ fn describing(error: &Error) -> Status {
         retry_delay: match error {
             Error::Full { .. } => Some(FULL_PAUSE),
             Error::Denied {
-                why: Denial::Unknown(Stranger::TooManyCalls(_)),
+                why: Denial::Unknown(IdentificationError::TooManyCalls(_)),
             } => Some(BUSY_PAUSE),
             _ => None,
         },
@@ -321,7 +321,7 @@ impl Status {
                 return None;
             }
             Error::Denied {
-                why: Denial::Unknown(Stranger::TooManyCalls(most)),
+                why: Denial::Unknown(IdentificationError::TooManyCalls(most)),
             } => self.quota("max_calls", *most as u64),
             Error::Denied {
                 why: Denial::Unknown(_),

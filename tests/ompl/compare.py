@@ -73,7 +73,7 @@ class Client:
 
 def _rows(neighbors):
     ids, distances, at = list(neighbors.ids), list(neighbors.distances), 0
-    for count in neighbors.counts:
+    for count in neighbors.neighbor_counts:
         yield ids[at : at + count], distances[at : at + count]
         at += count
     if at != len(ids) or at != len(distances):

@@ -121,7 +121,7 @@ fn revision() -> Option<Revision> {
 fn neighbors(rows: usize, k: u32) -> Neighbors {
     let found = rows * k as usize;
     Neighbors {
-        counts: vec![k; rows],
+        neighbor_counts: vec![k; rows],
         ids: (0..found as u64).collect(),
         distances: vec![0.5; found],
         ..Default::default()

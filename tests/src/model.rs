@@ -206,7 +206,7 @@ impl Model {
     /// Checks that reserved ids were never used, and uses them.
     fn reserve(&mut self, ids: Option<v1::IdBlock>) {
         let ids = ids.expect("a block");
-        if let Some(last) = ids.count.checked_sub(1) {
+        if let Some(last) = ids.id_count.checked_sub(1) {
             assert!(Some(ids.first_id) > self.highest_id, "{ids:?} was used");
             self.highest_id = Some(ids.first_id + last);
         }

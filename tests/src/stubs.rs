@@ -171,7 +171,7 @@ pub fn row_states(rows: &[f64], coordinates: usize) -> v1::States {
 pub fn neighbor_rows(neighbors: &Neighbors) -> Vec<Vec<(u64, f64)>> {
     assert_eq!(neighbors.ids.len(), neighbors.distances.len());
     let mut pairs = neighbors.ids.iter().zip(&neighbors.distances);
-    let rows = neighbors.counts.iter().map(|&count| {
+    let rows = neighbors.neighbor_counts.iter().map(|&count| {
         let row = pairs.by_ref().take(count as usize);
         row.map(|(&id, &distance)| (id, distance)).collect()
     });

@@ -67,7 +67,7 @@ def drive(face, index_pb, pb, types):
     )
     inserted = face.ask(f"{name}/insert", insert, pb.InsertResponse)
     expect(list(inserted.outcomes), [pb.OUTCOME_INSERTED] * 3)
-    expect((inserted.revision.number, list(inserted.neighbors.counts)), (1, [0, 1, 1]))
+    expect((inserted.revision.number, list(inserted.neighbors.neighbor_counts)), (1, [0, 1, 1]))
     expect(list(inserted.neighbors.distances), [5.0, 5.0])
     expect(list(inserted.neighbors.states.coordinates), [0.0, 0.0, 3.0, 4.0])
     expect(face.ask(f"{name}/insert", insert, pb.InsertResponse), inserted)
@@ -87,7 +87,7 @@ def drive(face, index_pb, pb, types):
 
     knn = pb.KnnRequest(index_name=name, states=states, k=2, filter=types.Filter(tag_mask=1, tag_value=1))
     nearest = face.ask(f"{name}/knn", knn, pb.KnnResponse)
-    expect(list(nearest.neighbors.counts), [2, 2, 2])
+    expect(list(nearest.neighbors.neighbor_counts), [2, 2, 2])
     expect(list(nearest.neighbors.ids), [1, 2, 2, 1, 2**60, 2])
     near = face.ask(f"{name}/query", pb.QueryRequest(index_name=name, states=states, radius=5.0), pb.QueryResponse)
     expect(list(near.neighbors.ids), [1, 2, 2, 1, 2**60, 2**60, 2])

@@ -139,7 +139,7 @@ def from_json(fields, message):
         neighbors = {name: fields.pop(name) for name in list(fields) if name in columns}
         fields["neighbors"] = neighbors
     if kind == "Neighbors":
-        message.counts.extend(len(row) for row in fields["ids"])
+        message.neighbor_counts.extend(len(row) for row in fields["ids"])
         # The result of each state is a row.
         fields = {name: [value for row in rows for value in row] for name, rows in fields.items()}
     for name, value in fields.items():

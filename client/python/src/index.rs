@@ -15,7 +15,7 @@ use wayfold::InsertOptions;
 use crate::{
     content::Content,
     points::{
-        Changes, Found, InsertedPoint, MeanwhileAnswers, Neighbor, Status, StoredPoint,
+        Changes, InsertedPoint, MeanwhileAnswers, Neighbor, SearchResult, Status, StoredPoint,
         StoredPoints, UnsentWrite, columns,
     },
     query,
@@ -127,7 +127,10 @@ impl Index {
         let found = &inserted.found;
         Ok(InsertedPoint {
             id: inserted.id,
-            found: Py::new(py, Found::of(py, &found.neighbors, found.read_revision.0))?,
+            found: Py::new(
+                py,
+                SearchResult::of(py, &found.neighbors, found.read_revision.0),
+            )?,
         })
     }
 
@@ -187,18 +190,22 @@ impl Index {
     }
 
     /// The `k` nearest points, nearest first.
-    fn nearest_k(&self, state: &Bound<'_, PyAny>, k: i64) -> PyResult<Found> {
+    fn nearest_k(&self, state: &Bound<'_, PyAny>, k: i64) -> PyResult<SearchResult> {
         let search = wayfold::Search::k(k_of(state.py(), k)?);
         self.found(state, &search)
     }
 
     /// All points at distance `radius` or nearer, nearest first.
-    fn nearest_r(&self, state: &Bound<'_, PyAny>, radius: Radius<'_>) -> PyResult<Found> {
+    fn nearest_r(&self, state: &Bound<'_, PyAny>, radius: Radius<'_>) -> PyResult<SearchResult> {
         self.found(state, &wayfold::Search::within(radius))
     }
 
     /// Answers any search.
-    fn search(&self, state: &Bound<'_, PyAny>, search: &Bound<'_, Search>) -> PyResult<Found> {
+    fn search(
+        &self,
+        state: &Bound<'_, PyAny>,
+        search: &Bound<'_, Search>,
+    ) -> PyResult<SearchResult> {
         self.found(state, &search.get().search)
     }
 

@@ -28,7 +28,7 @@ mod _wayfold {
         index::Index,
         open::{remote, shared},
         points::{
-            Changes, Found, InsertedPoint, Meanwhile, MeanwhileAnswers, Neighbor, Status,
+            Changes, InsertedPoint, Meanwhile, MeanwhileAnswers, Neighbor, SearchResult, Status,
             StoredPoint, StoredPoints, UnsentWrite,
         },
         search::{ScaledRadius, Scaling, Search},

@@ -34,7 +34,7 @@ impl From<wayfold::Neighbor> for Neighbor {
 /// The neighbours of a state, nearest first and at equal distances by id.
 #[pyclass(frozen, get_all, module = "wayfold")]
 #[derive(Debug)]
-pub(crate) struct Found {
+pub(crate) struct SearchResult {
     ids: Py<PyArray1<i64>>,
     distances: Py<PyArray1<f64>>,
     read_revision: u64,
@@ -42,10 +42,14 @@ pub(crate) struct Found {
     count: usize,
 }
 
-impl Found {
-    pub(crate) fn of(py: Python<'_>, neighbors: &[wayfold::Neighbor], read_revision: u64) -> Found {
+impl SearchResult {
+    pub(crate) fn of(
+        py: Python<'_>,
+        neighbors: &[wayfold::Neighbor],
+        read_revision: u64,
+    ) -> SearchResult {
         let (ids, distances) = columns(py, neighbors);
-        Found {
+        SearchResult {
             ids: ids.unbind(),
             distances: distances.unbind(),
             read_revision,
@@ -55,7 +59,7 @@ impl Found {
 }
 
 #[pymethods]
-impl Found {
+impl SearchResult {
     fn __len__(&self) -> usize {
         self.count
     }
@@ -63,7 +67,7 @@ impl Found {
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
         let (ids, distances) = (self.ids.bind(py).repr()?, self.distances.bind(py).repr()?);
         Ok(format!(
-            "Found(ids={ids}, distances={distances}, read_revision={})",
+            "SearchResult(ids={ids}, distances={distances}, read_revision={})",
             self.read_revision
         ))
     }
@@ -93,7 +97,7 @@ pub(crate) fn column<T: Element + Copy>(py: Python<'_>, numbers: Vec<T>) -> Boun
 #[derive(Debug)]
 pub(crate) struct InsertedPoint {
     pub(crate) id: u64,
-    pub(crate) found: Py<Found>,
+    pub(crate) found: Py<SearchResult>,
 }
 
 /// One stored point.

@@ -30,7 +30,7 @@ def pairs(ids: Iterable[int], distances: Iterable[float]) -> str:
     return joined(f"{id}:{bits(distance)}" for id, distance in zip(ids, distances, strict=True))
 
 
-def text(found: wayfold.Found) -> str:
+def text(found: wayfold.SearchResult) -> str:
     return pairs(found.ids.tolist(), found.distances.tolist())
 
 

@@ -1,8 +1,8 @@
 //! The points that an index holds in this process.
 
 use wayfold_index::{
-    Changes, Forest, ForestOptions, Merge, Neighbor, NewPoint, Point, PointRef, Points, Question,
-    ReadRevision, Snapshot, Space,
+    Changes, Forest, ForestOptions, Merge, Neighbor, NewPoint, Point, PointRef, Points,
+    ReadRevision, ScaledSearch, Snapshot, Space,
 };
 
 use super::history::History;
@@ -159,7 +159,7 @@ impl LocalPoints {
     }
 
     /// A copy of the points, frozen, for a search that would keep writers waiting.
-    pub(super) fn snapshot_for(&self, question: &Question<'_>) -> Option<Snapshot> {
+    pub(super) fn snapshot_for(&self, question: &ScaledSearch<'_>) -> Option<Snapshot> {
         let is_long = question.search.k > MAX_LOCKED_K || question.search.until.is_some();
         is_long.then(|| self.forest.snapshot())
     }
@@ -167,7 +167,7 @@ impl LocalPoints {
     pub(super) fn search(
         &self,
         row: &[f64],
-        question: &Question<'_>,
+        question: &ScaledSearch<'_>,
     ) -> Result<Vec<Neighbor>, Error> {
         let search = question.among(self.forest.len(), self.forest.space().dimension());
         Ok(self.forest.search(row, &search)?.neighbors)
@@ -208,7 +208,7 @@ pub(super) struct NewRow<'a> {
 pub(super) fn search_snapshot(
     snapshot: &Snapshot,
     row: &[f64],
-    question: &Question<'_>,
+    question: &ScaledSearch<'_>,
 ) -> Result<Vec<Neighbor>, Error> {
     let search = question.among(snapshot.len(), snapshot.space().dimension());
     Ok(snapshot.search(row, &search)?.neighbors)

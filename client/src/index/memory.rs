@@ -7,8 +7,8 @@ use std::{
 
 use parking_lot::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 use wayfold_index::{
-    Changes, NearestNeighbors, Neighbor, NewPoint, Point, Question, ReadRevision, ScannedPoints,
-    Space,
+    Changes, NearestNeighbors, Neighbor, NewPoint, Point, ReadRevision, ScaledSearch,
+    ScannedPoints, Space,
 };
 
 use super::{
@@ -126,7 +126,7 @@ impl NearestNeighbors for Memory {
     fn search(
         &self,
         row: &[f64],
-        question: &Question<'_>,
+        question: &ScaledSearch<'_>,
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Error> {
         let state = self.read()?;
@@ -144,7 +144,7 @@ impl NearestNeighbors for Memory {
     fn search_many(
         &self,
         rows: &[f64],
-        questions: &[Question<'_>],
+        questions: &[ScaledSearch<'_>],
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
         let snapshot = self.read()?.points.forest.snapshot();
         let rows = rows.chunks_exact(self.space.coordinates());
@@ -157,7 +157,7 @@ impl NearestNeighbors for Memory {
     fn insert(
         &self,
         point: &NewPoint<'_>,
-        question: Option<&Question<'_>>,
+        question: Option<&ScaledSearch<'_>>,
         found: &mut Vec<Neighbor>,
     ) -> Result<(u64, ReadRevision), Error> {
         check_id(point)?;

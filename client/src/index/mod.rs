@@ -21,7 +21,7 @@ mod server_methods;
 #[cfg(feature = "net")]
 mod shared;
 
-pub use point::{Changes, Found, InsertOptions, InsertedPoint, StoredPoint, StoredPoints};
+pub use point::{Changes, InsertOptions, InsertedPoint, SearchResult, StoredPoint, StoredPoints};
 #[cfg(feature = "net")]
 pub use remote::OpenRemote;
 pub use search::Search;
@@ -30,7 +30,7 @@ pub use shared::{Meanwhile, MeanwhileAnswers, OpenShared, Status, UnsentWrite};
 
 use std::sync::Arc;
 
-use wayfold_index::{NearestNeighbors, Neighbor, Question, ReadRevision, Space};
+use wayfold_index::{NearestNeighbors, Neighbor, ReadRevision, ScaledSearch, Space};
 
 use crate::{
     Error, Radius, State,
@@ -148,7 +148,7 @@ impl Index {
         })?;
         Ok(InsertedPoint {
             id,
-            found: Found {
+            found: SearchResult {
                 neighbors,
                 read_revision,
             },
@@ -260,10 +260,10 @@ impl Index {
     /// # Errors
     /// [`Error::Width`], [`Error::Layout`], [`Error::State`]: it is no state of the space. [`Error::Argument`]: a
     /// number of the search is out of its range. [`Error::SearchTimeout`].
-    pub fn search<S: State>(&self, state: S, search: &Search) -> Result<Found, Error> {
+    pub fn search<S: State>(&self, state: S, search: &Search) -> Result<SearchResult, Error> {
         let mut neighbors = Vec::new();
         let read_revision = self.ask(state, &search.question()?, &mut neighbors)?;
-        Ok(Found {
+        Ok(SearchResult {
             neighbors,
             read_revision,
         })
@@ -370,7 +370,7 @@ impl Index {
     fn ask(
         &self,
         state: impl State,
-        question: &Question<'_>,
+        question: &ScaledSearch<'_>,
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Error> {
         self.with_row(state, |row| self.form.search(row, question, found))

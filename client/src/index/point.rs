@@ -35,7 +35,7 @@ impl From<wayfold_index::Point> for StoredPoint {
 
 /// The neighbours of a state, nearest first and at equal distances by id.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Found {
+pub struct SearchResult {
     /// The neighbours.
     pub neighbors: Vec<Neighbor>,
     /// The revision that the answer read: a later search or insert may ask for the points after it ([`Search::since`]).
@@ -108,7 +108,7 @@ pub struct InsertedPoint {
     /// The point's id.
     pub id: u64,
     /// The neighbours that [`InsertOptions::ask`] asked for.
-    pub found: Found,
+    pub found: SearchResult,
 }
 
 /// Everything that changed in an index after an earlier answer.

@@ -9,8 +9,8 @@ use std::{
 };
 
 use wayfold_index::{
-    Changes, NearestNeighbors, Neighbor, NewPoint, Point, PointRef, Points, Question, ReadRevision,
-    ScannedPoints, Space,
+    Changes, NearestNeighbors, Neighbor, NewPoint, Point, PointRef, Points, ReadRevision,
+    ScaledSearch, ScannedPoints, Space,
 };
 
 use super::{
@@ -32,7 +32,7 @@ pub(super) struct Remote {
 }
 
 impl Remote {
-    fn filter(&self, question: &Question<'_>) -> Filter {
+    fn filter(&self, question: &ScaledSearch<'_>) -> Filter {
         let filter = question.search.filter;
         let tagged = Filter::default().tag(filter.tag_mask, filter.tag_value);
         match filter.since_revision {
@@ -42,7 +42,7 @@ impl Remote {
     }
 
     /// The answers to a question about rows, one after the other.
-    fn ask(&self, rows: &[f64], question: &Question<'_>) -> Result<Neighbors, Error> {
+    fn ask(&self, rows: &[f64], question: &ScaledSearch<'_>) -> Result<Neighbors, Error> {
         let left = question.search.until;
         let left = left.map(|until| until.saturating_duration_since(Instant::now()));
         let index = match left {
@@ -106,7 +106,7 @@ fn found<T>(answer: Result<T, Error>) -> Result<Option<T>, Error> {
 }
 
 /// The number of neighbours and the radius of a question, as they travel.
-fn bounds(question: &Question<'_>) -> Bounds {
+fn bounds(question: &ScaledSearch<'_>) -> Bounds {
     let (search, scaling) = (&question.search, question.scaling);
     let fixed_k = (search.k < usize::MAX).then(|| u32::try_from(search.k).unwrap_or(u32::MAX));
     let fixed_radius = (search.radius < f64::INFINITY).then_some(search.radius);
@@ -139,7 +139,7 @@ impl NearestNeighbors for Remote {
     fn search(
         &self,
         row: &[f64],
-        question: &Question<'_>,
+        question: &ScaledSearch<'_>,
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Error> {
         let answer = self.ask(row, question)?;
@@ -151,7 +151,7 @@ impl NearestNeighbors for Remote {
     fn search_many(
         &self,
         rows: &[f64],
-        questions: &[Question<'_>],
+        questions: &[ScaledSearch<'_>],
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
         let [question] = questions else {
             return Err(Error::Argument {
@@ -166,7 +166,7 @@ impl NearestNeighbors for Remote {
     fn insert(
         &self,
         point: &NewPoint<'_>,
-        question: Option<&Question<'_>>,
+        question: Option<&ScaledSearch<'_>>,
         found: &mut Vec<Neighbor>,
     ) -> Result<(u64, ReadRevision), Error> {
         check_id(point)?;

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use wayfold_index::{Filter, Question, ReadRevision, Scaling};
+use wayfold_index::{Filter, ReadRevision, ScaledSearch, Scaling};
 
 use crate::{
     Error, Radius, ScaledRadius,
@@ -87,7 +87,7 @@ impl Search {
     }
 
     /// The search in the terms of the index.
-    pub(crate) fn question(&self) -> Result<Question<'static>, Error> {
+    pub(crate) fn question(&self) -> Result<ScaledSearch<'static>, Error> {
         let mut search = wayfold_index::Search::nearest_k(match self.bounds.k {
             Some(K::Fixed(0)) => return Err(argument("k", "0; it is at least 1")),
             Some(K::Fixed(k)) => k as usize,
@@ -123,7 +123,7 @@ impl Search {
             tag_value: self.tag_value,
             since_revision: self.since.0,
         };
-        Ok(Question {
+        Ok(ScaledSearch {
             search,
             scaling: self.bounds.scaling(),
         })
@@ -131,8 +131,8 @@ impl Search {
 }
 
 /// The question for the nearest `k`, without any factor.
-pub(super) fn nearest_k(k: usize) -> Question<'static> {
-    Question {
+pub(super) fn nearest_k(k: usize) -> ScaledSearch<'static> {
+    ScaledSearch {
         search: wayfold_index::Search::nearest_k(k),
         scaling: Scaling::default(),
     }

@@ -151,17 +151,17 @@ impl Neighbors {
             problem: problem.to_owned(),
         };
         let message = message.unwrap_or_default();
-        if rows != message.counts.len() {
-            return Err(wrong("not as many counts as states"));
+        if rows != message.neighbor_counts.len() {
+            return Err(wrong("not as many neighbor_counts as states"));
         }
-        let mut ends = Vec::with_capacity(message.counts.len());
+        let mut ends = Vec::with_capacity(message.neighbor_counts.len());
         let mut found = 0_usize;
-        for count in message.counts {
+        for count in message.neighbor_counts {
             found = found.saturating_add(count as usize);
             ends.push(found);
         }
         if message.ids.len() != found || message.distances.len() != found {
-            return Err(wrong("counts, ids and distances disagree"));
+            return Err(wrong("neighbor_counts, ids and distances disagree"));
         }
         let points = v1::Points {
             ids: message.ids,

@@ -131,9 +131,9 @@ async fn a_worker_that_dies_leaves_no_milestone_without_its_edges() {
     let states: Vec<_> = (0..3).map(|_| doomed.sample()).collect();
     let checked = states.iter().map(|state| doomed.look(state.clone()));
     let checked: Vec<CheckedState> = checked.map(|checked| checked.unwrap().unwrap()).collect();
-    let mut beside = states[1].clone();
-    beside[0] += 1e-3;
-    other.add(beside).await.unwrap().unwrap();
+    let mut neighbor = states[1].clone();
+    neighbor[0] += 1e-3;
+    other.add(neighbor).await.unwrap().unwrap();
     for _ in 0..20 {
         let state = other.sample();
         other.add(state).await.unwrap().unwrap();
@@ -154,9 +154,9 @@ async fn a_worker_that_dies_leaves_no_milestone_without_its_edges() {
     let pending: Vec<usize> = pending.collect();
     assert_eq!(pending, [61, 62, 63], "those of one call were left pending");
     let (mut as_left, serial) = (stored(&roadmap), replayed(&roadmap));
-    let beside = roadmap.ids[40];
-    assert!(!as_left[62].contains(&beside), "the one beside it");
-    assert!(serial[62].contains(&beside));
+    let neighbor = roadmap.ids[40];
+    assert!(!as_left[62].contains(&neighbor), "the one beside it");
+    assert!(serial[62].contains(&neighbor));
     // All stored edges are free, and no other edge is missing.
     for id in pending {
         for &to in &roadmap.edges[id] {

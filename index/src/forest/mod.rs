@@ -49,7 +49,7 @@ pub struct ForestOptions {
     /// The greatest number of points in the level that grows by single points, from 1 to
     /// [`ForestOptions::MAX_GROWING_ROWS`]; a number outside that range counts as its nearer end.
     pub growing_rows: usize,
-    /// The greatest number of points in a leaf, at least 1.
+    /// The greatest number of points in a leaf; 0 counts as 1.
     pub leaf_rows: usize,
 }
 

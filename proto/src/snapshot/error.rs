@@ -95,10 +95,10 @@ pub enum SnapshotError {
         expected: usize,
     },
     /// A point that no index holds.
-    #[error("{place}: {problem}")]
+    #[error("{position}: {problem}")]
     Point {
-        /// The place of the point.
-        place: Place,
+        /// The position of the point.
+        position: PointPosition,
         /// The problem with it.
         problem: Box<PointProblem>,
     },
@@ -138,20 +138,20 @@ pub enum SnapshotError {
     },
 }
 
-/// The place of a point in a snapshot.
+/// The position of a point in a snapshot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct PointPosition {
     /// The part.
     pub part: u64,
-    /// Its place in the part, from 0.
+    /// Its row in the part, from 0.
     pub row: usize,
     /// Its id.
     pub id: u64,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for PointPosition {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Place { part, row, id } = self;
+        let PointPosition { part, row, id } = self;
         write!(f, "part {part}, point {row} (id {id})")
     }
 }

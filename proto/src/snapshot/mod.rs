@@ -17,7 +17,7 @@ use wayfold_index::Space;
 
 use crate::v1::PayloadEncoding;
 
-pub use error::{BlockProblem, Place, PointProblem, SessionProblem, SnapshotError};
+pub use error::{BlockProblem, PointPosition, PointProblem, SessionProblem, SnapshotError};
 pub use file::{FileReader, FileWriter};
 pub use reader::{Content, Reader};
 pub use writer::Writer;

@@ -5,7 +5,7 @@ use wayfold_index::Space;
 
 use super::{
     Digest, FORMAT_VERSION, Header, MAX_CONTENT_BYTES, MAX_PAYLOAD_BYTES, OLDEST_FORMAT_VERSION,
-    Place, PointProblem, SnapshotError, digest, sessions::CheckedSessions,
+    PointPosition, PointProblem, SnapshotError, digest, sessions::CheckedSessions,
 };
 use crate::{
     END_OF_IDS, space,
@@ -208,7 +208,7 @@ impl Reader {
         for row in 0..points.ids.len() {
             self.check_point(&header, &points, &modified, row)
                 .map_err(|problem| SnapshotError::Point {
-                    place: Place {
+                    position: PointPosition {
                         part: number,
                         row,
                         id: points.ids[row],

@@ -29,7 +29,7 @@ use crate::{
 /// A frame of an answer.
 pub(super) type AnswerFrame = Result<Frame<Bytes>, Status>;
 
-/// A call's response body. It holds what the call holds until its end: a client that saw the end finds the place free.
+/// A call's response body. It holds what the call holds until its end: a client that saw the end finds the resources free.
 pub(crate) struct CallBody {
     inner: Body,
     /// A frame that was made with the answer's headers.
@@ -40,11 +40,11 @@ pub(crate) struct CallBody {
     timer: Option<Pin<Box<Sleep>>>,
     /// The turns in which the frames of a stream are made.
     turns: Option<CallTurns>,
-    place: Option<Place>,
+    resources: Option<CallResources>,
 }
 
 /// The resources of a call: its places on its connection and among the calls under way, and bytes.
-pub(super) struct Place {
+pub(super) struct CallResources {
     pub(super) activity: Option<Activity>,
     pub(super) _active: Option<ActiveCall>,
     pub(super) _stream: Option<OwnedSemaphorePermit>,
@@ -53,25 +53,25 @@ pub(super) struct Place {
 }
 
 /// A frame that its client has not read. It is dropped once it is written.
-struct Unread {
+struct UnreadFrame {
     bytes: Bytes,
     _held: HeldBytes,
     _sending: Option<Sending>,
 }
 
-impl AsRef<[u8]> for Unread {
+impl AsRef<[u8]> for UnreadFrame {
     fn as_ref(&self) -> &[u8] {
         &self.bytes
     }
 }
 
-impl Place {
+impl CallResources {
     /// Counts the bytes of `frame` until its client has read them.
     fn count(&self, frame: Frame<Bytes>) -> Frame<Bytes> {
         frame.map_data(|bytes| {
             let held = self.held.flow().hold();
             held.take_anyway(bytes.len());
-            Bytes::from_owner(Unread {
+            Bytes::from_owner(UnreadFrame {
                 bytes,
                 _held: held,
                 _sending: self.activity.as_ref().map(Activity::send),
@@ -86,7 +86,7 @@ impl CallBody {
         response: Response<Body>,
         made: Option<AnswerFrame>,
         mut record: CallRecord,
-        place: Place,
+        resources: CallResources,
         deadline: Option<Instant>,
         turns: Option<CallTurns>,
     ) -> Response<Body> {
@@ -97,7 +97,7 @@ impl CallBody {
             return response;
         }
         // It counts from now on: a connection without room to send does not ask for it.
-        let made = made.map(|made| made.map(|frame| place.count(frame)));
+        let made = made.map(|made| made.map(|frame| resources.count(frame)));
         response.map(|inner| {
             Body::new(Self {
                 inner,
@@ -106,7 +106,7 @@ impl CallBody {
                 deadline,
                 timer: None,
                 turns,
-                place: Some(place),
+                resources: Some(resources),
             })
         })
     }
@@ -125,8 +125,8 @@ impl CallBody {
         match polled {
             Ok(Poll::Pending) => Poll::Pending,
             Ok(Poll::Ready(Ok(made))) => Poll::Ready(made.map(|made| {
-                made.map(|frame| match &self.place {
-                    Some(place) => place.count(frame),
+                made.map(|frame| match &self.resources {
+                    Some(resources) => resources.count(frame),
                     None => frame,
                 })
             })),
@@ -149,7 +149,7 @@ impl CallBody {
 
     fn ended(&mut self, code: Code) {
         self.record.end(ending(code));
-        self.place = None;
+        self.resources = None;
     }
 
     fn deadline_passed(&mut self, context: &mut Context<'_>) -> bool {

@@ -24,7 +24,7 @@ use tracing::Instrument;
 use admitted::Admitted;
 
 use super::{
-    body::{CallBody, Place},
+    body::{CallBody, CallResources},
     connections::Activity,
     deadline, refusals,
     request_body::RequestLimits,
@@ -34,7 +34,7 @@ use crate::{
     admission::{CALL_BYTES, Flow},
     config::GrpcConfig,
     faces::Shared,
-    identity::{Caller, Denial, Stranger},
+    identity::{Caller, Denial, IdentificationError},
     observe::{self, CallRecord, Ending, Times},
     service::{Call, Error, Peer},
     status,
@@ -45,12 +45,12 @@ pub(crate) fn call_of<T>(request: &tonic::Request<T>) -> Call {
     let call = request.extensions().get::<Call>().cloned();
     // Without the layer there is no right.
     call.unwrap_or(Call {
-        caller: Caller::Unknown(Stranger::NoCredential),
+        caller: Caller::Unknown(IdentificationError::NoCredential),
         ..Call::default()
     })
 }
 
-/// The place of a call in a trace.
+/// The resources of a call in a trace.
 fn traceparent(headers: &HeaderMap) -> Option<&str> {
     headers.get("traceparent")?.to_str().ok()
 }
@@ -240,7 +240,7 @@ where
             }
         }
         let deadline = call.deadline;
-        let place = Place {
+        let resources = CallResources {
             activity,
             _active: active,
             _stream: stream.flatten(),
@@ -302,7 +302,7 @@ where
                 response,
                 made,
                 record,
-                place,
+                resources,
                 deadline,
                 is_answer_stream.then_some(turns),
             ))

@@ -71,12 +71,12 @@ struct State {
     flow: Arc<Flow>,
     /// The free places of lasting streams.
     streams: Arc<Semaphore>,
-    unread: Mutex<Unread>,
+    unread: Mutex<UnreadFrames>,
 }
 
 /// The answers that wait for a client to read them.
 #[derive(Debug)]
-struct Unread {
+struct UnreadFrames {
     frames: usize,
     /// The time of the first of them, or that at which the client read another.
     since: Instant,
@@ -135,7 +135,7 @@ impl Connections {
             certificate: Client::default(),
             flow: self.admission.open(),
             streams: Arc::new(Semaphore::new(self.max_streams)),
-            unread: Mutex::new(Unread {
+            unread: Mutex::new(UnreadFrames {
                 frames: 0,
                 since: Instant::now(),
             }),

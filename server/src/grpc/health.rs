@@ -55,26 +55,26 @@ impl HealthFace {
 
     /// The status of [`WRITING`] at each change, until the server begins to stop.
     fn watch_writing(&self) -> impl Stream<Item = ServingStatus> + Send + use<> {
-        let looks = Looks {
+        let watch = WritingWatch {
             health: Self::new(self.phases.clone(), self.service.clone()),
             stopping: Box::pin(self.phases.clone().stopping()),
             ticks: interval(LOOK_INTERVAL),
             reported: None,
         };
-        stream::unfold(Some(looks), async |looks| looks?.next().await)
+        stream::unfold(Some(watch), async |watch| watch?.next().await)
     }
 }
 
-/// The looks of one watch of [`WRITING`].
-struct Looks {
+/// The watch of one watch of [`WRITING`].
+struct WritingWatch {
     health: HealthFace,
     stopping: Pin<Box<dyn Future<Output = ()> + Send>>,
     ticks: Interval,
     reported: Option<ServingStatus>,
 }
 
-impl Looks {
-    /// The next status that differs, and the looks after it; none after that of a stopping server.
+impl WritingWatch {
+    /// The next status that differs, and the watch after it; none after that of a stopping server.
     async fn next(mut self) -> Option<(ServingStatus, Option<Self>)> {
         loop {
             tokio::select! {

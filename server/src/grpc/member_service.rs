@@ -20,7 +20,7 @@ use tonic_prost::ProstCodec;
 
 use super::status::{Answer, Messages, from_error, respond};
 use crate::service::{
-    COPY, CopyPart, CopyRequest, Copying, IndexCopy, SERVICE, STORED, Service, StoredRequest,
+    COPY, CopyOutcome, CopyPart, CopyRequest, IndexCopy, SERVICE, STORED, Service, StoredRequest,
     StoredResponse,
 };
 
@@ -82,8 +82,8 @@ impl ServerStreamingService<CopyRequest> for MemberFace {
         async move {
             let copying = service.copy_index(request.into_inner()).await;
             let parts = match copying.map_err(|error| from_error(&error))? {
-                Copying::Copy(copy) => stream::unfold(copy, next).boxed(),
-                Copying::None(kind) => {
+                CopyOutcome::Copy(copy) => stream::unfold(copy, next).boxed(),
+                CopyOutcome::None(kind) => {
                     let only = CopyPart { kind: Some(kind) };
                     stream::once(ready(Ok(only))).boxed()
                 }

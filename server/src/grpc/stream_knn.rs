@@ -61,7 +61,7 @@ impl KnnStreams {
     pub(crate) async fn serve(self, request: Request<Body>) -> Response<Body> {
         let limit = Some(self.max_message_bytes);
         let mut grpc = Grpc::new(TolerantCodec).apply_max_message_size_config(limit, None);
-        grpc.streaming(Tolerant(self), request).await
+        grpc.streaming(TolerantStreamKnn(self), request).await
     }
 
     /// The flow of a stream; one of its own if the layer around all calls is missing.
@@ -240,9 +240,9 @@ impl<M: Stream<Item = Result<Incoming, Status>> + Unpin> Reader<M> {
     }
 }
 
-struct Tolerant(KnnStreams);
+struct TolerantStreamKnn(KnnStreams);
 
-impl StreamingService<Incoming> for Tolerant {
+impl StreamingService<Incoming> for TolerantStreamKnn {
     type Response = v1::StreamKnnResponse;
     type ResponseStream = Answers;
     type Future = std::future::Ready<Result<tonic::Response<Answers>, Status>>;

@@ -1,4 +1,4 @@
-//! The connections to the pages for operators, which are few. One ends after a time in which it took nothing. Once all places
+//! The connections to the pages for operators, which are few. One ends after a time in which it took nothing. Once all slots
 //! are taken, the one that took nothing for the longest time makes room for the next: silent strangers keep no probe out.
 
 use std::{
@@ -23,31 +23,31 @@ use crate::grpc::Socket;
 /// The time in which a connection takes some bytes of an answer. Clients of HTTP connect again by themselves.
 const MAX_STALL: Duration = Duration::from_secs(60);
 
-/// A connection keeps its place for this long after it was opened and after it took bytes: its request may be on its way.
+/// A connection keeps its slot for this long after it was opened and after it took bytes: its request may be on its way.
 /// Probes wait a second for an answer.
 const MIN_SILENCE: Duration = Duration::from_millis(250);
 
-/// The places of a listener.
-pub(super) struct Places {
+/// The slots of a listener.
+pub(super) struct ConnectionSlots {
     free: Arc<Semaphore>,
     /// The connections by the order in which they were opened.
-    open: Mutex<BTreeMap<u64, Seat>>,
+    open: Mutex<BTreeMap<u64, OpenConnection>>,
 }
 
-struct Seat {
+struct OpenConnection {
     active_at: Instant,
     cut: CancellationToken,
 }
 
-/// A place, until it is dropped.
-pub(super) struct Place {
-    places: Arc<Places>,
+/// A slot, until it is dropped.
+pub(super) struct ConnectionSlot {
+    slots: Arc<ConnectionSlots>,
     number: u64,
     cut: CancellationToken,
     _permit: OwnedSemaphorePermit,
 }
 
-impl Places {
+impl ConnectionSlots {
     pub(super) fn new(limit: usize) -> Arc<Self> {
         Arc::new(Self {
             free: Arc::new(Semaphore::new(limit)),
@@ -55,8 +55,8 @@ impl Places {
         })
     }
 
-    /// Waits for a place, which the connection that was silent for the longest time gives up if there is no other.
-    pub(super) async fn take(self: &Arc<Self>) -> Place {
+    /// Waits for a slot, which the connection that was silent for the longest time gives up if there is no other.
+    pub(super) async fn take(self: &Arc<Self>) -> ConnectionSlot {
         let permit = loop {
             if let Ok(permit) = Arc::clone(&self.free).try_acquire_owned() {
                 break permit;
@@ -70,14 +70,14 @@ impl Places {
         let cut = CancellationToken::new();
         let mut open = self.open.lock();
         let number = open.last_key_value().map_or(0, |(last, _)| last + 1);
-        let seat = Seat {
+        let connection = OpenConnection {
             active_at: Instant::now(),
             cut: cut.clone(),
         };
-        open.insert(number, seat);
+        open.insert(number, connection);
         drop(open);
-        Place {
-            places: Arc::clone(self),
+        ConnectionSlot {
+            slots: Arc::clone(self),
             number,
             cut,
             _permit: permit,
@@ -86,42 +86,44 @@ impl Places {
 
     fn give_one_up(&self) {
         let open = self.open.lock();
-        let silent = open.values().min_by_key(|seat| seat.active_at);
-        if let Some(seat) = silent.filter(|seat| seat.active_at.elapsed() >= MIN_SILENCE) {
-            seat.cut.cancel();
+        let silent = open.values().min_by_key(|connection| connection.active_at);
+        if let Some(connection) =
+            silent.filter(|connection| connection.active_at.elapsed() >= MIN_SILENCE)
+        {
+            connection.cut.cancel();
         }
     }
 }
 
-impl Place {
+impl ConnectionSlot {
     fn note_activity(&self) {
-        if let Some(seat) = self.places.open.lock().get_mut(&self.number) {
-            seat.active_at = Instant::now();
+        if let Some(connection) = self.slots.open.lock().get_mut(&self.number) {
+            connection.active_at = Instant::now();
         }
     }
 }
 
-impl Drop for Place {
+impl Drop for ConnectionSlot {
     fn drop(&mut self) {
-        self.places.open.lock().remove(&self.number);
+        self.slots.open.lock().remove(&self.number);
     }
 }
 
-/// A connection with its place.
-pub(super) struct Bounded {
+/// A connection with its slot.
+pub(super) struct BoundedConnection {
     socket: Socket,
     end: Pin<Box<Sleep>>,
     cut: Pin<Box<WaitForCancellationFutureOwned>>,
-    place: Place,
+    slot: ConnectionSlot,
 }
 
-impl Bounded {
-    pub(super) fn new(socket: Socket, place: Place) -> Self {
+impl BoundedConnection {
+    pub(super) fn new(socket: Socket, slot: ConnectionSlot) -> Self {
         Self {
             socket,
             end: Box::pin(sleep_until(Instant::now() + MAX_STALL)),
-            cut: Box::pin(place.cut.clone().cancelled_owned()),
-            place,
+            cut: Box::pin(slot.cut.clone().cancelled_owned()),
+            slot,
         }
     }
 
@@ -136,7 +138,7 @@ impl Bounded {
     }
 }
 
-impl AsyncRead for Bounded {
+impl AsyncRead for BoundedConnection {
     fn poll_read(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
@@ -147,7 +149,7 @@ impl AsyncRead for Bounded {
     }
 }
 
-impl AsyncWrite for Bounded {
+impl AsyncWrite for BoundedConnection {
     fn poll_write(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
@@ -157,7 +159,7 @@ impl AsyncWrite for Bounded {
         let written = Pin::new(&mut self.socket).poll_write(context, bytes);
         if matches!(written, Poll::Ready(Ok(1..))) {
             self.end.as_mut().reset(Instant::now() + MAX_STALL);
-            self.place.note_activity();
+            self.slot.note_activity();
         }
         written
     }
@@ -181,13 +183,19 @@ mod tests {
     use super::*;
     use crate::grpc::Tls;
 
-    /// A connection that takes a place, and its client.
-    async fn connect(listener: &TcpListener, places: &Arc<Places>) -> (TcpStream, Bounded) {
+    /// A connection that takes a slot, and its client.
+    async fn connect(
+        listener: &TcpListener,
+        slots: &Arc<ConnectionSlots>,
+    ) -> (TcpStream, BoundedConnection) {
         let address = listener.local_addr().unwrap();
         let client = TcpStream::connect(address).await.unwrap();
-        let place = places.take().await;
+        let slot = slots.take().await;
         let (socket, _) = listener.accept().await.unwrap();
-        (client, Bounded::new(Tls::accept(None, socket, None), place))
+        (
+            client,
+            BoundedConnection::new(Tls::accept(None, socket, None), slot),
+        )
     }
 
     async fn listen() -> TcpListener {
@@ -196,22 +204,22 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn a_silent_connection_gives_its_place_up_after_its_time() {
-        let places = Places::new(1);
-        let (mut client, mut bounded) = connect(&listen().await, &places).await;
+        let slots = ConnectionSlots::new(1);
+        let (mut client, mut bounded) = connect(&listen().await, &slots).await;
         client.write_all(b"G").await.unwrap();
         assert_eq!(bounded.read_u8().await.unwrap(), b'G');
         let began = Instant::now();
         let ended = bounded.read_u8().await.unwrap_err();
         assert_eq!(ended.kind(), io::ErrorKind::TimedOut);
         assert!(began.elapsed() >= MAX_STALL);
-        assert_eq!(places.free.available_permits(), 0);
+        assert_eq!(slots.free.available_permits(), 0);
         drop(bounded);
-        assert_eq!(places.free.available_permits(), 1);
+        assert_eq!(slots.free.available_permits(), 1);
     }
 
     #[tokio::test(start_paused = true)]
     async fn a_connection_that_takes_answers_goes_on() {
-        let (_client, mut bounded) = connect(&listen().await, &Places::new(1)).await;
+        let (_client, mut bounded) = connect(&listen().await, &ConnectionSlots::new(1)).await;
         for _ in 0..4 {
             tokio::time::advance(MAX_STALL / 2).await;
             bounded.write_all(b"more").await.unwrap();
@@ -223,15 +231,15 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn the_longest_silence_makes_room() {
-        let (listener, places) = (listen().await, Places::new(2));
-        let (_live, mut live) = connect(&listener, &places).await;
-        let (_silent, mut silent) = connect(&listener, &places).await;
+        let (listener, slots) = (listen().await, ConnectionSlots::new(2));
+        let (_live, mut live) = connect(&listener, &slots).await;
+        let (_silent, mut silent) = connect(&listener, &slots).await;
         tokio::time::advance(MIN_SILENCE).await;
         live.write_all(b"an answer").await.unwrap();
-        // A connection that is cut ends at its next poll, and frees its place.
+        // A connection that is cut ends at its next poll, and frees its slot.
         let ended = tokio::spawn(async move { silent.read_u8().await.unwrap_err().kind() });
         let began = Instant::now();
-        let _third = connect(&listener, &places).await;
+        let _third = connect(&listener, &slots).await;
         assert!(began.elapsed() < MAX_STALL);
         assert_eq!(ended.await.unwrap(), io::ErrorKind::ConnectionAborted);
         live.write_all(b"another").await.unwrap();

@@ -47,7 +47,7 @@ use crate::{
     status,
 };
 use api::{Api, refusal};
-use bounded::{Bounded, Places};
+use bounded::{BoundedConnection, ConnectionSlots};
 use guard::Guard;
 pub(crate) use state::State;
 
@@ -74,7 +74,7 @@ pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages)
     let listener = PagesListener {
         listener,
         tls,
-        places: Places::new(MAX_CONNECTIONS),
+        slots: ConnectionSlots::new(MAX_CONNECTIONS),
     };
     let routes = routes.into_make_service_with_connect_info::<Connection>();
     axum::serve(listener, routes).await
@@ -171,11 +171,11 @@ async fn ready(Of(pages): Of<Arc<Pages>>) -> (StatusCode, &'static str) {
 struct PagesListener {
     listener: TcpListener,
     tls: Option<Tls>,
-    places: Arc<Places>,
+    slots: Arc<ConnectionSlots>,
 }
 
 impl Listener for PagesListener {
-    type Io = Bounded;
+    type Io = BoundedConnection;
     type Addr = Connection;
 
     async fn accept(&mut self) -> (Self::Io, Self::Addr) {
@@ -185,10 +185,13 @@ impl Listener for PagesListener {
                 let _ = timeout(ACCEPT_RETRY_PAUSE, pending::<()>()).await;
                 continue;
             };
-            let place = self.places.take().await;
+            let slot = self.slots.take().await;
             let client = Client::default();
             let socket = Tls::accept(self.tls.as_ref(), socket, Some(Arc::clone(&client)));
-            return (Bounded::new(socket, place), Connection { peer, client });
+            return (
+                BoundedConnection::new(socket, slot),
+                Connection { peer, client },
+            );
         }
     }
 

@@ -12,7 +12,7 @@ use prometheus_client::{
 use crate::{
     faces::Shared,
     lifecycle::{Phase, PhaseWatch},
-    registry::{Listed, Part},
+    registry::{IndexEntry, Part},
     watermark::Level,
 };
 
@@ -178,16 +178,16 @@ impl State {
     fn indices(&self) -> (Vec<OfIndices>, Vec<(Index, u64)>) {
         let gauges = OF_INDEX.map(|(name, help)| (name, help, Vec::new()));
         let mut gauges: Vec<OfIndices> = gauges.into();
-        let (mut served, mut damaged) = (0, 0);
+        let (mut serving, mut damaged) = (0, 0);
         let mut missed = Vec::new();
         for listed in self.shared.service.listed() {
-            let Listed::Hosted(hosted) = listed else {
+            let IndexEntry::Hosted(hosted) = listed else {
                 damaged += 1;
                 continue;
             };
             match hosted.damage() {
                 Some(_) => damaged += 1,
-                None => served += 1,
+                None => serving += 1,
             }
             // One for all indices beyond the labelled ones would be wrong for each of them.
             let Some(label) = hosted.own_label() else {
@@ -225,7 +225,7 @@ impl State {
         gauges.push((
             "indices",
             "Indices that are served, and those that cannot be read or written",
-            vec![(state("served"), served), (state("damaged"), damaged)],
+            vec![(state("served"), serving), (state("damaged"), damaged)],
         ));
         (gauges, missed)
     }

@@ -20,7 +20,7 @@ use crate::{
     identity::Identities,
     lifecycle::Lifecycle,
     log::MemoryLog,
-    registry::{Listed, Registry, RegistryOptions},
+    registry::{IndexEntry, Registry, RegistryOptions},
     service::{Call, Limits, Service},
 };
 

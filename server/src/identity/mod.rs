@@ -98,7 +98,7 @@ struct Pattern(String);
 
 /// The reason why a caller has no rights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stranger {
+pub enum IdentificationError {
     /// The call has neither a token nor a client certificate.
     NoCredential,
     /// No identity has the token or the certificate.
@@ -115,7 +115,7 @@ pub enum Stranger {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Denial {
     /// The caller is not identified.
-    Unknown(Stranger),
+    Unknown(IdentificationError),
     /// The identity has a lesser role than this one.
     Role {
         /// The identity.
@@ -146,7 +146,7 @@ pub enum Caller {
     /// An identity.
     Known(Arc<CountedCall>),
     /// Not identified.
-    Unknown(Stranger),
+    Unknown(IdentificationError),
 }
 
 impl Caller {
@@ -177,7 +177,7 @@ impl Caller {
     }
 
     /// Refuses a caller whose identity is missing, expired or revoked, or has too many calls under way.
-    pub fn check(&self) -> Result<(), Stranger> {
+    pub fn check(&self) -> Result<(), IdentificationError> {
         let CountedCall {
             identity,
             expires,
@@ -188,11 +188,13 @@ impl Caller {
             Caller::Known(calling) => &**calling,
         };
         if identity.is_revoked.load(Relaxed) {
-            return Err(Stranger::Revoked);
+            return Err(IdentificationError::Revoked);
         }
         match (expires, exceeds) {
-            (Some(expires), _) if SystemTime::now() >= *expires => Err(Stranger::Expired),
-            (_, Some(most)) => Err(Stranger::TooManyCalls(*most)),
+            (Some(expires), _) if SystemTime::now() >= *expires => {
+                Err(IdentificationError::Expired)
+            }
+            (_, Some(most)) => Err(IdentificationError::TooManyCalls(*most)),
             _ => Ok(()),
         }
     }
@@ -263,20 +265,20 @@ impl Pattern {
     }
 }
 
-impl fmt::Display for Stranger {
+impl fmt::Display for IdentificationError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Stranger::NoCredential => f.write_str(
+            IdentificationError::NoCredential => f.write_str(
                 "the call has neither a token nor a client certificate: give it one of an identity of this server",
             ),
-            Stranger::WrongCredential => {
+            IdentificationError::WrongCredential => {
                 f.write_str("no identity of this server has this token or client certificate")
             }
-            Stranger::Expired => f.write_str("the identity or its client certificate has expired: ask for another token or certificate"),
-            Stranger::Revoked => f.write_str(
+            IdentificationError::Expired => f.write_str("the identity or its client certificate has expired: ask for another token or certificate"),
+            IdentificationError::Revoked => f.write_str(
                 "the identity was removed or changed: call again with a credential that is valid now",
             ),
-            Stranger::TooManyCalls(most) => write!(
+            IdentificationError::TooManyCalls(most) => write!(
                 f,
                 "as many calls of the identity are under way as its max_calls = {most} allows: try again later"
             ),

@@ -15,7 +15,7 @@ use prometheus_client::metrics::gauge::Gauge;
 use tokio::time::interval;
 use tracing::{error, info};
 
-use super::{Caller, ClientCertificate, Stranger, TableError, table::Table};
+use super::{Caller, ClientCertificate, IdentificationError, TableError, table::Table};
 
 /// The interval at which files are looked at: a revoked identity has its rights for so long at most.
 pub(crate) const LOOK_INTERVAL: Duration = Duration::from_secs(1);
@@ -39,32 +39,32 @@ struct Source {
 
 /// A state of a file, by which a change shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Stamp(Option<(SystemTime, u64, Place)>);
+pub(crate) struct Stamp(Option<(SystemTime, u64, InodeStamp)>);
 
 /// The file itself, and the last time at which anything of it changed: a new token has the length of the old one, and copies
 /// may keep the time of the content.
 #[cfg(unix)]
-type Place = [i64; 4];
+type InodeStamp = [i64; 4];
 #[cfg(not(unix))]
-type Place = ();
+type InodeStamp = ();
 
 impl Stamp {
     /// The state of a file now. A file that cannot be looked at has a state of its own.
     pub(crate) fn of(file: &Path) -> Self {
         let looked = fs::metadata(file)
-            .and_then(|it| io::Result::Ok((it.modified()?, it.len(), Self::place(&it))));
+            .and_then(|it| io::Result::Ok((it.modified()?, it.len(), Self::inode_stamp(&it))));
         Self(looked.ok())
     }
 
     #[cfg(unix)]
-    fn place(of: &fs::Metadata) -> Place {
+    fn inode_stamp(of: &fs::Metadata) -> InodeStamp {
         use std::os::unix::fs::MetadataExt;
         let (device, number) = (of.dev().cast_signed(), of.ino().cast_signed());
         [device, number, of.ctime(), of.ctime_nsec()]
     }
 
     #[cfg(not(unix))]
-    fn place(_: &fs::Metadata) -> Place {}
+    fn inode_stamp(_: &fs::Metadata) -> InodeStamp {}
 }
 
 impl Identities {
@@ -103,7 +103,7 @@ impl Identities {
         let caller = match (token, certificate) {
             (Some(token), _) => source.table.read().of_token(token),
             (None, Some(certificate)) => source.table.read().of_certificate(certificate),
-            (None, None) => Caller::Unknown(Stranger::NoCredential),
+            (None, None) => Caller::Unknown(IdentificationError::NoCredential),
         };
         source.count(caller)
     }

@@ -14,7 +14,7 @@ use subtle::ConstantTimeEq;
 use thiserror::Error;
 use time::{OffsetDateTime, format_description::well_known::Rfc3339};
 
-use super::{Caller, ClientCertificate, Identity, Pattern, Role, Stranger};
+use super::{Caller, ClientCertificate, IdentificationError, Identity, Pattern, Role};
 use crate::wrong_text;
 
 /// The SHA-256 of a token, in words, which are compared faster than bytes.
@@ -178,26 +178,29 @@ impl Table {
                 found = Some(identity);
             }
         }
-        found.map_or(Caller::Unknown(Stranger::WrongCredential), |it| {
-            Caller::known(it, None)
-        })
+        found.map_or(
+            Caller::Unknown(IdentificationError::WrongCredential),
+            |it| Caller::known(it, None),
+        )
     }
 
     /// The caller of this name.
     pub(super) fn of_name(&self, name: &str) -> Caller {
         let found = self.entries.get(name).map(|(_, identity)| identity);
-        found.map_or(Caller::Unknown(Stranger::WrongCredential), |it| {
-            Caller::known(it, None)
-        })
+        found.map_or(
+            Caller::Unknown(IdentificationError::WrongCredential),
+            |it| Caller::known(it, None),
+        )
     }
 
     /// The caller whose verified client certificate is for any of its names.
     pub(super) fn of_certificate(&self, certificate: &ClientCertificate) -> Caller {
         let names = &mut certificate.names.iter();
         let found = names.find_map(|name| self.certificates.get(name));
-        found.map_or(Caller::Unknown(Stranger::WrongCredential), |it| {
-            Caller::known(it, Some(certificate))
-        })
+        found.map_or(
+            Caller::Unknown(IdentificationError::WrongCredential),
+            |it| Caller::known(it, Some(certificate)),
+        )
     }
 }
 
@@ -261,7 +264,7 @@ mod tests {
         let table = Table::parse(text).unwrap();
         let check = |hours| table.of_certificate(&certificate(&["cell"], hours)).check();
         assert_eq!(check(1), Ok(()));
-        assert_eq!(check(-1), Err(Stranger::Expired));
+        assert_eq!(check(-1), Err(IdentificationError::Expired));
     }
 
     #[test]
@@ -275,12 +278,12 @@ mod tests {
         let leg = caller.authorize(Role::Read, Some("leg")).unwrap_err();
         assert!(matches!(leg, super::super::Denial::Index { .. }));
         let expired = table.of_certificate(&certificate(&["other", "gone.example"], 1));
-        assert_eq!(expired.check(), Err(Stranger::Expired));
+        assert_eq!(expired.check(), Err(IdentificationError::Expired));
         for caller in [
             table.of_token(b"another"),
             table.of_certificate(&certificate(&["other"], 1)),
         ] {
-            assert_eq!(caller.check(), Err(Stranger::WrongCredential));
+            assert_eq!(caller.check(), Err(IdentificationError::WrongCredential));
         }
     }
 
@@ -294,11 +297,11 @@ mod tests {
         let call = || table.of_token(TOKEN.as_bytes());
         let (first, second, third) = (call(), call(), call());
         second.check().unwrap();
-        assert_eq!(third.check(), Err(Stranger::TooManyCalls(2)));
+        assert_eq!(third.check(), Err(IdentificationError::TooManyCalls(2)));
         // A clone belongs to the same call.
         let same = first.clone();
         drop((first, third));
-        assert_eq!(call().check(), Err(Stranger::TooManyCalls(2)));
+        assert_eq!(call().check(), Err(IdentificationError::TooManyCalls(2)));
         drop(same);
         call().check().unwrap();
     }
@@ -313,7 +316,7 @@ mod tests {
         again.check().unwrap();
         let changed = table("read").succeed(&same);
         for caller in [before, again] {
-            assert_eq!(caller.check(), Err(Stranger::Revoked));
+            assert_eq!(caller.check(), Err(IdentificationError::Revoked));
         }
         changed.of_token(TOKEN.as_bytes()).check().unwrap();
     }

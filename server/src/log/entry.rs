@@ -44,7 +44,7 @@ impl Entry {
 
 /// An index whose data is lost. Only its name and uid are left.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Lost {
+pub struct LostIndex {
     /// Its name.
     pub name: String,
     /// Its uid.

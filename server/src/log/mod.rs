@@ -43,12 +43,12 @@ pub(crate) use self::fjall::SYNCS;
 pub use self::fjall::fuzzing;
 pub use self::fjall::{Durability, FjallLog, OpenError, RepairError, RepairReport, repair};
 pub use effects::{Effects, Operation, Outcome};
-pub use entry::{Entry, Lost, Origin};
+pub use entry::{Entry, LostIndex, Origin};
 pub use error::LogError;
 pub use memory::MemoryLog;
 pub use nats::{NatsError, NatsOptions, connect as connect_nats};
 pub use record::{Digest, Record, RunId};
-pub(crate) use retention::Bounded;
+pub(crate) use retention::BoundedQueue;
 pub use retention::{Retention, Window};
 pub use session::{Batch, Block, Session, Sessions};
 pub use uid::Uid;
@@ -264,7 +264,7 @@ pub trait Catalogue: Send + Sync {
     fn indexes(&self) -> Result<Vec<Entry>, LogError>;
 
     /// The indices whose data is lost. They can be deleted.
-    fn lost(&self) -> Vec<Lost> {
+    fn lost(&self) -> Vec<LostIndex> {
         Vec::new()
     }
 

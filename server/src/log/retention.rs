@@ -32,7 +32,7 @@ impl Retention {
     /// since 1970.
     pub(super) fn forget_records<'a, T>(
         &'a self,
-        records: &'a mut Bounded<T>,
+        records: &'a mut BoundedQueue<T>,
         time_of: impl Fn(&T) -> u64 + 'a,
     ) -> impl Iterator<Item = T> + 'a {
         let since = time_ms(self.since);
@@ -46,7 +46,7 @@ impl Retention {
     /// Forgets the operations that need not be kept, oldest first.
     pub(super) fn forget_operations<'a, T>(
         &'a self,
-        operations: &'a mut Bounded<T>,
+        operations: &'a mut BoundedQueue<T>,
     ) -> impl Iterator<Item = T> + 'a {
         std::iter::from_fn(move || {
             operations.forget(self.operations, self.operation_bytes, |_| false)
@@ -56,13 +56,13 @@ impl Retention {
 
 /// A queue that forgets its oldest items. The newest item always stays, at any size and age, so that a follower that
 /// reads one record at a time always gets the next one.
-pub(crate) struct Bounded<T> {
+pub(crate) struct BoundedQueue<T> {
     /// The items with their bytes, oldest first.
     items: VecDeque<(T, usize)>,
     bytes: usize,
 }
 
-impl<T> Default for Bounded<T> {
+impl<T> Default for BoundedQueue<T> {
     fn default() -> Self {
         Self {
             items: VecDeque::new(),
@@ -71,7 +71,7 @@ impl<T> Default for Bounded<T> {
     }
 }
 
-impl<T> Bounded<T> {
+impl<T> BoundedQueue<T> {
     /// Adds the newest item.
     pub(crate) fn push(&mut self, item: T, bytes: usize) {
         self.bytes += bytes;

@@ -102,7 +102,7 @@ impl IndexState {
 }
 
 /// An entry in the list of indices.
-pub enum Listed {
+pub enum IndexEntry {
     /// An index that is served.
     Hosted(Arc<Hosted>),
     /// An index that cannot be read.
@@ -232,7 +232,7 @@ impl Registry {
         after: Option<&str>,
         limit: usize,
         is_wanted: impl Fn(&str) -> bool,
-    ) -> Result<Vec<Listed>, RegistryError> {
+    ) -> Result<Vec<IndexEntry>, RegistryError> {
         let start = after.map_or(Bound::Unbounded, Bound::Excluded);
         let indexes = self.indexes.read();
         if indexes.is_empty()
@@ -243,8 +243,8 @@ impl Registry {
         let page = indexes.range::<str, _>((start, Bound::Unbounded));
         let page = page.filter(|(name, _)| is_wanted(name));
         let listed = page.take(limit).map(|(name, state)| match state {
-            IndexState::Hosted(hosted) => Listed::Hosted(Arc::clone(hosted)),
-            IndexState::Damaged(uid, why) => Listed::Damaged {
+            IndexState::Hosted(hosted) => IndexEntry::Hosted(Arc::clone(hosted)),
+            IndexState::Damaged(uid, why) => IndexEntry::Damaged {
                 name: name.clone(),
                 uid: *uid,
                 why: why.clone(),

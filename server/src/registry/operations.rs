@@ -2,7 +2,7 @@
 
 use std::{collections::HashMap, sync::Arc};
 
-use crate::log::{Bounded, Operation};
+use crate::log::{BoundedQueue, Operation};
 
 /// The bounds on the operations that an index remembers. The newest operation is always remembered.
 #[derive(Clone, Copy, Debug)]
@@ -25,7 +25,7 @@ impl OperationWindow {
 pub(super) struct Operations {
     window: OperationWindow,
     by_id: HashMap<String, Arc<Operation>>,
-    newest: Bounded<Arc<Operation>>,
+    newest: BoundedQueue<Arc<Operation>>,
 }
 
 impl Operations {
@@ -34,7 +34,7 @@ impl Operations {
         Self {
             window: OperationWindow::UNBOUNDED,
             by_id: HashMap::new(),
-            newest: Bounded::default(),
+            newest: BoundedQueue::default(),
         }
     }
 

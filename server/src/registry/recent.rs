@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::log::{Bounded, Record};
+use crate::log::{BoundedQueue, Record};
 
 /// The maximum bytes of cached records. The newest record is always cached. A subscriber further behind reads the log.
 const MAX_BYTES: usize = 4 * 1024 * 1024;
@@ -10,7 +10,7 @@ const MAX_BYTES: usize = 4 * 1024 * 1024;
 /// A cache of the newest records.
 pub(super) struct RecentRecords {
     /// Consecutive revisions up to the newest.
-    records: Bounded<Arc<Record>>,
+    records: BoundedQueue<Arc<Record>>,
     max_bytes: usize,
 }
 
@@ -18,7 +18,7 @@ impl RecentRecords {
     /// A cache of at most `window_bytes`, the bytes of records that the log keeps.
     pub(super) fn new(window_bytes: usize) -> Self {
         Self {
-            records: Bounded::default(),
+            records: BoundedQueue::default(),
             max_bytes: window_bytes.min(MAX_BYTES),
         }
     }

@@ -108,7 +108,7 @@ impl NeighborColumns {
         self.room.take(
             encoded_len_varint(neighbors.len() as u64) + neighbors.len() * self.fixed_bytes(),
         )?;
-        self.columns.counts.push(neighbors.len() as u32);
+        self.columns.neighbor_counts.push(neighbors.len() as u32);
         for neighbor in neighbors {
             self.columns.ids.push(neighbor.id);
             self.columns.distances.push(neighbor.distance);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use tokio::sync::watch;
 
 use super::{Error, Service, error_map::catalog_error};
-use crate::registry::Listed;
+use crate::registry::IndexEntry;
 
 /// Follows the set of served indices.
 pub struct CatalogWatch {
@@ -38,9 +38,9 @@ impl CatalogWatch {
     }
 }
 
-fn hosted(listed: Listed) -> Option<(String, String)> {
+fn hosted(listed: IndexEntry) -> Option<(String, String)> {
     match listed {
-        Listed::Hosted(hosted) => Some((hosted.name().into(), hosted.uid_text().into())),
-        Listed::Damaged { .. } => None,
+        IndexEntry::Hosted(hosted) => Some((hosted.name().into(), hosted.uid_text().into())),
+        IndexEntry::Damaged { .. } => None,
     }
 }

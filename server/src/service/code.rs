@@ -1,7 +1,7 @@
 //! The kind and the reason of each error, for programs to match on.
 
 use super::{Error, Unavailability};
-use crate::identity::{Denial, Stranger};
+use crate::identity::{Denial, IdentificationError};
 
 /// The kinds of failure a caller can tell apart: the eleven codes of the contract, named as gRPC names them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -102,7 +102,7 @@ impl Error {
                 Code::Unavailable
             }
             Error::Denied { why } => match why {
-                Denial::Unknown(Stranger::TooManyCalls(_)) => Code::ResourceExhausted,
+                Denial::Unknown(IdentificationError::TooManyCalls(_)) => Code::ResourceExhausted,
                 Denial::Unknown(_) => Code::Unauthenticated,
                 Denial::Role { .. } | Denial::Index { .. } | Denial::Metrics { .. } => {
                     Code::PermissionDenied
@@ -144,11 +144,11 @@ impl Error {
                 Unavailability::Stopping => "STOPPING",
             },
             Error::Denied { why } => match why {
-                Denial::Unknown(Stranger::NoCredential) => "NO_CREDENTIAL",
-                Denial::Unknown(Stranger::WrongCredential) => "WRONG_CREDENTIAL",
-                Denial::Unknown(Stranger::Expired) => "IDENTITY_EXPIRED",
-                Denial::Unknown(Stranger::Revoked) => "IDENTITY_REVOKED",
-                Denial::Unknown(Stranger::TooManyCalls(_)) => "TOO_MANY_CALLS",
+                Denial::Unknown(IdentificationError::NoCredential) => "NO_CREDENTIAL",
+                Denial::Unknown(IdentificationError::WrongCredential) => "WRONG_CREDENTIAL",
+                Denial::Unknown(IdentificationError::Expired) => "IDENTITY_EXPIRED",
+                Denial::Unknown(IdentificationError::Revoked) => "IDENTITY_REVOKED",
+                Denial::Unknown(IdentificationError::TooManyCalls(_)) => "TOO_MANY_CALLS",
                 Denial::Role { .. } => "ROLE_TOO_LOW",
                 Denial::Index { .. } => "INDEX_NOT_ALLOWED",
                 Denial::Metrics { .. } => "METRICS_NOT_ALLOWED",

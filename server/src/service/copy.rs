@@ -27,7 +27,7 @@ pub struct IndexCopy {
 }
 
 /// The answer to a member that asks for a copy.
-pub enum Copying {
+pub enum CopyOutcome {
     /// The copy.
     Copy(Box<IndexCopy>),
     /// The reason why there is none.
@@ -36,8 +36,8 @@ pub enum Copying {
 
 impl Service {
     /// Begins to give another member a copy of an index, if this server has what that member lacks, and the same before it.
-    pub(crate) async fn copy_index(&self, request: CopyRequest) -> Result<Copying, Error> {
-        let refused = |why: &str| Ok(Copying::None(CopyKind::Refused(why.to_owned())));
+    pub(crate) async fn copy_index(&self, request: CopyRequest) -> Result<CopyOutcome, Error> {
+        let refused = |why: &str| Ok(CopyOutcome::None(CopyKind::Refused(why.to_owned())));
         if !self.is_serving() {
             return refused("it starts or stops");
         }
@@ -79,7 +79,7 @@ impl Service {
         if let Some((applied, digest)) = applied.zip(digest)
             && applied.digest != digest
         {
-            return Ok(Copying::None(CopyKind::Contradicts(applied.revision)));
+            return Ok(CopyOutcome::None(CopyKind::Contradicts(applied.revision)));
         }
         let needed = applied.map_or(0, |applied| applied.revision.saturating_add(1));
         let needed = needed.max(request.min_revision);
@@ -93,7 +93,7 @@ impl Service {
             operations: operations.len() as u64,
             is_compared: digest.is_some(),
         };
-        Ok(Copying::Copy(Box::new(IndexCopy {
+        Ok(CopyOutcome::Copy(Box::new(IndexCopy {
             start: Some(start),
             snapshot: Snapshot::of(self.limits(), Call::default(), hosted, published),
             operations: operations.into_iter(),

@@ -19,7 +19,7 @@ use super::{
 use crate::{
     identity::{Caller, Role},
     log::Uid,
-    registry::{Hosted, IndexLimit, Listed, Published, Registry, RegistryError},
+    registry::{Hosted, IndexEntry, IndexLimit, Published, Registry, RegistryError},
 };
 
 /// A page of the indices, by name. Both lists together are consecutive.
@@ -171,14 +171,14 @@ impl Service {
                 error: registry_error(name, why),
             };
             let (name, entry) = match listed {
-                Listed::Hosted(hosted) => {
+                IndexEntry::Hosted(hosted) => {
                     let entry = match hosted.damage() {
                         Some(why) => Err(damaged(hosted.name(), hosted.uid(), why)),
                         None => Ok(describe(&hosted, &hosted.published())),
                     };
                     (hosted.name().to_owned(), entry)
                 }
-                Listed::Damaged { name, uid, why } => {
+                IndexEntry::Damaged { name, uid, why } => {
                     let entry = Err(damaged(&name, uid, why));
                     (name, entry)
                 }

@@ -16,7 +16,7 @@ use super::{
     check::{self, Rows, Violations},
     mutation::{Claim, Start, refused},
     neighbor_spec::NeighborSpec,
-    payloads::{Payloads, Unread},
+    payloads::{Payloads, UnreadPayloads},
     prefetch::Prefetch,
     read_view::revision,
     stored::MAX_READS_AHEAD,
@@ -189,7 +189,7 @@ impl Insertion {
         head: &Published,
         prefetch: Option<&Prefetch>,
         pace: &mut Pace,
-    ) -> Result<Unread, Error> {
+    ) -> Result<UnreadPayloads, Error> {
         let mut compared = Vec::new();
         for (at, (&id, row)) in self.ids.iter().zip(self.rows.iter()).enumerate() {
             let tag = self.tags.get(at).copied().unwrap_or_default();
@@ -202,7 +202,7 @@ impl Insertion {
             }
         }
         let prefetch = prefetch.filter(|_| self.answers_payloads());
-        Ok(Unread {
+        Ok(UnreadPayloads {
             compared,
             neighbors: prefetch.map(Prefetch::neighbor_ids).unwrap_or_default(),
         })

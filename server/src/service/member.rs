@@ -22,7 +22,7 @@ pub(crate) const STORED: &str = "/wayfold.member.v1.MemberService/Stored";
 
 /// A record's place in the log of its index.
 #[derive(Clone, PartialEq, prost::Message)]
-pub struct Place {
+pub struct RecordPosition {
     /// Its revision.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
@@ -31,7 +31,7 @@ pub struct Place {
     pub digest: Bytes,
 }
 
-impl From<Tip> for Place {
+impl From<Tip> for RecordPosition {
     fn from(tip: Tip) -> Self {
         Self {
             revision: tip.revision,
@@ -40,7 +40,7 @@ impl From<Tip> for Place {
     }
 }
 
-impl Place {
+impl RecordPosition {
     /// The record; None if the digest is none.
     pub(crate) fn tip(&self) -> Option<Tip> {
         Some(Tip {
@@ -58,7 +58,7 @@ pub struct CopyRequest {
     pub uid: String,
     /// The newest record that the asking member has applied; absent if it cannot read its points.
     #[prost(message, optional, tag = "2")]
-    pub applied: Option<Place>,
+    pub applied: Option<RecordPosition>,
     /// The least revision that the copy may have.
     #[prost(uint64, tag = "3")]
     pub min_revision: u64,
@@ -97,7 +97,7 @@ pub enum CopyKind {
 pub struct CopyStart {
     /// The newest record in the copy.
     #[prost(message, optional, tag = "1")]
-    pub tip: Option<Place>,
+    pub tip: Option<RecordPosition>,
     /// The number of operations that follow.
     #[prost(uint64, tag = "2")]
     pub operations: u64,
@@ -186,10 +186,10 @@ pub struct StoredIndex {
     pub oldest: Option<u64>,
     /// The newest record that it has applied.
     #[prost(message, optional, tag = "5")]
-    pub applied: Option<Place>,
+    pub applied: Option<RecordPosition>,
     /// The record of the revision that was asked for; absent if the member does not keep it.
     #[prost(message, optional, tag = "6")]
-    pub requested: Option<Place>,
+    pub requested: Option<RecordPosition>,
 }
 
 /// The parts of a copy as they arrive.

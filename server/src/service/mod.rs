@@ -71,13 +71,13 @@ use tokio_util::sync::CancellationToken;
 use crate::{
     identity::Role,
     log::Durability,
-    registry::{Listed, Part, Registry},
+    registry::{IndexEntry, Part, Registry},
     watermark::Level,
 };
 pub use call::{Call, Peer};
 pub use catalog_watch::CatalogWatch;
 pub use code::Code;
-pub(crate) use copy::{Copying, IndexCopy};
+pub(crate) use copy::{CopyOutcome, IndexCopy};
 pub use error::{Error, Unavailability, Violation};
 pub use forward::{NotForwarded, Owners};
 pub(crate) use indexes::MAX_NAME_BYTES;
@@ -223,7 +223,7 @@ impl Service {
     }
 
     /// All indices; none before they are read.
-    pub(crate) fn listed(&self) -> Vec<Listed> {
+    pub(crate) fn listed(&self) -> Vec<IndexEntry> {
         let registry = self.inner.registry.get();
         let listed = registry.and_then(|registry| registry.page(None, usize::MAX, |_| true).ok());
         listed.unwrap_or_default()

@@ -26,14 +26,14 @@ pub(super) struct Payloads {
 
 /// Ids of points whose payloads are still to be read.
 #[derive(Default)]
-pub(super) struct Unread {
+pub(super) struct UnreadPayloads {
     /// For comparison.
     pub(super) compared: Vec<u64>,
     /// For the answer.
     pub(super) neighbors: Vec<u64>,
 }
 
-impl Unread {
+impl UnreadPayloads {
     pub(super) fn is_empty(&self) -> bool {
         self.compared.is_empty() && self.neighbors.is_empty()
     }
@@ -66,7 +66,7 @@ impl Payloads {
         call: &Call,
         hosted: &Hosted,
         head: &Published,
-        mut unread: Unread,
+        mut unread: UnreadPayloads,
         most: usize,
     ) -> Result<usize, Error> {
         let compared = &unread.compared;

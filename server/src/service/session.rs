@@ -136,6 +136,6 @@ pub(super) fn reserve(
 pub(super) fn block(ids: &Range<u64>) -> v1::IdBlock {
     v1::IdBlock {
         first_id: ids.start,
-        count: ids.end - ids.start,
+        id_count: ids.end - ids.start,
     }
 }

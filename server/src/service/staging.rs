@@ -7,7 +7,9 @@ use std::{
 };
 
 use bytes::Bytes;
-use wayfold_index::{Known, Neighbor, Overlay, Point, PointRef, Points, Search, search_overlaid};
+use wayfold_index::{
+    EarlierAnswer, Neighbor, Overlay, Point, PointRef, Points, Search, search_overlaid,
+};
 
 use super::{Error, answer::Source};
 use crate::{
@@ -122,7 +124,7 @@ impl<'a> Staging<'a> {
         &mut self,
         row: &[f64],
         search: &Search<'_>,
-        known: Option<Known<'_>>,
+        known: Option<EarlierAnswer<'_>>,
     ) -> Result<Vec<Neighbor>, Error> {
         let Some(searched) = &mut self.searched else {
             return Ok(Vec::new());
@@ -278,7 +280,7 @@ mod tests {
                     union.insert(point(id, staging.revision(), &row)).unwrap();
                 }
                 let expected = union.search(&query, &search).unwrap().neighbors;
-                let known = Known { revision: known.0, neighbors: &known.1 };
+                let known = EarlierAnswer { revision: known.0, neighbors: &known.1 };
                 for known in [None, Some(known)] {
                     assert_eq!(staging.search(&query, &search, known).unwrap(), expected);
                 }

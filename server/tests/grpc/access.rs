@@ -173,12 +173,12 @@ fn bearer(token: &str) -> String {
 }
 
 /// A call without rights, by the kind of its credential: its channel, its authorization and the reason of its refusal.
-type Stranger<'a> = (&'a Channel, Option<String>, &'a str);
+type StrangeCaller<'a> = (&'a Channel, Option<String>, &'a str);
 
 /// Asserts for every call that it refuses the strangers, and that the identities whose channel and authorization `shown`
 /// tells have their rights and no others.
 async fn assert_rights<'a>(
-    strangers: &[Stranger<'_>],
+    strangers: &[StrangeCaller<'_>],
     shown: impl Fn(&str) -> (&'a Channel, Option<String>),
 ) {
     let methods = methods();

@@ -197,7 +197,7 @@ async fn a_replaced_point_is_neither_in_its_own_way_nor_its_own_neighbour() {
     assert_eq!(outcomes(&response), [Replaced, TooClose, Inserted]);
     assert_eq!(response.ids, [1, 1, 4]);
     let neighbors = response.neighbors.unwrap();
-    assert_eq!(neighbors.counts, [1, 2, 2]);
+    assert_eq!(neighbors.neighbor_counts, [1, 2, 2]);
     assert_eq!(neighbors.ids, [2, 1, 2, 1, 2]);
     assert_eq!(neighbors.distances, [4.75, 0.25, 5.0, 2.25, 7.0]);
     assert_eq!(neighbors.revisions, [1, 2, 1, 2, 1]);
@@ -237,7 +237,7 @@ async fn neighbours_since_a_revision_are_what_came_meanwhile_and_the_same_call()
         .unwrap()
         .neighbors
         .unwrap();
-    assert_eq!(neighbors.counts, [1, 2]);
+    assert_eq!(neighbors.neighbor_counts, [1, 2]);
     assert_eq!(neighbors.ids, [2, 3, 2]);
 }
 

@@ -349,7 +349,7 @@ impl Columns {
     }
 
     fn push(&mut self, model: &Model, neighbors: &[(f64, u64)]) {
-        self.columns.counts.push(neighbors.len() as u32);
+        self.columns.neighbor_counts.push(neighbors.len() as u32);
         for (distance, id) in neighbors {
             let point = &model.points[id];
             self.columns.ids.push(*id);

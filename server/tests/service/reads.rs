@@ -40,7 +40,7 @@ async fn neighbours_come_with_the_requested_columns() {
         (1, uid)
     );
     let found = response.neighbors.unwrap();
-    assert_eq!(found.counts, [2, 2]);
+    assert_eq!(found.neighbor_counts, [2, 2]);
     assert_eq!(found.ids, [1, 2, 0, 1]);
     assert_eq!(found.tags, [2, 3, 1, 2]);
     assert_eq!(found.revisions, [1; 4]);

@@ -68,7 +68,7 @@ async fn two_sessions() -> (Service, v1::WriteResponse) {
     assert_eq!(open(&service, 10).await.session, 2);
     let response = write(&service, "arm", batch(1, 1, 4)).await.unwrap();
     let reserved = response.reserved.unwrap();
-    assert_eq!((reserved.first_id, reserved.count), (20, 3));
+    assert_eq!((reserved.first_id, reserved.id_count), (20, 3));
     (service, response)
 }
 
@@ -99,7 +99,7 @@ async fn check_goes_on(service: &Service, response: &v1::WriteResponse) {
 
     let next = write(service, "leg", batch(1, 2, 21)).await.unwrap();
     let reserved = next.reserved.unwrap();
-    assert_eq!((reserved.first_id, reserved.count), (24, 3));
+    assert_eq!((reserved.first_id, reserved.id_count), (24, 3));
     assert_eq!(next.revision, revision(&uid, 5));
     let first = write(service, "leg", batch(2, 1, 15)).await.unwrap();
     assert_eq!(first.revision, revision(&uid, 6));

@@ -126,7 +126,10 @@ async fn rows_count_the_rows_before_them_that_are_new() {
         [Replaced, Inserted, TooClose, Inserted, Inserted, Inserted]
     );
     // There are 4 points, one of them the row's own; then 4, 5, 5, 6 and 7.
-    assert_eq!(answer.neighbors.unwrap().counts, [3, 4, 5, 5, 6, 6]);
+    assert_eq!(
+        answer.neighbors.unwrap().neighbor_counts,
+        [3, 4, 5, 5, 6, 6]
+    );
 }
 
 #[tokio::test]
@@ -197,7 +200,7 @@ async fn the_dimension_is_the_manifolds() {
     });
     let counts: Vec<u32> = counts.collect();
     assert!(counts.iter().collect::<HashSet<_>>().len() > 1);
-    assert_eq!(answer.neighbors.unwrap().counts, counts);
+    assert_eq!(answer.neighbors.unwrap().neighbor_counts, counts);
 }
 
 #[tokio::test]
@@ -232,7 +235,7 @@ async fn the_limits_of_k_and_of_an_answer_hold_for_scaled_searches() {
     };
     // ln 100 = 4.6052: 8.6 of it are 39.6, and 9 are 41.4.
     let answer = service.knn(&CALL, ask(8.6, 1)).await.unwrap();
-    assert_eq!(answer.neighbors.unwrap().counts, [40]);
+    assert_eq!(answer.neighbors.unwrap().neighbor_counts, [40]);
     let error = service.knn(&CALL, ask(9.0, 1)).await.unwrap_err();
     assert_eq!(exceeded(error), ("max_k", 40, 42));
     let error = service.knn(&CALL, ask(f64::MAX, 1)).await.unwrap_err();

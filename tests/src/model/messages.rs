@@ -10,7 +10,7 @@ pub(super) fn expected_rows(
     is_requested: bool,
     neighbors: Option<&Neighbors>,
 ) -> std::vec::IntoIter<Vec<(u64, u64)>> {
-    assert!(is_requested || neighbors.is_none_or(|neighbors| neighbors.counts.is_empty()));
+    assert!(is_requested || neighbors.is_none_or(|neighbors| neighbors.neighbor_counts.is_empty()));
     let rows = neighbors.map(neighbor_rows).unwrap_or_default();
     let rows = rows.into_iter().map(|row| {
         let row = row.into_iter();

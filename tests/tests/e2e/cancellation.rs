@@ -137,7 +137,10 @@ async fn short_calls_are_answered_while_long_batches_run() {
         );
     }
     for answer in long.join_all().await {
-        assert_eq!(answer.neighbors.unwrap().counts, vec![1; SEARCH_STATES]);
+        assert_eq!(
+            answer.neighbors.unwrap().neighbor_counts,
+            vec![1; SEARCH_STATES]
+        );
     }
 }
 

@@ -39,9 +39,9 @@ async fn a_server_that_is_killed_comes_back_with_all_that_it_acknowledged() {
     let mut random = ChaCha8Rng::seed_from_u64(SEED);
     let mut server = ServerProcess::ready(start(&data));
     let mut clients = Clients::new(&server, SEED, LOAD).await;
-    let wanted = std::env::var("CRASH_KILLS").map_or(KILLS, |kills| kills.parse().unwrap());
+    let target = std::env::var("CRASH_KILLS").map_or(KILLS, |kills| kills.parse().unwrap());
     let (mut kills, mut starting) = (0, 0);
-    while kills < wanted {
+    while kills < target {
         let moment = match random.random_range(0..4) {
             0 => FaultTime::Built(random.random_range(1..50)),
             _ => FaultTime::Acknowledged(random.random_range(1..150)),
@@ -49,7 +49,7 @@ async fn a_server_that_is_killed_comes_back_with_all_that_it_acknowledged() {
         clients.work(server, moment).await;
         kills += 1;
         // Some starts are killed too, after a random number of log lines.
-        while kills < wanted && random.random_bool(0.4) {
+        while kills < target && random.random_bool(0.4) {
             start(&data).kill_at_line(random.random_range(0..LINES));
             kills += 1;
             starting += 1;

@@ -138,7 +138,7 @@ async fn stops_gracefully(signal: Signal) {
 
     let answered = batch.await.unwrap().unwrap().into_inner();
     let neighbors = answered.neighbors.unwrap();
-    assert_eq!(neighbors.counts, vec![100; ROWS]);
+    assert_eq!(neighbors.neighbor_counts, vec![100; ROWS]);
     while let Some(part) = parts.message().await.unwrap() {
         scanned += part.points.unwrap().ids.len();
     }

@@ -7,7 +7,7 @@ use wayfold::Space;
 
 use super::{
     Columns, InputError, Row, Rows,
-    place::{File, Place},
+    position::{File, InputPosition},
 };
 use crate::parse;
 use wayfold::coordinate_names;
@@ -58,12 +58,12 @@ pub(super) fn rows(
     Ok(Box::new(rows))
 }
 
-/// A finite number, or an error that names its place.
-pub(super) fn number(text: &str, place: impl Fn() -> String) -> Result<f64, InputError> {
+/// A finite number, or an error that names its position.
+pub(super) fn number(text: &str, position: impl Fn() -> String) -> Result<f64, InputError> {
     match text.parse::<f64>() {
         Ok(number) if number.is_finite() => Ok(number),
         _ => Err(InputError::Number {
-            place: place(),
+            position: position(),
             text: shortened(text),
         }),
     }
@@ -101,12 +101,12 @@ fn read(
     record: &mut StringRecord,
 ) -> Result<bool, InputError> {
     reader.read_record(record).map_err(|error| {
-        let place = match error.position() {
+        let position = match error.position() {
             Some(position) => format!("{file}:{}", position.line()),
             None => file.to_owned(),
         };
         InputError::Format {
-            place,
+            position,
             problem: error.to_string(),
         }
     })
@@ -140,29 +140,29 @@ impl<R: Read> Iterator for CsvRows<R> {
 
 impl<R> CsvRows<R> {
     fn row(&self, record: &StringRecord) -> Result<Row, InputError> {
-        let place = Place::Line {
+        let position = InputPosition::Line {
             file: Arc::clone(&self.file),
             line: record.position().map_or(0, csv::Position::line),
         };
         let found = record.len().saturating_sub(self.file.other_columns());
         if found != self.file.coordinates.len() {
-            return Err(self.wrong_width(&place, found));
+            return Err(self.wrong_width(&position, found));
         }
         let mut state = Vec::with_capacity(found);
         for coordinate in 0..found {
             let text = record.get(self.file.column(coordinate)).unwrap_or_default();
-            state.push(number(text, || place.of(coordinate))?);
+            state.push(number(text, || position.of(coordinate))?);
         }
         let field = |column: usize| record.get(column).unwrap_or_default();
         let id = |column| {
             parse::id(field(column)).map_err(|_| InputError::Id {
-                place: place.of_id(),
+                position: position.of_id(),
                 text: shortened(field(column)),
             })
         };
         let tag = |column| {
             parse::tag(field(column)).map_err(|_| InputError::Tag {
-                place: place.of_column(column),
+                position: position.of_column(column),
                 text: shortened(field(column)),
             })
         };
@@ -170,14 +170,14 @@ impl<R> CsvRows<R> {
             state,
             id: self.file.id_column.map(id).transpose()?,
             tag: self.file.tag_column.map(tag).transpose()?,
-            place,
+            position,
         })
     }
 
-    fn wrong_width(&self, place: &Place, found: usize) -> InputError {
+    fn wrong_width(&self, position: &InputPosition, found: usize) -> InputError {
         let one_too_many = found == self.file.coordinates.len() + 1;
         InputError::Width {
-            place: place.whole(),
+            position: position.whole(),
             found,
             space: self.space.clone(),
             names: self.file.coordinates.clone(),

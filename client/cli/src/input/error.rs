@@ -5,26 +5,30 @@ use std::io;
 use thiserror::Error;
 use wayfold::StateProblem;
 
-/// The error of an input. A place is `FILE:LINE:COLUMN (NAME)` in CSV, with the columns counted from 1, and
+/// The error of an input. A position is `FILE:LINE:COLUMN (NAME)` in CSV, with the columns counted from 1, and
 /// `FILE[ROW, COLUMN] (NAME)` in npy, as numpy counts.
 #[derive(Debug, Error)]
 pub(crate) enum InputError {
     #[error("cannot read {file}: {source}")]
     Open { file: String, source: io::Error },
-    #[error("{place}: {text:?} is not a finite number")]
-    Number { place: String, text: String },
-    #[error("{place}: {text:?} is not an id, a whole number from 0 to 9223372036854775807")]
-    Id { place: String, text: String },
-    #[error("{place}: id {id} is given twice, first in line {first}")]
-    TwiceId { place: String, id: u64, first: u64 },
-    #[error("{place}: {problem}")]
+    #[error("{position}: {text:?} is not a finite number")]
+    Number { position: String, text: String },
+    #[error("{position}: {text:?} is not an id, a whole number from 0 to 9223372036854775807")]
+    Id { position: String, text: String },
+    #[error("{position}: id {id} is given twice, first in line {first}")]
+    TwiceId {
+        position: String,
+        id: u64,
+        first: u64,
+    },
+    #[error("{position}: {problem}")]
     State {
-        place: String,
+        position: String,
         problem: StateProblem,
     },
-    #[error("{place}: {found} numbers, where a state of {space} has {}: {}{hint}", names.len(), names.join(", "))]
+    #[error("{position}: {found} numbers, where a state of {space} has {}: {}{hint}", names.len(), names.join(", "))]
     Width {
-        place: String,
+        position: String,
         found: usize,
         space: String,
         names: Vec<String>,
@@ -37,17 +41,17 @@ pub(crate) enum InputError {
         columns: Vec<String>,
     },
     #[error(
-        "{place}: {text:?} is not a tag, a whole number below 2^64, decimal or hexadecimal after 0x"
+        "{position}: {text:?} is not a tag, a whole number below 2^64, decimal or hexadecimal after 0x"
     )]
-    Tag { place: String, text: String },
+    Tag { position: String, text: String },
     #[error("{file}: {option} names a column of a CSV header, and {problem}")]
     NoHeader {
         file: String,
         option: &'static str,
         problem: &'static str,
     },
-    #[error("{place}: {problem}")]
-    Format { place: String, problem: String },
+    #[error("{position}: {problem}")]
+    Format { position: String, problem: String },
     #[error(transparent)]
     Row(#[from] wayfold::Error),
 }

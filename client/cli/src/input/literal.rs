@@ -4,20 +4,22 @@ use wayfold::Space;
 
 use super::{
     InputError, Row, Rows,
-    place::{File, Place},
+    position::{File, InputPosition},
 };
 use wayfold::coordinate_names;
 
 pub(super) fn rows(text: &str, space: &Space) -> Result<Rows, InputError> {
     let file = File::of_states("--state", space);
-    let place = Place::Flag { file };
+    let position = InputPosition::Flag { file };
     let mut state = Vec::with_capacity(space.coordinates());
     for (coordinate, number) in text.split(',').enumerate() {
-        state.push(super::csv::number(number.trim(), || place.of(coordinate))?);
+        state.push(super::csv::number(number.trim(), || {
+            position.of(coordinate)
+        })?);
     }
     if state.len() != space.coordinates() {
         return Err(InputError::Width {
-            place: place.whole(),
+            position: position.whole(),
             found: state.len(),
             space: space.to_string(),
             names: coordinate_names(space),
@@ -28,7 +30,7 @@ pub(super) fn rows(text: &str, space: &Space) -> Result<Rows, InputError> {
         state,
         id: None,
         tag: None,
-        place,
+        position,
     };
     Ok(Box::new(std::iter::once(Ok(row))))
 }

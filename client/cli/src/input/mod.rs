@@ -4,7 +4,7 @@ mod csv;
 mod error;
 mod literal;
 mod npy;
-mod place;
+mod position;
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +12,7 @@ use tokio::sync::mpsc;
 use wayfold::Space;
 
 pub(super) use error::InputError;
-use place::Place;
+use position::InputPosition;
 
 /// A source of states.
 #[derive(Clone, Debug)]
@@ -65,7 +65,7 @@ pub(super) struct Row {
     pub(super) id: Option<u64>,
     /// Its tag, if there is a column of tags.
     pub(super) tag: Option<u64>,
-    place: Place,
+    position: InputPosition,
 }
 
 type Rows = Box<dyn Iterator<Item = Result<Row, InputError>> + Send>;
@@ -98,7 +98,7 @@ fn check(space: &Space, row: Row) -> Result<Row, InputError> {
     match space.canonicalize(&mut row.state.clone()) {
         Ok(()) => Ok(row),
         Err(error) => Err(InputError::State {
-            place: row.place.of(error.coordinate),
+            position: row.position.of(error.coordinate),
             problem: error.reason,
         }),
     }
@@ -128,9 +128,9 @@ pub(super) fn table(
     for row in rows(source, space, columns)? {
         let row = row?;
         if let Some(id) = row.id {
-            if let Some(first) = lines.insert(id, row.place.line()) {
+            if let Some(first) = lines.insert(id, row.position.line()) {
                 return Err(InputError::TwiceId {
-                    place: row.place.of_id(),
+                    position: row.position.of_id(),
                     id,
                     first,
                 });

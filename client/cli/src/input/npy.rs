@@ -10,7 +10,7 @@ use wayfold::Space;
 
 use super::{
     Columns, InputError, Row, Rows,
-    place::{File, Place},
+    position::{File, InputPosition},
 };
 use wayfold::coordinate_names;
 
@@ -31,7 +31,7 @@ pub(super) fn rows(
         });
     }
     let wrong = |problem: String| InputError::Format {
-        place: name.to_owned(),
+        position: name.to_owned(),
         problem,
     };
     let bytes: Box<dyn Read + Send> = Box::new(bytes);
@@ -50,7 +50,7 @@ pub(super) fn rows(
         Ok(width) if width == space.coordinates() => width,
         width => {
             return Err(InputError::Width {
-                place: name.to_owned(),
+                position: name.to_owned(),
                 found: width.unwrap_or(usize::MAX),
                 space: space.to_string(),
                 names: coordinate_names(space),
@@ -94,7 +94,7 @@ fn transposed(numbers: Numbers, rows: u64, width: usize) -> io::Result<Numbers> 
         .filter(|rows| rows.checked_mul(width) == Some(stored.len()));
     let rows = rows.ok_or_else(|| io::Error::from(io::ErrorKind::UnexpectedEof))?;
     let order = (0..rows).flat_map(move |row| (0..width).map(move |column| column * rows + row));
-    Ok(Box::new(order.map(move |place| Ok(stored[place]))))
+    Ok(Box::new(order.map(move |position| Ok(stored[position]))))
 }
 
 struct NpyRows {
@@ -111,17 +111,17 @@ impl Iterator for NpyRows {
         if self.next == self.rows {
             return None;
         }
-        let place = Place::Row {
+        let position = InputPosition::Row {
             file: Arc::clone(&self.file),
             row: self.next,
         };
         self.next += 1;
-        Some(self.row(place))
+        Some(self.row(position))
     }
 }
 
 impl NpyRows {
-    fn row(&mut self, place: Place) -> Result<Row, InputError> {
+    fn row(&mut self, position: InputPosition) -> Result<Row, InputError> {
         let mut state = Vec::with_capacity(self.file.coordinates.len());
         for coordinate in 0..self.file.coordinates.len() {
             let number = self
@@ -129,7 +129,7 @@ impl NpyRows {
                 .next()
                 .unwrap_or_else(|| Err(io::ErrorKind::UnexpectedEof.into()));
             state.push(number.map_err(|error| InputError::Format {
-                place: place.of(coordinate),
+                position: position.of(coordinate),
                 problem: error.to_string(),
             })?);
         }
@@ -137,7 +137,7 @@ impl NpyRows {
             state,
             id: None,
             tag: None,
-            place,
+            position,
         })
     }
 }

@@ -8,7 +8,7 @@ from . import spaces
 from ._errors import AlreadyExists, Error, Forked, InvalidArgument, NotFound, NotInMemory, Timeout, Unavailable
 from ._wayfold import (
     Changes,
-    Found,
+    SearchResult,
     Index,
     InsertedPoint,
     Meanwhile,

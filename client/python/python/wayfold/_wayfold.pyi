@@ -92,7 +92,7 @@ class Neighbor:
     @property
     def distance(self) -> float: ...
 
-class Found:
+class SearchResult:
     """The neighbours of a state, nearest first and at equal distances by id."""
 
     @property
@@ -109,7 +109,7 @@ class InsertedPoint:
     @property
     def id(self) -> int: ...
     @property
-    def found(self) -> Found: ...
+    def found(self) -> SearchResult: ...
 
 class StoredPoint:
     """One stored point, its state in canonical form."""
@@ -225,11 +225,11 @@ class Index:
         """The payload of a point: empty if it has none, None if there is no such point."""
     def nearest(self, state: _States) -> Neighbor | None:
         """The nearest point; None if there are no points."""
-    def nearest_k(self, state: _States, k: int) -> Found:
+    def nearest_k(self, state: _States, k: int) -> SearchResult:
         """The `k` nearest points, nearest first."""
-    def nearest_r(self, state: _States, radius: float | ScaledRadius) -> Found:
+    def nearest_r(self, state: _States, radius: float | ScaledRadius) -> SearchResult:
         """All points at distance `radius` or nearer, nearest first."""
-    def search(self, state: _States, search: Search) -> Found:
+    def search(self, state: _States, search: Search) -> SearchResult:
         """Answers any search."""
     def search_many(self, states: _States, search: Search) -> list[tuple[_Ids, _Floats]]:
         """Answers a search of many states, which see the same points: ids and distances of each."""

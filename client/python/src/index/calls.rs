@@ -8,7 +8,7 @@ use wayfold::Error;
 use super::{Form, Index};
 use crate::{
     error::OrRaise,
-    points::Found,
+    points::SearchResult,
     rows::{Rows, one_state, rows},
     space::names,
 };
@@ -70,9 +70,13 @@ impl Index {
         &self,
         state: &Bound<'_, PyAny>,
         search: &wayfold::Search,
-    ) -> PyResult<Found> {
+    ) -> PyResult<SearchResult> {
         let (py, row) = (state.py(), self.one(state)?);
         let found = self.call(py, |index| index.search(&row[..], search))?;
-        Ok(Found::of(py, &found.neighbors, found.read_revision.0))
+        Ok(SearchResult::of(
+            py,
+            &found.neighbors,
+            found.read_revision.0,
+        ))
     }
 }

@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use wayfold_proto::v1::{self, StepKind};
 
-use super::meanwhile::Question;
+use super::meanwhile::OpenQuestion;
 
 /// One write.
 #[derive(Clone, Debug, PartialEq)]
@@ -84,7 +84,7 @@ pub(super) struct Batch {
     /// The first and the last of its ids that the index assigned.
     assigned: Option<(u64, u64)>,
     /// The questions of its inserts.
-    pub(super) questions: Vec<Question>,
+    pub(super) questions: Vec<OpenQuestion>,
     /// The session that sent it.
     pub(super) session: u64,
     /// The ids that it reserves: a repeated request is the same.

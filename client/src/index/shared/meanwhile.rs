@@ -53,7 +53,7 @@ impl Meanwhile {
 
 /// The question of an insert that the server has not stored yet.
 #[derive(Clone, Debug)]
-pub(super) struct Question {
+pub(super) struct OpenQuestion {
     id: u64,
     /// The position of the insert in its batch.
     pub(super) step: usize,
@@ -74,7 +74,7 @@ pub(super) struct Question {
     is_reloaded: bool,
 }
 
-impl Question {
+impl OpenQuestion {
     /// The search with which the point `id` was inserted by a step of its batch, and what it found: change number `at`
     /// of the copy stored the point.
     pub(super) fn new(
@@ -83,9 +83,9 @@ impl Question {
         search: &Search<'_>,
         found: &[Neighbor],
         at: u64,
-    ) -> Question {
+    ) -> OpenQuestion {
         let farthest = found.last().filter(|_| found.len() >= search.k);
-        Question {
+        OpenQuestion {
             id,
             step,
             row: row.to_vec(),
@@ -136,7 +136,7 @@ type Change = (u64, Option<u64>);
 /// Questions whose points the server has stored, with everything that their answers need.
 #[derive(Debug)]
 pub(super) struct Answerable {
-    questions: Vec<Question>,
+    questions: Vec<OpenQuestion>,
     /// The changes of each point, the oldest first, and the point.
     arrived: Vec<(Vec<Change>, Point)>,
     /// The last change by which another writer removed or moved a point.
@@ -190,8 +190,8 @@ impl OpenQuestions {
     /// the oldest of the questions that stay open.
     pub(super) fn answerable(
         &mut self,
-        questions: Vec<Question>,
-        oldest: Option<&Question>,
+        questions: Vec<OpenQuestion>,
+        oldest: Option<&OpenQuestion>,
         points: &LocalPoints,
     ) -> Option<Answerable> {
         let first = questions.first()?.at;
@@ -272,7 +272,7 @@ impl Answerable {
     }
 
     /// The points that arrived after the question's, within its bound.
-    fn arrived(&self, question: &Question, space: &Space) -> Vec<Neighbor> {
+    fn arrived(&self, question: &OpenQuestion, space: &Space) -> Vec<Neighbor> {
         let filter = question.filter;
         let passes = |tag: u64| tag & filter.tag_mask == filter.tag_value;
         let unseen = self.arrived.iter().filter(|(changes, point)| {
@@ -300,7 +300,7 @@ impl Answerable {
 
     /// All points within the bound or, if a point of the insert's answer has left or moved, the [`MAX_SUPERSET`] nearest
     /// within the radius.
-    fn superset(&self, question: &Question, space: &Space) -> Vec<Neighbor> {
+    fn superset(&self, question: &OpenQuestion, space: &Space) -> Vec<Neighbor> {
         let Some(points) = &self.snapshot else {
             return Vec::new();
         };
@@ -350,7 +350,7 @@ mod tests {
             }
             let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
             forest.apply(1, &points, &[]).unwrap();
-            let mut question = Question::new((0, 0), &[0.0], &search, &found, 1);
+            let mut question = OpenQuestion::new((0, 0), &[0.0], &search, &found, 1);
             question.reloaded();
             let answerable = Answerable {
                 questions: vec![question],

@@ -28,8 +28,8 @@ use std::{fmt, sync::Arc, time::Duration};
 
 use tokio::task::AbortHandle;
 use wayfold_index::{
-    Changes, NearestNeighbors, Neighbor, NewPoint, Point, Question, ReadRevision, ScannedPoints,
-    Space,
+    Changes, NearestNeighbors, Neighbor, NewPoint, Point, ReadRevision, ScaledSearch,
+    ScannedPoints, Space,
 };
 
 use super::{
@@ -159,7 +159,7 @@ impl NearestNeighbors for SharedIndex {
     fn search(
         &self,
         row: &[f64],
-        question: &Question<'_>,
+        question: &ScaledSearch<'_>,
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Error> {
         self.core.check_readable()?;
@@ -178,7 +178,7 @@ impl NearestNeighbors for SharedIndex {
     fn search_many(
         &self,
         rows: &[f64],
-        questions: &[Question<'_>],
+        questions: &[ScaledSearch<'_>],
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
         self.core.check_readable()?;
         let snapshot = self.core.points.read().forest.snapshot();
@@ -192,7 +192,7 @@ impl NearestNeighbors for SharedIndex {
     fn insert(
         &self,
         point: &NewPoint<'_>,
-        question: Option<&Question<'_>>,
+        question: Option<&ScaledSearch<'_>>,
         found: &mut Vec<Neighbor>,
     ) -> Result<(u64, ReadRevision), Error> {
         check_id(point)?;

@@ -13,7 +13,7 @@ pub(super) type Content = (u64, Vec<f64>);
 
 /// One id with pending writes.
 #[derive(Debug)]
-pub(super) struct Rebased {
+pub(super) struct RebasedPoint {
     /// The published point.
     pub(super) base: Option<Content>,
     /// The pending writes, the oldest first.
@@ -43,9 +43,9 @@ impl Change {
     }
 }
 
-impl Rebased {
-    pub(super) fn new(base: Option<Content>) -> Rebased {
-        Rebased {
+impl RebasedPoint {
+    pub(super) fn new(base: Option<Content>) -> RebasedPoint {
+        RebasedPoint {
             base,
             pending: VecDeque::new(),
         }

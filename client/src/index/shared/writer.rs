@@ -15,8 +15,8 @@ use wayfold_proto::v1;
 use super::{
     batch::{Batch, Step, UnsentWrite},
     ids::ReservedIds,
-    meanwhile::{OpenQuestions, Question},
-    rebased::Rebased,
+    meanwhile::{OpenQuestion, OpenQuestions},
+    rebased::RebasedPoint,
 };
 use crate::{Error, index::local::LocalPoints};
 
@@ -38,7 +38,7 @@ pub(super) struct Writer {
     queue: VecDeque<Batch>,
     next_number: u64,
     /// Ids with pending writes other than inserts under ids of this session.
-    rebased: HashMap<u64, Rebased>,
+    rebased: HashMap<u64, RebasedPoint>,
     /// The number of points without the pending writes.
     pub(super) published_points: usize,
     /// The bytes of `queue`.
@@ -116,7 +116,7 @@ impl Writer {
     pub(super) fn reserve(&mut self, block: Option<v1::IdBlock>) {
         let block = block.unwrap_or_default();
         self.ids
-            .add(block.first_id..block.first_id.saturating_add(block.count));
+            .add(block.first_id..block.first_id.saturating_add(block.id_count));
     }
 
     /// Stores a point under an id of this session, which no one else uses.
@@ -144,7 +144,7 @@ impl Writer {
     ) {
         if let Some(batch) = self.queue.back_mut() {
             let step = batch.len() - 1;
-            let question = Question::new((id, step), row, search, found, at);
+            let question = OpenQuestion::new((id, step), row, search, found, at);
             batch.questions.push(question);
             self.open_questions.open();
         }
@@ -162,7 +162,7 @@ impl Writer {
             let rebased = match &shown {
                 // The insert is pending too.
                 Some(point) if self.is_pending_insert(id) => {
-                    let mut rebased = Rebased::new(None);
+                    let mut rebased = RebasedPoint::new(None);
                     rebased.push(&Step::Put {
                         tag: point.tag,
                         row: &point.row,
@@ -170,7 +170,7 @@ impl Writer {
                     });
                     rebased
                 }
-                _ => Rebased::new(shown.map(|point| (point.tag, point.row))),
+                _ => RebasedPoint::new(shown.map(|point| (point.tag, point.row))),
             };
             self.rebased.insert(id, rebased);
         }

@@ -18,7 +18,7 @@ fn writer() -> (Writer, LocalPoints) {
         1,
         Some(v1::IdBlock {
             first_id: 100,
-            count: 50,
+            id_count: 50,
         }),
     );
     (writer, LocalPoints::new(&space()))

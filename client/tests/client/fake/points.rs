@@ -14,7 +14,7 @@ fn rows(states: &Option<v1::States>) -> usize {
 /// Its own number as the one neighbour of each state.
 fn numbered(rows: usize) -> Option<v1::Neighbors> {
     Some(v1::Neighbors {
-        counts: vec![1; rows],
+        neighbor_counts: vec![1; rows],
         ids: (0..rows as u64).collect(),
         distances: vec![0.5; rows],
         ..Default::default()
@@ -62,7 +62,7 @@ impl PointService for Fake {
             session: 1,
             reserved: Some(v1::IdBlock {
                 first_id: 1 << 32,
-                count: request.into_inner().reserve_count,
+                id_count: request.into_inner().reserve_count,
             }),
             idle_seconds: 60,
             revision: revision(1),

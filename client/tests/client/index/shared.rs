@@ -131,17 +131,17 @@ fn a_busy_server_takes_the_writes_later() {
     let index = Index::shared(&server.uri, "arm").create(&space).open();
     let index = index.unwrap();
     let runtime = tokio::runtime::Runtime::new().unwrap();
-    let (served, watches) = runtime.block_on(async {
+    let (handle, watches) = runtime.block_on(async {
         let patient = Client::builder().retry(RetryPolicy::until_deadline());
         let client = patient.connect(&server.uri).await.unwrap();
-        let served = client.index("arm").await.unwrap();
-        let watches = [served.watch().await.unwrap(), served.watch().await.unwrap()];
-        (served, watches)
+        let handle = client.index("arm").await.unwrap();
+        let watches = [handle.watch().await.unwrap(), handle.watch().await.unwrap()];
+        (handle, watches)
     });
     let ids: Vec<u64> = (0..25_000)
         .map(|number| index.insert([f64::from(number); 10]).unwrap())
         .collect();
-    let inserting = runtime.spawn(served.insert([[0.5; 10]]).into_future());
+    let inserting = runtime.spawn(handle.insert([[0.5; 10]]).into_future());
     let refused = loop {
         match index.status() {
             Some(Status::Disconnected { why, .. }) => break why,

@@ -178,8 +178,8 @@ async fn the_page_is_no_subscriber() {
         insert(&service, revision).await;
     }
     let followers = service.listed().into_iter().map(|listed| match listed {
-        Listed::Hosted(hosted) => hosted.followers_and_lag(),
-        Listed::Damaged { .. } => panic!("a damaged index"),
+        IndexEntry::Hosted(hosted) => hosted.followers_and_lag(),
+        IndexEntry::Damaged { .. } => panic!("a damaged index"),
     });
     assert_eq!(followers.collect::<Vec<_>>(), [(0, 0)]);
 }

@@ -23,14 +23,14 @@ use super::{
     syncer::Syncer,
     unclean_marker,
 };
-use crate::log::{Entry, LogError, Lost, Origin, Receipt, Record, RecordStream, Uid, View};
+use crate::log::{Entry, LogError, LostIndex, Origin, Receipt, Record, RecordStream, Uid, View};
 
 /// An open store.
 pub(super) struct Engine {
     syncer: Option<Syncer>,
     pub(super) sweeper: Sweeper,
     indexes: RwLock<BTreeMap<Uid, Arc<Index>>>,
-    lost: Mutex<BTreeMap<Number, Lost>>,
+    lost: Mutex<BTreeMap<Number, LostIndex>>,
     /// The number of the next index. Its lock serialises creating and deleting indices.
     next: Mutex<Number>,
     failure: Arc<Failure>,
@@ -130,7 +130,7 @@ impl Engine {
         indexes.values().map(|index| index.entry.clone()).collect()
     }
 
-    pub(super) fn lost(&self) -> Vec<Lost> {
+    pub(super) fn lost(&self) -> Vec<LostIndex> {
         self.lost.lock().values().cloned().collect()
     }
 

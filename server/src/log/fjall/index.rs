@@ -18,7 +18,8 @@ use super::{
     view::PointsView,
 };
 use crate::log::{
-    Entry, LogError, Operation, Origin, Record, Retention, Sessions, Window, retention::Bounded,
+    Entry, LogError, Operation, Origin, Record, Retention, Sessions, Window,
+    retention::BoundedQueue,
 };
 
 /// One index of the store.
@@ -28,7 +29,7 @@ pub(super) struct Index {
     name: Arc<str>,
     progress: watch::Sender<Progress>,
     /// The submitted records that are not yet applied, oldest first. Lock it after `state`, and only briefly.
-    unapplied: Mutex<VecDeque<Unapplied>>,
+    unapplied: Mutex<VecDeque<UnappliedRecord>>,
     /// The holder of this lock may write, and sees the store at this head.
     state: Mutex<State>,
     /// The records that were kept when they were last counted. Lock it after `state`.
@@ -38,9 +39,9 @@ pub(super) struct Index {
 pub(super) struct State {
     pub(super) head: Head,
     /// The times of the records after `head.trimmed`.
-    records: Bounded<u64>,
+    records: BoundedQueue<u64>,
     /// The revisions of the kept operations.
-    operations: Bounded<u64>,
+    operations: BoundedQueue<u64>,
     /// The writer sessions.
     pub(super) sessions: Sessions,
     /// The revisions of forgotten operations that are still in the store.
@@ -66,7 +67,7 @@ pub(super) struct Progress {
 }
 
 /// A submitted record, and the points as it left them.
-struct Unapplied {
+struct UnappliedRecord {
     record: Arc<Record>,
     view: Arc<PointsView>,
 }
@@ -76,8 +77,8 @@ impl State {
     pub(super) fn new(origin: Origin, sum: Sum) -> Self {
         Self {
             head: Head::at(&origin, sum),
-            records: Bounded::default(),
-            operations: Bounded::default(),
+            records: BoundedQueue::default(),
+            operations: BoundedQueue::default(),
             sessions: Sessions::default(),
             forgotten: Vec::new(),
             removed: origin.revision,

@@ -52,7 +52,7 @@ pub use rebuild::{RepairError, RepairReport, repair};
 pub(crate) use syncer::SYNCS;
 
 use super::{
-    Catalogue, Entry, Journal, LogError, Lost, Operation, Origin, PointStore, PointVisitor,
+    Catalogue, Entry, Journal, LogError, LostIndex, Operation, Origin, PointStore, PointVisitor,
     Receipt, Record, RecordStream, Restoring, Retention, StoreUsage, Uid, View, Window,
 };
 use directory::Directory;
@@ -358,11 +358,11 @@ impl Catalogue for FjallLog {
         }
     }
 
-    fn lost(&self) -> Vec<Lost> {
+    fn lost(&self) -> Vec<LostIndex> {
         match &*self.opened.read() {
             StoreState::Open(engine) => engine.lost(),
             StoreState::Unopened(why, marked) => {
-                let lost = marked.live().map(|(_, mark)| Lost {
+                let lost = marked.live().map(|(_, mark)| LostIndex {
                     name: mark.name.to_string(),
                     uid: mark.uid,
                     why: lost_error(why, mark),

@@ -18,7 +18,7 @@ use super::{
     store::{Handles, damage, damaged_index, unopened, unreadable},
     sync_marks::{Mark, MarkTable},
 };
-use crate::log::{Entry, LogError, Lost, Origin, Uid};
+use crate::log::{Entry, LogError, LostIndex, Origin, Uid};
 
 /// The content of a store.
 pub(super) struct StoreContent {
@@ -27,7 +27,7 @@ pub(super) struct StoreContent {
     /// True if a part of the indices was unreadable.
     pub(super) unreadable: bool,
     /// Lost indices, of which only the mark is left.
-    pub(super) lost: BTreeMap<Number, Lost>,
+    pub(super) lost: BTreeMap<Number, LostIndex>,
     /// Deleted indices that may have keys left.
     pub(super) deleted: Vec<Number>,
     /// The number of the next index.
@@ -114,7 +114,7 @@ impl StoreContent {
         error!(index = &*mark.name, error = %why, "an index is lost: every call for it fails");
         let (name, uid) = (mark.name.to_string(), mark.uid);
         self.used.insert(number);
-        self.lost.insert(number, Lost { name, uid, why });
+        self.lost.insert(number, LostIndex { name, uid, why });
     }
 }
 

@@ -10,7 +10,7 @@ use super::{versions::Versions, view::PinnedView};
 use crate::log::{
     LogError, Operation, Origin, Record, RecordStream, Retention, Sessions, StoredPoint, Tip, Uid,
     View, Window,
-    retention::{Allowance, Bounded},
+    retention::{Allowance, BoundedQueue},
 };
 
 /// The number of rows that are stored or dropped during one hold of the lock. It keeps a large record from blocking
@@ -31,9 +31,9 @@ pub(super) struct Store {
 struct Journal {
     head: Head,
     /// The newest records, without a gap up to the head.
-    records: Bounded<Arc<Record>>,
+    records: BoundedQueue<Arc<Record>>,
     /// The newest operations.
-    operations: Bounded<Arc<Operation>>,
+    operations: BoundedQueue<Arc<Operation>>,
     /// The submitted records that are not yet applied, oldest first, with the heads that they made. The versions of
     /// the heads are pinned.
     unapplied: VecDeque<(Arc<Record>, Head)>,
@@ -73,8 +73,8 @@ impl Store {
                     next_id: origin.next_id,
                     sessions,
                 },
-                records: Bounded::default(),
-                operations: Bounded::default(),
+                records: BoundedQueue::default(),
+                operations: BoundedQueue::default(),
                 unapplied: VecDeque::new(),
                 is_replaced: false,
             }),

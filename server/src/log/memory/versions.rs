@@ -26,11 +26,11 @@ pub(super) struct Versions {
     pinned: BTreeMap<u64, usize>,
     /// The revision that the next view is pinned to; it is pinned itself.
     head: u64,
-    superseded: BTreeMap<u64, Vec<Superseded>>,
-    released: VecDeque<Vec<Superseded>>,
+    superseded: BTreeMap<u64, Vec<SupersededVersion>>,
+    released: VecDeque<Vec<SupersededVersion>>,
 }
 
-struct Superseded {
+struct SupersededVersion {
     version: (u64, u64),
     by: u64,
 }
@@ -75,7 +75,7 @@ impl Versions {
         };
         // The head has not advanced to `by` yet, so it still sees the version.
         let superseded = self.superseded.entry(self.head).or_default();
-        superseded.push(Superseded { version, by });
+        superseded.push(SupersededVersion { version, by });
         true
     }
 
@@ -117,7 +117,7 @@ impl Versions {
         !self.released.is_empty()
     }
 
-    fn keep_or_drop(&mut self, superseded: Superseded) {
+    fn keep_or_drop(&mut self, superseded: SupersededVersion) {
         let (_, made) = superseded.version;
         match self.pinned.range(made..superseded.by).next_back() {
             Some((&revision, _)) => self

@@ -28,7 +28,7 @@ use super::{
     NatsError, RETRY_INTERVAL,
     connection::{Connection, found, patiently, unreachable, within},
 };
-use crate::log::{Catalogue, Entry, LogError, Lost, Uid};
+use crate::log::{Catalogue, Entry, LogError, LostIndex, Uid};
 
 /// The most deleted indices of a name that are remembered.
 const MAX_DELETED: usize = 1000;
@@ -194,7 +194,7 @@ impl Catalogue for NatsCatalogue {
         Ok(entries)
     }
 
-    fn lost(&self) -> Vec<Lost> {
+    fn lost(&self) -> Vec<LostIndex> {
         self.local.lost()
     }
 

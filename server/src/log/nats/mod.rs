@@ -120,17 +120,17 @@ struct NatsJournal {
     publishers: Mutex<BTreeMap<Uid, Publisher>>,
     /// The records that this server has applied, as far as it keeps them.
     local: Arc<dyn Journal>,
-    forgotten: Mutex<Forgotten>,
+    forgotten: Mutex<ForgottenRevisions>,
 }
 
-/// The most indices of which [`Forgotten`] knows something.
+/// The most indices of which [`ForgottenRevisions`] knows something.
 const MAX_FORGOTTEN: usize = 10_000;
 
 /// The revisions up to which this server has forgotten records, so that it does not ask NATS for the same again.
 #[derive(Default)]
-struct Forgotten(BTreeMap<Uid, u64>);
+struct ForgottenRevisions(BTreeMap<Uid, u64>);
 
-impl Forgotten {
+impl ForgottenRevisions {
     /// True if the records of an index up to this revision are forgotten.
     fn has(&self, uid: Uid, up_to: u64) -> bool {
         self.0.get(&uid) >= Some(&up_to)
@@ -302,7 +302,7 @@ mod tests {
 
     #[test]
     fn what_is_forgotten_is_known_of_a_bounded_number_of_indices() {
-        let mut forgotten = Forgotten::default();
+        let mut forgotten = ForgottenRevisions::default();
         for _ in 0..=MAX_FORGOTTEN {
             let uid = Uid::unique();
             assert!(!forgotten.has(uid, 1));

@@ -16,7 +16,7 @@ use crate::{
 
 type Sent = Result<Vec<Arc<Record>>, LogError>;
 
-struct Elsewhere {
+struct RemoteJournal {
     submitted: Mutex<Vec<Arc<Record>>>,
     /// The newest stream.
     brings: Mutex<Option<mpsc::UnboundedSender<Sent>>>,
@@ -24,7 +24,7 @@ struct Elsewhere {
     followed: watch::Sender<Option<u64>>,
 }
 
-impl Journal for Elsewhere {
+impl Journal for RemoteJournal {
     fn submit(&self, _: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
         self.submitted.lock().push(record);
         Ok(Receipt::Awaited(ready(Ok(())).boxed()))
@@ -59,7 +59,7 @@ impl Journal for Elsewhere {
 }
 
 struct Server {
-    journal: Arc<Elsewhere>,
+    journal: Arc<RemoteJournal>,
     hosted: Arc<Hosted>,
     _registry: Registry,
 }
@@ -71,7 +71,7 @@ impl Server {
 
     /// A server that keeps records of this many bytes.
     fn keeping(window_bytes: usize) -> Self {
-        let journal = Arc::new(Elsewhere {
+        let journal = Arc::new(RemoteJournal {
             submitted: Mutex::default(),
             brings: Mutex::default(),
             followed: watch::Sender::default(),

@@ -23,7 +23,7 @@ use crate::{
 const RECORDS: u64 = 4;
 
 /// The others of a cluster, by what each has applied; None for one that does not answer.
-struct Others {
+struct OtherMembers {
     changes: AtomicU64,
     requests: AtomicUsize,
     members: Mutex<Vec<Option<Arc<MemoryLog>>>>,
@@ -31,7 +31,7 @@ struct Others {
     are_heard: watch::Sender<bool>,
 }
 
-impl Owners for Others {
+impl Owners for OtherMembers {
     fn owner(&self, _: Uid) -> Option<String> {
         None
     }
@@ -55,7 +55,7 @@ impl Owners for Others {
     }
 }
 
-impl Peers for Others {
+impl Peers for OtherMembers {
     fn peers(&self, _: Uid) -> Vec<String> {
         self.all()
     }
@@ -141,7 +141,7 @@ fn more(records: &[Arc<Record>], run: u8, count: u64) -> Vec<Arc<Record>> {
 struct Server {
     service: Service,
     own: Arc<MemoryLog>,
-    others: Arc<Others>,
+    others: Arc<OtherMembers>,
 }
 
 impl Server {
@@ -151,7 +151,7 @@ impl Server {
         registry.replay().unwrap();
         let service = Service::new(registry, Limits::default());
         service.set_ready();
-        let others = Arc::new(Others {
+        let others = Arc::new(OtherMembers {
             changes: AtomicU64::new(1),
             requests: AtomicUsize::new(0),
             members: Mutex::default(),

@@ -17,7 +17,7 @@ use crate::{
     },
     registry::{Hosted, RegistryError, RegistryOptions},
     service::{
-        Copying, Limits,
+        CopyOutcome, Limits,
         member::{CopyPart, StoredRequest, StoredResponse, Unanswered},
     },
 };
@@ -146,11 +146,11 @@ impl Peers for Peer {
         let most = self.most_parts.load(SeqCst);
         async move {
             let parts = match self.service.copy_index(request).await.unwrap() {
-                Copying::None(kind) => {
+                CopyOutcome::None(kind) => {
                     let only = CopyPart { kind: Some(kind) };
                     stream::iter([Ok(only)]).boxed()
                 }
-                Copying::Copy(copy) => stream::unfold(copy, |mut copy| async {
+                CopyOutcome::Copy(copy) => stream::unfold(copy, |mut copy| async {
                     let part = copy.next().await?.unwrap();
                     Some((Ok(part), copy))
                 })
@@ -286,12 +286,12 @@ async fn a_contradiction_is_the_end() {
 }
 
 /// Two members: the first to be asked does not know the newest record of the asker any more, and the second does.
-struct Two {
+struct TwoMembers {
     forgetful: Peer,
     remembering: Peer,
 }
 
-impl Peers for Two {
+impl Peers for TwoMembers {
     fn peers(&self, _: Uid) -> Vec<String> {
         vec!["forgetful".into(), "remembering".into()]
     }
@@ -332,7 +332,7 @@ async fn a_member_that_can_compare_speaks_first() {
     let forgetful = engine(&entry, 0);
     forgetful.apply(entry.uid, &records).unwrap();
     trim(&forgetful, entry.uid);
-    let peers = |remembering: &Arc<MemoryLog>| Two {
+    let peers = |remembering: &Arc<MemoryLog>| TwoMembers {
         forgetful: Peer::new(server(&forgetful, &forgetful)),
         remembering: Peer::new(server(remembering, remembering)),
     };

@@ -1,7 +1,7 @@
 //! The rows of an insert, evaluated against the newest state of the index.
 
 use bytes::Bytes;
-use wayfold_index::{Known, Neighbor, Search};
+use wayfold_index::{EarlierAnswer, Neighbor, Search};
 use wayfold_proto::{END_OF_IDS, v1};
 
 use super::{Insertion, is_same};
@@ -11,7 +11,7 @@ use crate::{
     service::{
         Error, Limits,
         answer::{NeighborColumns, Room},
-        payloads::{Payloads, Unread},
+        payloads::{Payloads, UnreadPayloads},
         prefetch::{Prefetch, PrefetchedRow},
         staging::Staging,
     },
@@ -25,7 +25,7 @@ pub(super) struct Evaluation<'a> {
     prefetch: Option<&'a Prefetch>,
     payloads: &'a Payloads,
     /// Payloads to read before the rows can be evaluated.
-    pub(super) unread: Unread,
+    pub(super) unread: UnreadPayloads,
     /// The next id to assign.
     next_id: u64,
     found: Option<NeighborColumns>,
@@ -55,7 +55,7 @@ impl<'a> Evaluation<'a> {
             staging: Staging::new(writer, insertion.is_searched()),
             prefetch,
             payloads,
-            unread: Unread::default(),
+            unread: UnreadPayloads::default(),
             found: insertion
                 .neighbors
                 .map(|(_, include)| NeighborColumns::new(include, space.coordinates(), room)),
@@ -195,9 +195,9 @@ fn known<'a>(
     prefetch: Option<&'a Prefetch>,
     at: usize,
     neighbors: impl FnOnce(&'a PrefetchedRow) -> &'a Vec<Neighbor>,
-) -> Option<Known<'a>> {
+) -> Option<EarlierAnswer<'a>> {
     let prefetch = prefetch?;
-    Some(Known {
+    Some(EarlierAnswer {
         revision: prefetch.revision(),
         neighbors: neighbors(prefetch.row(at)?),
     })

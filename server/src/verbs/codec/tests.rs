@@ -96,7 +96,7 @@ fn what_json_has_not_is_written_as_text() {
 fn answers_are_rows_under_the_names_of_the_message() {
     let answer = v1::KnnResponse {
         neighbors: Some(v1::Neighbors {
-            counts: vec![2, 0, 1],
+            neighbor_counts: vec![2, 0, 1],
             ids: vec![3, 1 << 53, 4],
             distances: vec![0.1, f64::INFINITY, 0.0],
             states: states(3, &[1.0, -0.0, 0.3, 4.0, 5.0, 6.0]),

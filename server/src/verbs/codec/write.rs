@@ -136,7 +136,7 @@ impl Writer {
 
     /// The columns of neighbours, a row for each state.
     fn neighbors(&mut self, neighbors: &DynamicMessage) {
-        let counts = column(neighbors, "counts");
+        let counts = column(neighbors, "neighbor_counts");
         let counts = counts.as_ref().and_then(Value::as_list).unwrap_or(&[]);
         let counts: Vec<usize> = counts
             .iter()
@@ -144,7 +144,7 @@ impl Writer {
             .collect();
         for field in neighbors.descriptor().fields() {
             let is_always = matches!(field.name(), "ids" | "distances");
-            if field.name() == "counts" || !is_always && !neighbors.has_field(&field) {
+            if field.name() == "neighbor_counts" || !is_always && !neighbors.has_field(&field) {
                 continue;
             }
             self.name(field.name());

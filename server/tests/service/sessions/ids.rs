@@ -72,7 +72,7 @@ async fn blocks_grow_by_batches_and_no_id_is_reserved_twice_or_assigned() {
         request.reserve_count = count;
         let block = write(&service, request).await.reserved.unwrap();
         assert_eq!(block.first_id, expected.len() as u64);
-        assert_eq!(block.count, count);
+        assert_eq!(block.id_count, count);
         expected.extend((0..count).map(|_| session.id));
         let inserted = service.insert(&CALL, insertion(&[[0.5]], &[])).await;
         // Also an assigned id ends a block.
@@ -109,7 +109,7 @@ async fn ids_end_below_2_to_the_63() {
     assert_eq!(stored(&service).await, [] as [u64; 0]);
     request.reserve_count = 2;
     let block = write(&service, request).await.reserved.unwrap();
-    assert_eq!((block.first_id, block.count), (last - 2, 2));
+    assert_eq!((block.first_id, block.id_count), (last - 2, 2));
 
     let refused = refusal(service.open_session(&CALL, opening(2)).await);
     assert_eq!((refused.0, refused.1), (code, reason));

@@ -118,6 +118,9 @@ impl SessionModel {
         self.model.next_id += count;
         let ids = first_id..self.model.next_id;
         self.owners.extend(ids.map(|id| (id, session)));
-        Some(v1::IdBlock { first_id, count })
+        Some(v1::IdBlock {
+            first_id,
+            id_count: count,
+        })
     }
 }

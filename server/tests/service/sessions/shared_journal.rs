@@ -75,8 +75,8 @@ async fn batches(
         let response = responses[0].clone();
         assert_eq!(response.missing_count, missing);
         let block = response.reserved.unwrap();
-        assert_eq!(block.count, request.reserve_count);
-        ids.extend((0..block.count).map(|at| block.first_id + at));
+        assert_eq!(block.id_count, request.reserve_count);
+        ids.extend((0..block.id_count).map(|at| block.first_id + at));
         let server = &servers[random.random_range(0..2)];
         assert_eq!(write(server, request.clone()).await, response);
         acknowledged.push((request, response));

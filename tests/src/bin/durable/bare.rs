@@ -16,7 +16,7 @@ use fjall::{Database, Keyspace, KeyspaceCreateOptions, PersistMode};
 use tempfile::TempDir;
 use tokio::{sync::watch, task::JoinSet};
 
-use crate::{CLIENTS, place::Place, shape::Shape};
+use crate::{CLIENTS, base_directory::BaseDirectory, shape::Shape};
 
 /// The distance from an added key to the removed one: the number of records that our window keeps.
 const WINDOW_RECORDS: u64 = 12_000;
@@ -84,8 +84,8 @@ struct Round {
 }
 
 impl BareStore {
-    pub(crate) fn open(place: &Place, shape: &Shape, way: SyncSharing) -> Self {
-        let directory = place.directory();
+    pub(crate) fn open(base: &BaseDirectory, shape: &Shape, way: SyncSharing) -> Self {
+        let directory = base.create();
         let path = directory.path().join("store");
         let database = Database::builder(&path)
             .max_journaling_size(JOURNAL_BYTES)

@@ -10,7 +10,7 @@ use wayfold_tests::{
 
 use crate::{
     SPACE,
-    place::{Place, used},
+    base_directory::{BaseDirectory, used},
     report::Report,
     service::insertion,
 };
@@ -27,11 +27,11 @@ struct Idle {
     start_ms: f64,
 }
 
-pub(crate) async fn measure(place: &Place, report: &mut Report) {
+pub(crate) async fn measure(base: &BaseDirectory, report: &mut Report) {
     report.section("idle indices of one point each", "");
     let mut none: Option<Idle> = None;
     for count in COUNTS {
-        let idle = host(place, count).await;
+        let idle = host(base, count).await;
         for (what, figure, unit, base) in [
             (
                 "files",
@@ -68,8 +68,8 @@ pub(crate) async fn measure(place: &Place, report: &mut Report) {
     }
 }
 
-async fn host(place: &Place, count: usize) -> Idle {
-    let directory = place.directory();
+async fn host(base: &BaseDirectory, count: usize) -> Idle {
+    let directory = base.create();
     let data = directory.path().join("data");
     let data = data.to_string_lossy().into_owned();
     let server = measuring::server(&data);

@@ -10,7 +10,7 @@ use wayfold_tests::{
 
 use crate::{
     INDEX, SPACE, WIDTH,
-    place::{AppendFile, Place},
+    base_directory::{AppendFile, BaseDirectory},
     report::{Goal, Report},
     service::insertion,
     shape::Shape,
@@ -18,8 +18,13 @@ use crate::{
 
 const CALLS: usize = 1_000;
 
-pub(crate) async fn measure(place: &Place, shape: &Shape, rounds: usize, report: &mut Report) {
-    let directory = place.directory();
+pub(crate) async fn measure(
+    base: &BaseDirectory,
+    shape: &Shape,
+    rounds: usize,
+    report: &mut Report,
+) {
+    let directory = base.create();
     let data = directory.path().join("data").to_string_lossy().into_owned();
     let (server, echo) = (measuring::server(&data), measuring::echo());
     let (mut ours, echo) = (

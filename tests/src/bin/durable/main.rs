@@ -3,10 +3,10 @@
 //!     cargo run --release -p wayfold-tests --bin durable -- [--quick] [--dir DIR] [--json FILE]
 
 mod bare;
+mod base_directory;
 mod idle;
 mod latency;
 mod pauses;
-mod place;
 mod rates;
 mod report;
 mod service;
@@ -19,7 +19,7 @@ use clap::{Parser, ValueEnum};
 use serde_json::json;
 use wayfold_tests::measuring;
 
-use place::{AppendFile, Place};
+use base_directory::{AppendFile, BaseDirectory};
 use report::Report;
 use shape::Shape;
 
@@ -77,14 +77,14 @@ fn main() -> ExitCode {
 }
 
 async fn measure(arguments: &Arguments) -> Report {
-    let place = Place::new(arguments.dir.as_deref());
+    let base = BaseDirectory::new(arguments.dir.as_deref());
     let rounds = arguments.rounds.max(1);
     let mut report = Report::default();
-    let shape = Shape::read(&place).await;
+    let shape = Shape::read(&base).await;
 
     report.section("the disk", "");
-    println!("  {}", place.file_system().unwrap_or_default());
-    let directory = place.directory();
+    println!("  {}", base.file_system().unwrap_or_default());
+    let directory = base.create();
     let mut file = AppendFile::new(directory.path());
     let mut taken: Vec<_> = (0..1000).map(|_| file.append(&[0; 4096])).collect();
     taken.sort();
@@ -104,22 +104,22 @@ async fn measure(arguments: &Arguments) -> Report {
     let is_asked = |part| arguments.only.is_empty() || arguments.only.contains(&part);
     if is_asked(Part::Rates) {
         let count = if arguments.quick { 40_000 } else { 100_000 };
-        rates::measure(&place, &shape, (rounds, count), &mut report).await;
+        rates::measure(&base, &shape, (rounds, count), &mut report).await;
     }
     if is_asked(Part::Latency) {
-        latency::measure(&place, &shape, rounds, &mut report).await;
+        latency::measure(&base, &shape, rounds, &mut report).await;
     }
     if is_asked(Part::Pauses) {
-        pauses::measure(&place, 1_000_000, &mut report).await;
+        pauses::measure(&base, 1_000_000, &mut report).await;
         if !arguments.quick {
-            pauses::measure(&place, 10_000_000, &mut report).await;
+            pauses::measure(&base, 10_000_000, &mut report).await;
         }
     }
     if is_asked(Part::Stored) {
-        stored::measure(&place, 1_000_000, rounds, &mut report).await;
+        stored::measure(&base, 1_000_000, rounds, &mut report).await;
     }
     if is_asked(Part::Idle) {
-        idle::measure(&place, &mut report).await;
+        idle::measure(&base, &mut report).await;
     }
     report
 }

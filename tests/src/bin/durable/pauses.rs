@@ -21,7 +21,7 @@ use wayfold_tests::{
 
 use crate::{
     INDEX, K, SPACE, WIDTH,
-    place::{AppendFile, Place},
+    base_directory::{AppendFile, BaseDirectory},
     report::Report,
     service::insertion,
 };
@@ -40,11 +40,11 @@ const MEMORY_READINGS: u32 = 30;
 /// The start and the duration of an event.
 type TimedEvent = (Instant, Duration);
 
-pub(crate) async fn measure(place: &Place, points: usize, report: &mut Report) {
+pub(crate) async fn measure(base: &BaseDirectory, points: usize, report: &mut Report) {
     let title = format!("while {points} points are loaded in batches of {BATCH}, over gRPC");
     report.section(&title, "");
     for durable in [true, false] {
-        let directory = place.directory();
+        let directory = base.create();
         let data = directory.path().join("data");
         let (data, on) = if durable {
             (data.to_string_lossy().into_owned(), "on disk")

@@ -14,7 +14,7 @@ use wayfold_tests::{
 use crate::{
     CLIENTS, INDEX, K, SPACE, WIDTH,
     bare::{self, BareStore},
-    place::Place,
+    base_directory::BaseDirectory,
     report::{Goal, Report},
     service::{DurableService, WINDOW_BYTES, insertion},
     shape::Shape,
@@ -48,7 +48,7 @@ enum Contestant {
 
 /// Measures inserts of one state: `count` of them in each of `rounds`.
 pub(crate) async fn measure(
-    place: &Place,
+    base: &BaseDirectory,
     shape: &Shape,
     (rounds, count): (usize, usize),
     report: &mut Report,
@@ -57,7 +57,7 @@ pub(crate) async fn measure(
     for round in 0..rounds {
         // The contestants take turns, so that other load on the machine affects all of them.
         for way in bare::SyncSharing::ALL {
-            let bare = BareStore::open(place, shape, way);
+            let bare = BareStore::open(base, shape, way);
             let meter = Meter::start(None, count);
             bare.write(count).await;
             taken
@@ -66,13 +66,13 @@ pub(crate) async fn measure(
                 .push(meter.stop());
         }
         for k in [None, Some(K)] {
-            let service = through_service(place, round, count, k).await;
+            let service = through_service(base, round, count, k).await;
             taken
                 .entry(Contestant::Service(k))
                 .or_default()
                 .push(service);
             for over in CONNECTIONS {
-                let (server, echo) = through_grpc(place, (round, over), count, k).await;
+                let (server, echo) = through_grpc(base, (round, over), count, k).await;
                 let grpc = taken.entry(Contestant::Grpc(over, k)).or_default();
                 grpc.push(server);
                 taken
@@ -210,8 +210,13 @@ fn pool(client: usize, round: usize) -> Vec<f64> {
     States::new(SPACE.parse().expect("a space"), seed).rows(POOL)
 }
 
-async fn through_service(place: &Place, round: usize, count: usize, k: Option<u32>) -> Round {
-    let directory = place.directory();
+async fn through_service(
+    base: &BaseDirectory,
+    round: usize,
+    count: usize,
+    k: Option<u32>,
+) -> Round {
+    let directory = base.create();
     let hosting = DurableService::open(directory.path(), Durability::Fsync, WINDOW_BYTES);
     hosting.create(INDEX).await;
     let pools: Vec<_> = (0..CLIENTS).map(|client| pool(client, round)).collect();
@@ -233,12 +238,12 @@ async fn through_service(place: &Place, round: usize, count: usize, k: Option<u3
 
 /// The rounds of the server and of the echo.
 async fn through_grpc(
-    place: &Place,
+    base: &BaseDirectory,
     round: (usize, usize),
     count: usize,
     k: Option<u32>,
 ) -> (Round, Round) {
-    let directory = place.directory();
+    let directory = base.create();
     let data = directory.path().join("data").to_string_lossy().into_owned();
     let server = measuring::server(&data);
     Stubs::connect(server.uri())

@@ -7,7 +7,7 @@ use wayfold_server::log::Durability;
 
 use crate::{
     INDEX, WIDTH,
-    place::Place,
+    base_directory::BaseDirectory,
     service::{DurableService, insertion},
 };
 
@@ -31,8 +31,8 @@ pub(crate) struct Shape {
 
 impl Shape {
     /// Reads it from a log in a separate directory.
-    pub(crate) async fn read(place: &Place) -> Self {
-        let directory = place.directory();
+    pub(crate) async fn read(base: &BaseDirectory) -> Self {
+        let directory = base.create();
         let mut before = BTreeMap::new();
         let mut after = BTreeMap::new();
         for inserts in [INSERTS, 1] {

@@ -13,7 +13,7 @@ use wayfold_tests::{Signal, States, Stubs, figures::median, measuring};
 
 use crate::{
     INDEX, SPACE, WIDTH,
-    place::{Place, used},
+    base_directory::{BaseDirectory, used},
     report::{Goal, Report},
     service::{DurableService, WINDOW_BYTES, insertion},
     shape::{KEYSPACE, STORE},
@@ -25,8 +25,13 @@ const POINT_BYTES: usize = 8 * (WIDTH + 3);
 /// The offset of the coordinates in the stored value of a point: after two revisions, the tag and the width.
 const STATE_OFFSET: usize = 26;
 
-pub(crate) async fn measure(place: &Place, points: usize, rounds: usize, report: &mut Report) {
-    let directory = place.directory();
+pub(crate) async fn measure(
+    base: &BaseDirectory,
+    points: usize,
+    rounds: usize,
+    report: &mut Report,
+) {
+    let directory = base.create();
     let data = directory.path();
     fill(data, points).await;
 
@@ -59,7 +64,7 @@ pub(crate) async fn measure(place: &Place, points: usize, rounds: usize, report:
     report.note("  of it journals", per(journals, points), "bytes/point");
     let (database, keyspace) = open(&data.join(STORE));
     let snapshot = database.snapshot();
-    let alone = place.directory();
+    let alone = base.create();
     let (copy, copied) = open(alone.path());
     let mut window = 0;
     for pair in snapshot.iter(&keyspace) {
@@ -134,7 +139,7 @@ fn journals(store: &Path) -> (u64, usize) {
         let path = file.expect("an entry").path();
         path.extension()
             .is_some_and(|end| end == "jnl")
-            .then(|| crate::place::bytes_of(&path))
+            .then(|| crate::base_directory::bytes_of(&path))
     });
     journals.fold((0, 0), |(bytes, files), more| (bytes + more, files + 1))
 }

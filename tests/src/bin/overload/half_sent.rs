@@ -20,7 +20,7 @@ use tokio::{
 use crate::{
     Arguments,
     generator::apart,
-    probe::Beside,
+    probe::Bystander,
     progress,
     report::{Figures, Report, Table},
     server::{Server, insert_frame, pause},
@@ -48,13 +48,13 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     let server = Server::start(arguments);
     progress("half-sent");
     let memory = server.memory();
-    let mut beside = Beside::start(server.address);
-    beside.part("before");
+    let mut bystander = Bystander::start(server.address);
+    bystander.part("before");
     pause(arguments.length() / 2);
-    beside.part("during");
+    bystander.part("during");
     let inserts = apart(send(server.address)).join();
     let inserts = inserts.expect("the generator's thread");
-    beside.part("after");
+    bystander.part("after");
     let memory = memory.after_the_load();
     let mut figures = Figures::default();
     figures.add("inserts begun", CALLS as f64);
@@ -64,7 +64,7 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     table.column("inserts", figures);
     report.table("half-sent, inserts", &table);
     report.table("half-sent, memory", &memory);
-    report.table("half-sent, others", &beside.finish());
+    report.table("half-sent, others", &bystander.finish());
 }
 
 /// Sends parts of inserts over one connection until all are sent or the server takes no more.

@@ -3,7 +3,7 @@
 use crate::{
     Arguments,
     generator::{Load, apart},
-    probe::Beside,
+    probe::Bystander,
     progress,
     report::{Report, Table},
     server::{Server, knn_frames, pause},
@@ -23,17 +23,17 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
         deadline: None,
     };
     let memory = server.memory();
-    let mut beside = Beside::start(server.address);
-    beside.part("before");
+    let mut bystander = Bystander::start(server.address);
+    bystander.part("before");
     pause(arguments.length());
-    beside.part("during");
+    bystander.part("during");
     let heavy = apart(load.closed(CALLS, arguments.length())).join();
     let heavy = heavy.expect("the generator's thread");
-    beside.part("after");
+    bystander.part("after");
     let memory = memory.after_the_load();
     let mut table = Table::default();
     table.column("heavy calls", heavy.figures(None));
     report.table("heavy, 250 Knn on one connection", &table);
     report.table("heavy, memory", &memory);
-    report.table("heavy, others", &beside.finish());
+    report.table("heavy, others", &bystander.finish());
 }

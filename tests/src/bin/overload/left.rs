@@ -9,7 +9,7 @@ use zenoh::bytes::Encoding;
 
 use crate::{
     Arguments,
-    probe::Beside,
+    probe::Bystander,
     progress,
     report::{Figures, Report, Table},
     server::{INDEX, Server, knn, pause},
@@ -27,15 +27,15 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     let server = Server::start(arguments);
     progress("left");
     let memory = server.memory();
-    let mut beside = Beside::start(server.address);
-    beside.part("before");
+    let mut bystander = Bystander::start(server.address);
+    bystander.part("before");
     pause(arguments.length() / 2);
     let before = server.until_idle(Duration::from_secs(1));
-    beside.part("during");
+    bystander.part("during");
     let mut command = measuring::command(LEAVER);
     let leaver = Process::spawn(command.arg(&server.zenoh)).finish();
     let after = server.until_idle(LONGEST);
-    beside.part("after");
+    bystander.part("after");
     let mut figures = Figures::default();
     let sent = leaver.stdout.first().and_then(|line| line.parse().ok());
     figures.add("queries sent", sent.unwrap_or(f64::NAN));
@@ -45,7 +45,7 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     table.column("left", figures);
     report.table("left, 600 queries of 5,000 rows over Zenoh", &table);
     report.table("left, memory", &memory.after_the_load());
-    report.table("left, others", &beside.finish());
+    report.table("left, others", &bystander.finish());
 }
 
 /// Sends the queries and ends.

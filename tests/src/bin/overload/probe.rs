@@ -171,13 +171,13 @@ impl Health {
 }
 
 /// The health check and a bystander, before, during and after a load.
-pub(crate) struct Beside {
+pub(crate) struct Bystander {
     health: Health,
     bystander: Probe,
     parts: Vec<(&'static str, Instant)>,
 }
 
-impl Beside {
+impl Bystander {
     pub(crate) fn start(address: SocketAddr) -> Self {
         let request = knn_frames(1, 1, 10)[0].clone();
         Self {

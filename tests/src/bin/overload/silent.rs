@@ -13,7 +13,7 @@ use tonic_health::pb::HealthCheckRequest;
 use crate::{
     Arguments,
     generator::apart,
-    probe::Beside,
+    probe::Bystander,
     progress,
     report::{Figures, Report, Table},
     server::{Server, knn_frames, pause},
@@ -49,17 +49,17 @@ fn measure<F>(
 {
     let server = Server::start(arguments);
     progress(name);
-    let mut beside = Beside::start(server.address);
-    beside.part("before");
+    let mut bystander = Bystander::start(server.address);
+    bystander.part("before");
     pause(arguments.length() / 2);
-    beside.part("during");
+    bystander.part("during");
     let figures = apart(hold(server.address)).join();
-    beside.part("after");
+    bystander.part("after");
     pause(arguments.length() / 2);
     let mut table = Table::default();
     table.column("a new client", figures.expect("the generator's thread"));
     report.table(name, &table);
-    report.table(&format!("{name}: others"), &beside.finish());
+    report.table(&format!("{name}: others"), &bystander.finish());
 }
 
 /// Holds connections that send nothing.

@@ -9,7 +9,7 @@ use wayfold_proto::v1::StreamKnnRequest;
 use crate::{
     Arguments,
     generator::apart,
-    probe::Beside,
+    probe::Bystander,
     progress,
     report::Report,
     server::{Server, knn, knn_frames, pause, until_idle},
@@ -27,7 +27,7 @@ const CALL_ROWS: usize = 18;
 /// The time that the server gets to prepare the answers.
 const LONGEST: Duration = Duration::from_secs(40);
 
-type Unread = (ResponseFuture, SendStream<bytes::Bytes>);
+type UnreadCall = (ResponseFuture, SendStream<bytes::Bytes>);
 
 pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     measure(arguments, report, "unread, 16 StreamKnn of 128", 1, streams);
@@ -41,15 +41,15 @@ fn measure(
     report: &mut Report,
     name: &str,
     connections: usize,
-    begin: fn(&Client, SocketAddr) -> Vec<Unread>,
+    begin: fn(&Client, SocketAddr) -> Vec<UnreadCall>,
 ) {
     let server = Server::start(arguments);
     progress(name);
     let memory = server.memory();
-    let mut beside = Beside::start(server.address);
-    beside.part("before");
+    let mut bystander = Bystander::start(server.address);
+    bystander.part("before");
     pause(arguments.length() / 2);
-    beside.part("during");
+    bystander.part("during");
     let (address, process) = (server.address, server.id());
     let held = apart(async move {
         let mut unread = Vec::new();
@@ -62,12 +62,12 @@ fn measure(
         drop(unread);
     });
     held.join().expect("the generator's thread");
-    beside.part("after");
+    bystander.part("after");
     report.table(&format!("{name}: memory"), &memory.after_the_load());
-    report.table(&format!("{name}: others"), &beside.finish());
+    report.table(&format!("{name}: others"), &bystander.finish());
 }
 
-fn streams(client: &Client, address: SocketAddr) -> Vec<Unread> {
+fn streams(client: &Client, address: SocketAddr) -> Vec<UnreadCall> {
     let requests = knn(REQUESTS, STREAM_ROWS, K).into_iter();
     let requests = requests.map(|knn| wire::frame(&StreamKnnRequest { knn: Some(knn) }));
     let requests: Vec<_> = requests.collect();
@@ -86,7 +86,7 @@ fn streams(client: &Client, address: SocketAddr) -> Vec<Unread> {
     unread
 }
 
-fn calls(client: &Client, address: SocketAddr) -> Vec<Unread> {
+fn calls(client: &Client, address: SocketAddr) -> Vec<UnreadCall> {
     let mut unread = Vec::new();
     for request in knn_frames(CALLS, CALL_ROWS, K).iter() {
         let headers = wire::headers(address, KNN);

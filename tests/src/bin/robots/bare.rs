@@ -28,7 +28,7 @@ pub(crate) fn main() -> ExitCode {
     let in_json = in_json.to_string().into_bytes();
     let answer = KnnResponse {
         neighbors: Some(Neighbors {
-            counts: vec![K],
+            neighbor_counts: vec![K],
             ids,
             distances,
             ..Default::default()

@@ -80,8 +80,8 @@ struct Session {
 
 impl Session {
     fn take_over(&mut self, block: Option<IdBlock>) {
-        let IdBlock { first_id, count } = block.expect("a block");
-        self.ids.extend((0..count).map(|at| first_id + at));
+        let IdBlock { first_id, id_count } = block.expect("a block");
+        self.ids.extend((0..id_count).map(|at| first_id + at));
     }
 }
 

@@ -230,7 +230,7 @@ fn read_neighbors(it: &Value) -> v1::Neighbors {
         read_rows(&rows)
     });
     v1::Neighbors {
-        counts: list(&it["ids"], |row| row.as_array().unwrap().len() as u32),
+        neighbor_counts: list(&it["ids"], |row| row.as_array().unwrap().len() as u32),
         ids: flat(&it["ids"], read_integer),
         distances: flat(&it["distances"], read_float),
         states,

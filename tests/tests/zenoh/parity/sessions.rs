@@ -114,6 +114,6 @@ pub(super) fn written(it: &Value) -> Answer {
 fn block(it: &Value) -> v1::IdBlock {
     v1::IdBlock {
         first_id: read_integer(&it["first_id"]),
-        count: read_integer(&it["count"]),
+        id_count: read_integer(&it["id_count"]),
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{Batch, Rebased, Writer};
+use super::{Batch, RebasedPoint, Writer};
 use crate::{
     Error,
     index::{
@@ -195,7 +195,7 @@ impl Writer {
                 let rebased = self
                     .rebased
                     .entry(id)
-                    .or_insert_with(|| Rebased::new(base()));
+                    .or_insert_with(|| RebasedPoint::new(base()));
                 rebased.push(&step);
             }
         }
@@ -256,7 +256,7 @@ impl Writer {
 }
 
 /// Makes the copy hold what an id shows.
-fn show(id: u64, rebased: &Rebased, points: &mut LocalPoints) -> Result<(), Error> {
+fn show(id: u64, rebased: &RebasedPoint, points: &mut LocalPoints) -> Result<(), Error> {
     match rebased.shown() {
         None => drop(points.remove(id)?),
         Some((tag, row)) => match points.get(id) {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use fjall::OwnedWriteBatch;
 
-use super::{Index, State, Unapplied};
+use super::{Index, State, UnappliedRecord};
 use crate::log::{
     LogError, Outcome, Record, View,
     fjall::{
@@ -31,7 +31,7 @@ impl Index {
         let handles = store.handles()?;
         self.write(&handles, &mut state, &record)?;
         let view = self.view_of_head(store, &mut state);
-        let unapplied = Unapplied { record, view };
+        let unapplied = UnappliedRecord { record, view };
         self.unapplied.lock().push_back(unapplied);
         written(self.mark_of(&state.head));
         Ok(())

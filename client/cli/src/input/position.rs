@@ -1,12 +1,12 @@
-//! The place of a number in the input, for error messages.
+//! The position of a number in the input, for error messages.
 
 use std::sync::Arc;
 
 use wayfold::{Space, coordinate_names};
 
-/// The place of a row.
+/// The position of a row.
 #[derive(Clone, Debug)]
-pub(super) enum Place {
+pub(super) enum InputPosition {
     /// A line of CSV, from 1.
     Line { file: Arc<File>, line: u64 },
     /// A row of an npy file, from 0.
@@ -57,11 +57,11 @@ impl File {
     }
 }
 
-impl Place {
-    /// The place of a coordinate.
+impl InputPosition {
+    /// The position of a coordinate.
     pub(super) fn of(&self, coordinate: usize) -> String {
         match self {
-            Place::Line { file, line } => {
+            InputPosition::Line { file, line } => {
                 let column = file.column(coordinate) + 1;
                 format!(
                     "{}:{line}:{column} ({})",
@@ -69,14 +69,14 @@ impl Place {
                     file.coordinate(coordinate)
                 )
             }
-            Place::Row { file, row } => {
+            InputPosition::Row { file, row } => {
                 format!(
                     "{}[{row}, {coordinate}] ({})",
                     file.name,
                     file.coordinate(coordinate)
                 )
             }
-            Place::Flag { file } => {
+            InputPosition::Flag { file } => {
                 format!(
                     "{}: number {} ({})",
                     file.name,
@@ -87,36 +87,36 @@ impl Place {
         }
     }
 
-    /// The place of a column of CSV, from 0; the row's where there are no columns.
+    /// The position of a column of CSV, from 0; the row's where there are no columns.
     pub(super) fn of_column(&self, column: usize) -> String {
         match self {
-            Place::Line { file, line } => format!("{}:{line}:{}", file.name, column + 1),
-            Place::Row { .. } | Place::Flag { .. } => self.whole(),
+            InputPosition::Line { file, line } => format!("{}:{line}:{}", file.name, column + 1),
+            InputPosition::Row { .. } | InputPosition::Flag { .. } => self.whole(),
         }
     }
 
-    /// The place of the row's id.
+    /// The position of the row's id.
     pub(super) fn of_id(&self) -> String {
         match self {
-            Place::Line { file, .. } => self.of_column(file.id_column.unwrap_or(0)),
-            Place::Row { .. } | Place::Flag { .. } => self.whole(),
+            InputPosition::Line { file, .. } => self.of_column(file.id_column.unwrap_or(0)),
+            InputPosition::Row { .. } | InputPosition::Flag { .. } => self.whole(),
         }
     }
 
-    /// The place of the row.
+    /// The position of the row.
     pub(super) fn whole(&self) -> String {
         match self {
-            Place::Line { file, line } => format!("{}:{line}", file.name),
-            Place::Row { file, row } => format!("{}[{row}]", file.name),
-            Place::Flag { file } => file.name.clone(),
+            InputPosition::Line { file, line } => format!("{}:{line}", file.name),
+            InputPosition::Row { file, row } => format!("{}[{row}]", file.name),
+            InputPosition::Flag { file } => file.name.clone(),
         }
     }
 
     /// The line of CSV; 0 elsewhere.
     pub(super) fn line(&self) -> u64 {
         match self {
-            Place::Line { line, .. } => *line,
-            Place::Row { .. } | Place::Flag { .. } => 0,
+            InputPosition::Line { line, .. } => *line,
+            InputPosition::Row { .. } | InputPosition::Flag { .. } => 0,
         }
     }
 }

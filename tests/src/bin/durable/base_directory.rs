@@ -1,4 +1,4 @@
-//! The place of the data on disk, and its size.
+//! The directory in which the measured data directories lie, and their sizes.
 
 use std::{
     fs::{self, File},
@@ -9,10 +9,10 @@ use std::{
 
 use tempfile::TempDir;
 
-/// A directory for data directories, on the measured disk.
-pub(crate) struct Place(TempDir);
+/// A directory of data directories, on the measured disk.
+pub(crate) struct BaseDirectory(TempDir);
 
-impl Place {
+impl BaseDirectory {
     /// Creates it in the given directory, or in the system's directory for temporary files.
     pub(crate) fn new(parent: Option<&Path>) -> Self {
         let parent = parent.map_or_else(std::env::temp_dir, PathBuf::from);
@@ -20,7 +20,7 @@ impl Place {
     }
 
     /// Creates a new directory.
-    pub(crate) fn directory(&self) -> TempDir {
+    pub(crate) fn create(&self) -> TempDir {
         tempfile::tempdir_in(self.0.path()).expect("a directory to write in")
     }
 
