@@ -228,7 +228,10 @@ where
                 Err(refusals::too_many_streams(settings.max_calls))
             }
             _ if !held.take(CALL_BYTES) => Err(status::too_many_bytes(flow.max_bytes())),
-            (_, Ok(None)) if !is_stream => Ok(arrived.checked_add(settings.default_timeout)),
+            (_, Ok(None)) if !is_stream => {
+                call.has_default_deadline = true;
+                Ok(arrived.checked_add(settings.default_timeout))
+            }
             (_, Ok(deadline)) => Ok(deadline),
         };
         match deadline {

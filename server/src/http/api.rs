@@ -81,6 +81,7 @@ impl Api {
         let arrived = Instant::now();
         let mut call = super::call(&self.shared.identities, request);
         if !is_stream {
+            call.has_default_deadline = true;
             call.deadline = arrived.checked_add(MAX_TIME);
         }
         let mut record = CallRecord::begin(

@@ -40,6 +40,8 @@ impl fmt::Display for Peer {
 pub struct Call {
     /// When the caller stops waiting; None: never. Long batches check it too.
     pub deadline: Option<Instant>,
+    /// True if the caller named no deadline and has the server's.
+    pub has_default_deadline: bool,
     /// The caller.
     pub caller: Caller,
     /// The other end of the call, if the face knows it.

@@ -91,19 +91,20 @@ impl Service {
         Ok(published)
     }
 
-    /// Waits for `future` until the deadline of the call, or for `min_revision_wait` if it has none.
+    /// Waits for `future` until the deadline of the call, and for `min_revision_wait` if its caller named none.
     async fn bounded<F: Future>(
         &self,
         call: &Call,
         doing: &'static str,
         future: F,
     ) -> Result<F::Output, Error> {
-        match call.deadline {
-            Some(_) => call.bound(doing, future).await,
-            None => tokio::time::timeout(self.limits().min_revision_wait, future)
-                .await
-                .map_err(|_| Error::DeadlineExceeded { doing }),
+        let bounded = call.bound(doing, future);
+        if call.deadline.is_some() && !call.has_default_deadline {
+            return bounded.await;
         }
+        tokio::time::timeout(self.limits().min_revision_wait, bounded)
+            .await
+            .map_err(|_| Error::DeadlineExceeded { doing })?
     }
 }
 

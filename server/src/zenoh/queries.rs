@@ -264,6 +264,7 @@ impl Queries {
         let named = query.parameters().iter();
         let (request, deadline) = Request::of(form, index, named, payload, arrived)?;
         let default = || arrived.checked_add(self.default_timeout);
+        call.has_default_deadline = deadline.is_none();
         call.deadline = deadline.or_else(default);
         let answered = async {
             if key.is_wild() {

@@ -8,8 +8,13 @@ use crate::{
 };
 use bytes::Bytes;
 use h2::{SendStream, client::ResponseFuture};
+use std::time::Duration;
+use tokio::time::timeout;
 use tonic::Code;
 use wayfold_proto::v1;
+
+/// Far more than the server needs: a test ends by it instead of the default deadline.
+const GUARD: Duration = Duration::from_secs(30);
 
 /// Begins a call with a `grpc-timeout`; its messages go into the stream.
 async fn begin(
@@ -42,6 +47,28 @@ async fn a_read_that_waits_for_a_revision_ends_at_its_deadline() {
     let (answer, mut request) = begin(&server, "PointService/Knn", "20m").await;
     request.send_data(frame(&wait), true).unwrap();
     let status = status(answer).await.unwrap();
+    assert_eq!(reason(&status, Code::DeadlineExceeded), "DEADLINE_EXCEEDED");
+    server.stop().await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn a_read_without_a_deadline_waits_for_a_revision_no_longer_than_the_contract_says() {
+    let server = TestServer::start(|config| {
+        config.grpc.default_timeout_ms = 3_600_000;
+        config.limits.min_revision_wait = Duration::from_millis(20);
+    })
+    .await;
+    let index = server.create_line("line").await;
+    let mut wait = knn("line", &[0.0], 1);
+    wait.min_revision = index
+        .revision
+        .map(|empty| v1::Revision { number: 1, ..empty });
+    let mut connection = Connection::open(server.address).await;
+    let request = connection.request("PointService/Knn");
+    let (answer, mut request) = connection.begin(request).await.unwrap();
+    request.send_data(frame(&wait), true).unwrap();
+    let status = timeout(GUARD, status(answer)).await.expect("no answer");
+    let status = status.unwrap();
     assert_eq!(reason(&status, Code::DeadlineExceeded), "DEADLINE_EXCEEDED");
     server.stop().await.unwrap().unwrap();
 }
