@@ -56,10 +56,10 @@ fn session(session: u64) -> v1::SnapshotSession {
     }
 }
 
-fn block(first_id: u64, count: u64, session: u64) -> v1::SnapshotBlock {
+fn block(first_id: u64, id_count: u64, session: u64) -> v1::SnapshotBlock {
     v1::SnapshotBlock {
         first_id,
-        count,
+        id_count,
         session,
     }
 }
@@ -133,13 +133,16 @@ fn sessions_that_no_index_holds_are_refused_with_their_place() {
             "session 90: its response is not a WriteResponse",
         ),
         (
-            |it| it.blocks[1].count = 0,
+            |it| it.blocks[1].id_count = 0,
             "part 3, block of ids from 5: it holds no id",
         ),
         (|it| it.blocks[1].first_id = 4, "before ends before id 5"),
         (|it| it.blocks.swap(1, 2), "from 5: the block before ends"),
-        (|it| it.blocks[2].count = 981, "next_id, which is 1000"),
-        (|it| it.blocks[2].count = u64::MAX, "next_id, which is 1000"),
+        (|it| it.blocks[2].id_count = 981, "next_id, which is 1000"),
+        (
+            |it| it.blocks[2].id_count = u64::MAX,
+            "next_id, which is 1000",
+        ),
         (|it| it.blocks[2].session = 2, "session 2 reserved it"),
         (
             |it| *it = v1::SnapshotSessions::default(),

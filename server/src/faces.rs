@@ -1,4 +1,4 @@
-//! The parts of the server that both faces use.
+//! The parts of the server that all faces use.
 
 use std::net::SocketAddr;
 

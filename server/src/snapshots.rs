@@ -28,8 +28,8 @@ use crate::{
     watermark::{self, Full, Watermark},
 };
 
-/// The longest time between two looks for indices whose snapshot is due.
-const MAX_LOOK_INTERVAL: Duration = Duration::from_secs(60);
+/// The longest time between two checks for indices whose snapshot is due.
+const MAX_CHECK_INTERVAL: Duration = Duration::from_secs(60);
 
 /// The end of the name of a snapshot.
 const SUFFIX: &str = ".snapshot";
@@ -122,10 +122,10 @@ impl Schedule {
     /// Takes every snapshot when it is due, until it is dropped.
     pub(crate) async fn run(self, service: Service, metrics: Metrics) {
         let schedule = Arc::new(self);
-        let mut looks = interval(schedule.every.min(MAX_LOOK_INTERVAL));
-        looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut checks = interval(schedule.every.min(MAX_CHECK_INTERVAL));
+        checks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
-            looks.tick().await;
+            checks.tick().await;
             let (schedule, service) = (Arc::clone(&schedule), service.clone());
             let (metrics, runtime) = (metrics.clone(), Handle::current());
             let look = move || schedule.take_due(&service, &metrics, &runtime, SystemTime::now());

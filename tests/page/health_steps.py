@@ -75,7 +75,7 @@ def damaged_and_lagging_indices_come_first(page, programs, pictures):
              "revision": {"uid": "u", "number": "2"}}
     made = {"indexes": [{**index, "name": name} for name in ("arm", "leg")],
             "damaged": [{"name": "tail", "uid": "t", "error": {"message": "a record has a wrong checksum"}}]}
-    metrics = 'wayfold_index_followers{index="leg"} 1\nwayfold_index_follower_lag{index="leg"} 500\n'
+    metrics = 'wayfold_index_subscribers{index="leg"} 1\nwayfold_index_subscriber_lag{index="leg"} 500\n'
     # A lag shows once it was there ten times.
     body = frame({"kind": "overview", "list": made, "metrics": metrics}) * 10
     page.route("**/api/v1/overview", lambda route: route.fulfill(body=body, content_type="application/octet-stream"))
@@ -88,7 +88,7 @@ def damaged_and_lagging_indices_come_first(page, programs, pictures):
         expect(rows.nth(3)).to_contain_text("write less, or give it more cores")
         # A telephone shows all of it, and nothing beside its edge.
         page.set_viewport_size({"width": 390, "height": 844})
-        for label, text in {"memory": "4 KiB", "followers": "1", "lag": "500"}.items():
+        for label, text in {"memory": "4 KiB", "subscribers": "1", "lag": "500"}.items():
             expect(page.locator(f'[data-index="leg"] [data-label="{label}"]')).to_be_visible()
             expect(page.locator(f'[data-index="leg"] [data-label="{label}"]')).to_have_text(text)
         assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth")

@@ -15,7 +15,7 @@ pub enum SnapshotError {
     #[error(transparent)]
     Io(io::Error),
     /// The file is not a snapshot.
-    #[error("not a snapshot: it does not begin with the line `wayfold snapshot {FORMAT_VERSION}`")]
+    #[error("not a snapshot: it does not begin with the line `wayfold snapshot VERSION`")]
     NotSnapshot,
     /// The snapshot has another version of the format.
     #[error(

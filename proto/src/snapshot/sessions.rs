@@ -93,16 +93,16 @@ impl CheckedSessions {
     ) -> Result<(), BlockProblem> {
         let &v1::SnapshotBlock {
             first_id,
-            count,
+            id_count,
             session,
         } = block;
-        if count == 0 {
+        if id_count == 0 {
             return Err(BlockProblem::Empty);
         }
         if first_id < self.end {
             return Err(BlockProblem::Overlap { end: self.end });
         }
-        let end = first_id.checked_add(count);
+        let end = first_id.checked_add(id_count);
         let Some(end) = end.filter(|&end| end <= header.next_id) else {
             let next_id = header.next_id;
             return Err(BlockProblem::Id { next_id });

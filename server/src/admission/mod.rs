@@ -1,4 +1,4 @@
-//! Admission, for both faces: what the calls of one flow may take of the server's time and memory.
+//! Admission, for all faces: what the calls of one flow may take of the server's time and memory.
 //!
 //! A flow is a connection of gRPC or a link of Zenoh. Its calls take [turns](turns) to compute, and hold bytes from the
 //! first byte of a request to the last byte of its answer that the caller reads.

@@ -37,7 +37,7 @@ Examples:
   wayfold-server --print-config > my.toml    a file to edit, for --config my.toml
   wayfold-server --log wayfold_server=debug  a log line for every call
   wayfold-server repair --dry-run            reports the damage of a store
-  wayfold-server reseed arm                  the points of this server of a cluster go on
+  wayfold-server reseed arm                  begins arm anew in a cluster, from this server's points
 
   Then, in another terminal:
   wayfold create arm --space 'R3*SO3:0.15'

@@ -193,9 +193,9 @@ impl Connections {
 
     /// Cuts each connection whose client reads nothing of its answers for `most`.
     pub(super) async fn cut_unread(&self, most: Duration) {
-        let mut looks = interval(most / 4);
+        let mut checks = interval(most / 4);
         loop {
-            looks.tick().await;
+            checks.tick().await;
             for state in self.open.lock().values() {
                 let unread = state.unread.lock();
                 if unread.frames > 0 && unread.since.elapsed() > most {

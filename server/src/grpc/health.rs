@@ -28,8 +28,8 @@ const NAMES: [&str; 4] = [
 /// The name of a state of its own: NOT_SERVING too while points cannot be added.
 const WRITING: &str = "wayfold.writing";
 
-/// The interval at which a watch of [`WRITING`] looks.
-const LOOK_INTERVAL: Duration = Duration::from_secs(1);
+/// The interval at which a watch of [`WRITING`] checks the status.
+const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Answers health checks from the server's phase.
 pub(crate) struct HealthFace {
@@ -58,7 +58,7 @@ impl HealthFace {
         let watch = WritingWatch {
             health: Self::new(self.phases.clone(), self.service.clone()),
             stopping: Box::pin(self.phases.clone().stopping()),
-            ticks: interval(LOOK_INTERVAL),
+            ticks: interval(CHECK_INTERVAL),
             reported: None,
         };
         stream::unfold(Some(watch), async |watch| watch?.next().await)

@@ -34,7 +34,7 @@ use x509_parser::{extensions::GeneralName, prelude::FromDer, prelude::X509Certif
 
 use crate::{
     config::TlsConfig,
-    identity::{ClientCertificate, LOOK_INTERVAL, Stamp},
+    identity::{CHECK_INTERVAL, ClientCertificate, Stamp},
 };
 
 /// The certificates cannot be used.
@@ -152,9 +152,9 @@ impl Tls {
     /// the gauge.
     pub(crate) async fn follow(self, is_wrong: Gauge) {
         let mut known = self.first;
-        let mut looks = interval(LOOK_INTERVAL);
+        let mut checks = interval(CHECK_INTERVAL);
         loop {
-            looks.tick().await;
+            checks.tick().await;
             let now = self.files.stamps();
             if now == known {
                 continue;

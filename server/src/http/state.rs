@@ -58,11 +58,11 @@ const OF_INDEX: [(&str, &str); 15] = [
         "The batches of writer sessions that are under way",
     ),
     (
-        "index_followers",
+        "index_subscribers",
         "The subscribers of an index: shared indices, watches, and publications over Zenoh",
     ),
     (
-        "index_follower_lag",
+        "index_subscriber_lag",
         "The readable records that the last subscriber of an index does not have",
     ),
     (
@@ -195,7 +195,7 @@ impl State {
             };
             missed.push(([("index", Arc::clone(label))], hosted.missed()));
             let published = hosted.published();
-            let (followers, lag) = hosted.followers_and_lag();
+            let (subscribers, lag) = hosted.subscribers_and_lag();
             let window = hosted.window();
             let figures = [
                 published.snapshot.len() as u64,
@@ -210,7 +210,7 @@ impl State {
                 hosted.records_in_flight() as u64,
                 published.view.sessions().len() as u64,
                 hosted.batches_under_way() as u64,
-                followers as u64,
+                subscribers as u64,
                 lag,
                 window.records,
                 window.bytes,

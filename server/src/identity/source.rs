@@ -18,7 +18,7 @@ use tracing::{error, info};
 use super::{Caller, ClientCertificate, IdentificationError, TableError, table::Table};
 
 /// The interval at which files are looked at: a revoked identity has its rights for so long at most.
-pub(crate) const LOOK_INTERVAL: Duration = Duration::from_secs(1);
+pub(crate) const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The identities of the server. Clones share them.
 #[derive(Clone, Debug, Default)]
@@ -129,9 +129,9 @@ impl Identities {
             return;
         };
         let mut known = source.first;
-        let mut looks = interval(LOOK_INTERVAL);
+        let mut checks = interval(CHECK_INTERVAL);
         loop {
-            looks.tick().await;
+            checks.tick().await;
             let now = Stamp::of(&source.file);
             if now != known {
                 known = now;

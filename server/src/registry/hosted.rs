@@ -22,13 +22,13 @@ use super::{
     Host, RegistryError, WriteGuard, Writer,
     apply::{self, AppliedForest, AwaitedReceipt, SETTLE_TIME},
     commit::Fences,
-    followers::{Follower, Followers},
     in_flight::InFlight,
     merging::FinishedMerge,
     operations::Operations,
     payload_sizes::PayloadSizes,
     recent::RecentRecords,
     stored::FirstWrite,
+    subscribers::{Subscriber, Subscribers},
 };
 use crate::log::{Effects, Entry, LogError, Retention, Tip, Uid, View, Window};
 
@@ -66,7 +66,7 @@ pub struct Hosted {
     pub(super) last_seen_revision: AtomicU64,
     pub(super) last_idle_revision: AtomicU64,
     pub(super) recent: parking_lot::Mutex<RecentRecords>,
-    followers: Followers,
+    subscribers: Subscribers,
     /// The records that subscribers read from the log because no publication brought them.
     missed: AtomicU64,
     /// The records of a journal elsewhere that are outside of all windows and not forgotten, if this server trims it.
@@ -137,7 +137,7 @@ impl Hosted {
             last_seen_revision: AtomicU64::new(u64::MAX),
             last_idle_revision: AtomicU64::new(u64::MAX),
             recent: parking_lot::Mutex::new(RecentRecords::new(host.options.window_bytes)),
-            followers: Followers::default(),
+            subscribers: Subscribers::default(),
             missed: AtomicU64::new(0),
             held: AtomicU64::new(0),
             first_write: FirstWrite::default(),
@@ -198,13 +198,13 @@ impl Hosted {
     }
 
     /// Counts a subscriber that has the records up to `revision`.
-    pub fn join(&self, revision: u64) -> Follower {
-        self.followers.join(revision)
+    pub fn join(&self, revision: u64) -> Subscriber {
+        self.subscribers.join(revision)
     }
 
     /// The number of subscribers, and the published records that the last of them does not have.
-    pub(crate) fn followers_and_lag(&self) -> (usize, u64) {
-        self.followers.count_and_lag(self.published().revision)
+    pub(crate) fn subscribers_and_lag(&self) -> (usize, u64) {
+        self.subscribers.count_and_lag(self.published().revision)
     }
 
     /// Its uid.

@@ -14,7 +14,6 @@
 mod apply;
 mod commit;
 mod error;
-mod followers;
 mod hosted;
 mod in_flight;
 mod index_limit;
@@ -33,6 +32,7 @@ mod reseed;
 mod restore;
 mod stopped;
 mod stored;
+mod subscribers;
 mod usage;
 mod writer;
 
@@ -50,7 +50,6 @@ use crate::{
 };
 pub use commit::CommitOutcome;
 pub use error::RegistryError;
-pub use followers::Follower;
 pub use hosted::{Hosted, Published};
 pub use index_limit::IndexLimit;
 use labels::Labels;
@@ -62,6 +61,7 @@ pub(crate) use reseed::{Seed, reseed};
 pub use restore::Restore;
 pub(crate) use stopped::Stopped;
 pub(crate) use stored::{ComparisonFailure, StoredRevision};
+pub use subscribers::Subscriber;
 pub use usage::BatchUnderWay;
 pub(crate) use usage::Part;
 pub use writer::{WriteGuard, Writer};

@@ -163,7 +163,7 @@ pub enum Error {
         ids: Vec<u64>,
     },
     /// The call exceeds a limit of the server.
-    #[error("{requested} exceed the limit {limit} = {value}: {advice}")]
+    #[error("{requested} is above the limit {limit} = {value}: {advice}")]
     LimitExceeded {
         /// The limit's name in the settings.
         limit: &'static str,

@@ -32,8 +32,8 @@ use crate::{
     registry::{Registry, Restore, Stopped},
 };
 
-/// The time between two looks at the indices.
-const LOOK_INTERVAL: Duration = Duration::from_secs(1);
+/// The time between two checks of the indices.
+const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// An index that may go on by itself has this long.
 const GRACE: Duration = Duration::from_secs(5);
@@ -60,7 +60,7 @@ impl Attempts {
     fn starting(after: Duration) -> Self {
         Self {
             next: Instant::now() + after,
-            wait: LOOK_INTERVAL,
+            wait: CHECK_INTERVAL,
             why: String::new(),
         }
     }
@@ -114,7 +114,7 @@ impl Service {
     /// Heals the indices that stop, until it is dropped. Answers `tried` once it has tried to heal those that have stopped
     /// already.
     pub(crate) async fn heal(self, peers: Arc<dyn Peers>, tried: oneshot::Sender<()>) {
-        let mut ticks = interval(LOOK_INTERVAL);
+        let mut ticks = interval(CHECK_INTERVAL);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         ticks.tick().await;
         let mut attempts = HashMap::new();

@@ -62,7 +62,7 @@ impl Service {
     }
 }
 
-/// The time between two looks for a copy of a restored index.
+/// The time between two checks for a copy of a restored index.
 const COPY_INTERVAL: Duration = Duration::from_millis(200);
 
 impl Service {
@@ -76,10 +76,10 @@ impl Service {
         let is_durable = self.inner.durability == Some(Durability::Fsync);
         let copied = async {
             peers.heard_all().await;
-            let mut looks = interval(COPY_INTERVAL);
-            looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+            let mut checks = interval(COPY_INTERVAL);
+            checks.set_missed_tick_behavior(MissedTickBehavior::Delay);
             loop {
-                looks.tick().await;
+                checks.tick().await;
                 let members = peers.peers(hosted.uid());
                 if members.is_empty() {
                     warn!(

@@ -48,7 +48,7 @@ impl SessionPages {
             bytes += BLOCK_BYTES;
             page.blocks.push(v1::SnapshotBlock {
                 first_id,
-                count: block.end - first_id,
+                id_count: block.end - first_id,
                 session: block.session,
             });
             self.next_block = block.end;
@@ -87,7 +87,7 @@ pub(super) fn add_restored(
         sessions.insert(session.session, restored);
     }
     for block in page.blocks {
-        let (end, session) = (block.first_id + block.count, block.session);
+        let (end, session) = (block.first_id + block.id_count, block.session);
         sessions.insert_block(block.first_id, Block { end, session });
     }
     Ok(())

@@ -12,7 +12,7 @@ use super::{
 use crate::{
     identity::Role,
     log::{LogError, Outcome, Record},
-    registry::{Follower, Hosted, RegistryError},
+    registry::{Hosted, RegistryError, Subscriber},
 };
 
 /// Approximate bytes of a message, less if answers are limited to less.
@@ -21,12 +21,12 @@ const MESSAGE_BYTES: usize = 256 * 1024;
 /// Approximate bytes of a mutation without its points and removed ids.
 const MUTATION_BYTES: usize = 128;
 
-/// The time between two looks at the rights of a watch that waits, and at the journal.
-const LOOK_INTERVAL: Duration = Duration::from_secs(1);
+/// The time between two checks of the rights of a watch that waits, and of the journal.
+const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// A watch ends after this number of looks at a journal that cannot be reached: its client goes on at another server. The
+/// A watch ends after this number of checks of a journal that cannot be reached: its client goes on at another server. The
 /// client of NATS connects again sooner than that if it can.
-const MAX_CUT_OFF_LOOKS: u32 = 5;
+const MAX_CUT_OFF_CHECKS: u32 = 5;
 
 /// A running watch. It pins no revision and holds the mutations of one message at most: the log keeps the rest, for as
 /// long as it retains them.
@@ -35,7 +35,7 @@ pub struct Watch {
     call: Call,
     hosted: Arc<Hosted>,
     /// Set once the first revision is known.
-    follower: Option<Follower>,
+    subscriber: Option<Subscriber>,
     /// True if the reader counts among the subscribers of the index.
     is_counted: bool,
     /// The newest revision that was sent whole; below the greatest number, so that its successor exists.
@@ -88,7 +88,7 @@ impl Service {
         Ok(Watch {
             service: self.clone(),
             call: call.clone(),
-            follower: None,
+            subscriber: None,
             is_counted: true,
             from_newest: after.is_none(),
             after: after.map_or(0, |after| after.number),
@@ -130,7 +130,7 @@ impl Watch {
                     self.after = newest;
                 }
                 if self.is_counted {
-                    self.follower = Some(self.hosted.join(self.after));
+                    self.subscriber = Some(self.hosted.join(self.after));
                 }
                 Ok(self.message(newest))
             }
@@ -212,8 +212,8 @@ impl Watch {
             self.sent = (sent, pieces + 1);
             if !piece.continued {
                 self.after = record.revision();
-                if let Some(follower) = &self.follower {
-                    follower.has(self.after);
+                if let Some(subscriber) = &self.subscriber {
+                    subscriber.has(self.after);
                 }
                 self.sent = (0, 0);
                 self.next.pop_front();
@@ -232,7 +232,7 @@ impl Watch {
             let waited = tokio::select! {
                 // Without this branch a call that waits for a mutation would delay the shutdown forever.
                 () = self.service.stopping() => return self.service.accept(&self.call, Role::Read, None),
-                waited = timeout(LOOK_INTERVAL, &mut reached) => waited,
+                waited = timeout(CHECK_INTERVAL, &mut reached) => waited,
             };
             match waited {
                 Ok(reached) => break reached?,
@@ -243,7 +243,7 @@ impl Watch {
                 true => cut_off + 1,
                 false => 0,
             };
-            if cut_off >= MAX_CUT_OFF_LOOKS {
+            if cut_off >= MAX_CUT_OFF_CHECKS {
                 let error = LogError::Unreachable {
                     what: "its connection is lost".into(),
                 };

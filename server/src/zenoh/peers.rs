@@ -55,10 +55,10 @@ impl ServerWatch {
 
 /// Logs that none of the `endpoints` is reached at first, and later that one is. Zenoh retries silently.
 pub(super) async fn report_links(session: Session, endpoints: String) {
-    let mut looks = interval_at(Instant::now() + CHECK_INTERVAL, CHECK_INTERVAL);
+    let mut checks = interval_at(Instant::now() + CHECK_INTERVAL, CHECK_INTERVAL);
     let mut warned = false;
     loop {
-        looks.tick().await;
+        checks.tick().await;
         if session.info().transports().await.next().is_some() {
             break;
         }

@@ -138,7 +138,7 @@ async fn a_mutation_that_no_answer_holds_is_refused_and_not_cut() {
 }
 
 #[tokio::test]
-async fn followers_of_the_list_of_indices_receive_each_change() {
+async fn subscribers_of_the_list_of_indices_receive_each_change() {
     let service = service();
     let mut catalog = service.watch_catalog().unwrap();
     assert!(catalog.changed().await.unwrap().is_empty());

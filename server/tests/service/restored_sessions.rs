@@ -143,7 +143,7 @@ async fn many_sessions_take_several_parts() {
         let session = open(&service, 2).await.session;
         let block = v1::SnapshotBlock {
             first_id: 2 * at,
-            count: 2,
+            id_count: 2,
             session,
         };
         expected.blocks.push(block);
@@ -190,7 +190,7 @@ async fn an_idle_session_of_a_snapshot_ends_when_another_is_opened() {
     };
     let block = v1::SnapshotBlock {
         first_id: 0,
-        count: 10,
+        id_count: 10,
         session: 1,
     };
     let sessions = v1::SnapshotSessions {

@@ -1,4 +1,4 @@
-//! A follower of an index sees each mutation once, in order, complete, and not before readers do.
+//! A subscriber of an index sees each mutation once, in order, complete, and not before readers do.
 
 use std::{collections::BTreeMap, pin::pin, sync::Arc, time::Duration};
 
@@ -28,16 +28,16 @@ async fn message(watch: &mut Watch) -> v1::WatchResponse {
     watch.next().await.unwrap().unwrap()
 }
 
-/// A follower's knowledge: each point with its state, tag, revision and payload.
+/// A subscriber's knowledge: each point with its state, tag, revision and payload.
 #[derive(Default)]
-struct Follower {
+struct Subscriber {
     points: BTreeMap<u64, (Vec<f64>, u64, u64, Bytes)>,
     revision: u64,
     /// The pieces of the next mutation.
     pieces: Vec<v1::Mutation>,
 }
 
-impl Follower {
+impl Subscriber {
     fn take(&mut self, message: v1::WatchResponse) {
         assert_eq!(message.reset(), ResetReason::Unspecified);
         for mutation in message.mutations {
@@ -107,8 +107,8 @@ async fn the_mutations_amount_to_the_points_wherever_one_begins() {
             ),
             (0, 0, uid.clone())
         );
-        let mut follower = Follower::default();
-        let mut late: Vec<(Follower, u64)> = Vec::new();
+        let mut subscriber = Subscriber::default();
+        let mut late: Vec<(Subscriber, u64)> = Vec::new();
         for step in 0..60 {
             let revision = info(&service, "arm").await.revision.number();
             // Refused mutations are part of the history too.
@@ -119,12 +119,12 @@ async fn the_mutations_amount_to_the_points_wherever_one_begins() {
             }
             let revision = info(&service, "arm").await.revision.number();
             if step % 7 == 0 {
-                follower.follow(&mut watch, revision).await;
-                follower.check(&service).await;
-                let points = follower.points.clone();
+                subscriber.follow(&mut watch, revision).await;
+                subscriber.check(&service).await;
+                let points = subscriber.points.clone();
                 let pieces = Vec::new();
                 late.push((
-                    Follower {
+                    Subscriber {
                         points,
                         revision,
                         pieces,
@@ -134,11 +134,11 @@ async fn the_mutations_amount_to_the_points_wherever_one_begins() {
             }
         }
         let last = info(&service, "arm").await.revision.number();
-        for (mut follower, from) in late {
+        for (mut subscriber, from) in late {
             let mut watch = service.watch(&CALL, watching(&uid, from)).await.unwrap();
             assert_eq!(message(&mut watch).await.revision.number(), last);
-            follower.follow(&mut watch, last).await;
-            follower.check(&service).await;
+            subscriber.follow(&mut watch, last).await;
+            subscriber.check(&service).await;
         }
     }
 }
@@ -165,16 +165,16 @@ async fn a_large_mutation_comes_in_pieces_that_fit() {
         .await
         .unwrap();
     let mut watch = service.watch(&CALL, watching(&uid, 0)).await.unwrap();
-    let mut follower = Follower::default();
+    let mut subscriber = Subscriber::default();
     let mut pieces = 0;
-    while follower.revision < 3 {
+    while subscriber.revision < 3 {
         let message = message(&mut watch).await;
         assert!(message.encoded_len() <= 20_000, "{}", message.encoded_len());
         pieces += message.mutations.len();
-        follower.take(message);
+        subscriber.take(message);
     }
     assert!(pieces > 5, "{pieces}");
-    follower.check(&service).await;
+    subscriber.check(&service).await;
 }
 
 #[tokio::test]
@@ -193,7 +193,7 @@ async fn forgotten_records_become_a_reset() {
             .await
             .unwrap();
     }
-    // A follower that starts again receives only the newest mutation.
+    // A subscriber that starts again receives only the newest mutation.
     let service = restart();
     let mut watch = service.watch(&CALL, watching(&uid, 3)).await.unwrap();
     assert_eq!(message(&mut watch).await.mutations, []);

@@ -121,8 +121,8 @@ async fn the_counts_are_those_of_the_clients() {
         ("wayfold_index_merge_lag_seconds{index=\"arm\"}".into(), 0),
         ("wayfold_merges{state=\"running\"}".into(), 0),
         ("wayfold_zenoh_links".into(), 1),
-        ("wayfold_index_followers{index=\"arm\"}".into(), 1),
-        ("wayfold_index_follower_lag{index=\"arm\"}".into(), 0),
+        ("wayfold_index_subscribers{index=\"arm\"}".into(), 1),
+        ("wayfold_index_subscriber_lag{index=\"arm\"}".into(), 0),
         (
             "wayfold_index_window_records{index=\"arm\"}".into(),
             REVISIONS,

@@ -81,7 +81,7 @@ struct Connection {
 /// The task that lost its connection.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Task {
-    Follower,
+    Subscriber,
     Sender,
 }
 
@@ -305,13 +305,13 @@ impl Core {
         let mut connection = self.connection.lock();
         connection.behind = behind;
         connection.is_reloading = false;
-        connection.lost[Task::Follower as usize] = None;
+        connection.lost[Task::Subscriber as usize] = None;
     }
 
     pub(super) fn reloading(&self) {
         let mut connection = self.connection.lock();
         connection.is_reloading = true;
-        connection.lost[Task::Follower as usize] = None;
+        connection.lost[Task::Subscriber as usize] = None;
     }
 
     pub(super) fn sending(&self) {

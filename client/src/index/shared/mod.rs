@@ -2,13 +2,12 @@
 //!
 //! `core` is what callers and the two tasks share: the points of the copy, and the `writer`. The writer holds the
 //! pending writes in batches (`batch`), the ids to give (`ids`), what is published under ids with pending writes
-//! (`rebased`) and the questions whose answers are not complete (`meanwhile`). `sender` sends the batches, `follower`
+//! (`rebased`) and the questions whose answers are not complete (`meanwhile`). `sender` sends the batches, `subscriber`
 //! applies what the server publishes; both call the server through `link`, over gRPC or Zenoh. `served_index` is what
 //! they know of the server's index.
 
 mod batch;
 mod core;
-mod follower;
 mod ids;
 mod link;
 mod meanwhile;
@@ -17,6 +16,7 @@ mod rebased;
 mod sender;
 mod served_index;
 mod status;
+mod subscriber;
 mod writer;
 
 pub use batch::UnsentWrite;

@@ -7,9 +7,9 @@ use wayfold_index::Space;
 use super::{
     SharedIndex,
     core::{Core, ID_BLOCK, Settings},
-    follower::Follower,
     link::{Address, Link},
     sender,
+    subscriber::Subscriber,
     writer::Writer,
 };
 use crate::{
@@ -114,10 +114,10 @@ impl OpenShared {
     pub fn open(self) -> Result<Index, Error> {
         let core = wait_for(self.connect())?;
         let (index, revision) = core.published.lock().clone();
-        let follower = Follower::new(Arc::clone(&core), index, revision);
+        let subscriber = Subscriber::new(Arc::clone(&core), index, revision);
         let tasks = [
             spawn(sender::run(Arc::clone(&core)))?.abort_handle(),
-            spawn(follower.run())?.abort_handle(),
+            spawn(subscriber.run())?.abort_handle(),
         ];
         Ok(Index::of_shared(SharedIndex::new(core, tasks)))
     }

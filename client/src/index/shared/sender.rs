@@ -132,7 +132,7 @@ async fn write(core: &Core, index: &ServedIndex, request: &v1::WriteRequest) -> 
     Ok(())
 }
 
-/// True if the server opens no session of the index. The follower reads an index that was made again, and ends if there
+/// True if the server opens no session of the index. The subscriber reads an index that was made again, and ends if there
 /// is none.
 fn is_final(error: &Error) -> bool {
     let is_other_index = matches!(

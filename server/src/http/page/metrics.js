@@ -61,8 +61,8 @@ function indexOf(index, metrics) {
     pointCount: index.point_count,
     revision: index.revision,
     memoryBytes: index.memory_bytes,
-    followers: figure("followers"),
-    lag: figure("follower_lag"),
+    subscribers: figure("subscribers"),
+    lag: figure("subscriber_lag"),
     // Only servers of a cluster tell this.
     owned: (find(metrics, "wayfold_index_owned", { index: index.name }) ?? 1) === 1,
     problem: null,
@@ -70,7 +70,7 @@ function indexOf(index, metrics) {
 }
 
 function damagedOf({ name, uid, error }) {
-  const none = { space: "", pointCount: 0, revision: { uid, number: 0 }, memoryBytes: 0, followers: 0, lag: 0 };
+  const none = { space: "", pointCount: 0, revision: { uid, number: 0 }, memoryBytes: 0, subscribers: 0, lag: 0 };
   const problem = { what: error.message, advice: DAMAGE_ADVICE };
   return { name, ...none, owned: true, problem };
 }

@@ -90,7 +90,7 @@ function problemOf(index) {
   if (!history.isLagging(index.name)) return undefined;
   return {
     what: `Readers of this index are ${counted(index.lag, "revision")} behind its log.`,
-    advice: "If the lag grows, the server or the link to its followers is overloaded: write less, or give it more cores.",
+    advice: "If the lag grows, the server or the link to its subscribers is overloaded: write less, or give it more cores.",
     grave: false,
   };
 }
@@ -127,7 +127,7 @@ function makeRow({ index, isAdvice }) {
     cell("p99"),
     cell("revision"),
     cell("memory"),
-    cell("followers"),
+    cell("subscribers"),
     cell("lag"),
   );
 }
@@ -147,7 +147,7 @@ function updateRow(row, { index, problem, isAdvice, hasFigures }) {
   const figure = (text) => (hasFigures ? text : "–");
   const texts = [
     count(index.pointCount), rate(history.pointRate(index.name)), figure(rate(calls.rate)), duration(calls.p50), duration(calls.p99),
-    count(index.revision.number), bytes(Number(index.memoryBytes)), figure(count(index.followers)), figure(count(index.lag)),
+    count(index.revision.number), bytes(Number(index.memoryBytes)), figure(count(index.subscribers)), figure(count(index.lag)),
   ];
   texts.forEach((text, i) => setText(cells[i].firstElementChild, text));
   const now = performance.now();

@@ -177,11 +177,11 @@ async fn the_page_is_no_subscriber() {
         }
         insert(&service, revision).await;
     }
-    let followers = service.listed().into_iter().map(|listed| match listed {
-        IndexEntry::Hosted(hosted) => hosted.followers_and_lag(),
+    let subscribers = service.listed().into_iter().map(|listed| match listed {
+        IndexEntry::Hosted(hosted) => hosted.subscribers_and_lag(),
         IndexEntry::Damaged { .. } => panic!("a damaged index"),
     });
-    assert_eq!(followers.collect::<Vec<_>>(), [(0, 0)]);
+    assert_eq!(subscribers.collect::<Vec<_>>(), [(0, 0)]);
 }
 
 #[tokio::test(start_paused = true)]

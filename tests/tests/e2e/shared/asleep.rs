@@ -8,13 +8,13 @@ use wayfold_tests::{Process, ServerProcess, Signal, States, page};
 /// The records of a second connection that the log forgets meanwhile.
 const OTHERS: usize = 500;
 
-/// The number of followers of the index, as `/metrics` tells it.
-fn followers(address: &str) -> String {
+/// The number of subscribers of the index, as `/metrics` tells it.
+fn subscribers(address: &str) -> String {
     let (status, text) = page(address, "/metrics", "");
     assert_eq!(status, 200);
     let line = text
         .lines()
-        .find_map(|line| line.strip_prefix("wayfold_index_followers{index=\"arm\"} "));
+        .find_map(|line| line.strip_prefix("wayfold_index_subscribers{index=\"arm\"} "));
     line.unwrap_or_default().to_owned()
 }
 
@@ -44,7 +44,7 @@ async fn a_planner_that_slept_goes_on() {
     assert_eq!(sleeper.line().as_deref(), Some("ready"));
     sleeper.say("5");
     assert_eq!(sleeper.line().as_deref(), Some("5"));
-    while followers(&pages) != "1" {}
+    while subscribers(&pages) != "1" {}
 
     sleeper.signal(Signal::Pause);
     let mut states = States::new(space.clone(), 6);
@@ -54,7 +54,7 @@ async fn a_planner_that_slept_goes_on() {
             .await
             .unwrap();
     }
-    while followers(&pages) != "0" {}
+    while subscribers(&pages) != "0" {}
     // Its first writes are made before it knows that it was left.
     sleeper.say("7");
     sleeper.signal(Signal::Resume);

@@ -26,7 +26,7 @@ const RELOAD_CHANGES: u64 = 1 << 40;
 /// wait for less than a millisecond.
 const MAX_LOCKED_ROWS: usize = 256;
 
-pub(super) struct Follower {
+pub(super) struct Subscriber {
     core: Arc<Core>,
     index: Arc<ServedIndex>,
     /// The newest revision that was applied.
@@ -57,9 +57,9 @@ impl From<Error> for Stop {
     }
 }
 
-impl Follower {
-    pub(super) fn new(core: Arc<Core>, index: Arc<ServedIndex>, revision: u64) -> Follower {
-        Follower {
+impl Subscriber {
+    pub(super) fn new(core: Arc<Core>, index: Arc<ServedIndex>, revision: u64) -> Subscriber {
+        Subscriber {
             core,
             index,
             revision,
@@ -212,7 +212,7 @@ impl Follower {
         }
         self.failures = self.failures.saturating_add(1);
         let pause = self.core.link.pause(self.failures, Some(&error));
-        self.core.disconnected(Task::Follower, error);
+        self.core.disconnected(Task::Subscriber, error);
         sleep_until(Instant::now() + pause).await;
         Ok(())
     }

@@ -9,33 +9,33 @@ use parking_lot::Mutex;
 
 /// The subscribers of one index.
 #[derive(Debug, Default)]
-pub(super) struct Followers(Mutex<Vec<Weak<AtomicU64>>>);
+pub(super) struct Subscribers(Mutex<Vec<Weak<AtomicU64>>>);
 
 /// A subscriber. It counts until it is dropped.
 #[derive(Debug)]
-pub struct Follower(Arc<AtomicU64>);
+pub struct Subscriber(Arc<AtomicU64>);
 
-impl Follower {
+impl Subscriber {
     /// The subscriber has all records up to this revision.
     pub fn has(&self, revision: u64) {
         self.0.store(revision, Relaxed);
     }
 }
 
-impl Followers {
+impl Subscribers {
     /// A new subscriber that has `revision`.
-    pub(super) fn join(&self, revision: u64) -> Follower {
-        let follower = Arc::new(AtomicU64::new(revision));
-        let mut followers = self.0.lock();
-        followers.retain(|it| it.strong_count() > 0);
-        followers.push(Arc::downgrade(&follower));
-        Follower(follower)
+    pub(super) fn join(&self, revision: u64) -> Subscriber {
+        let subscriber = Arc::new(AtomicU64::new(revision));
+        let mut subscribers = self.0.lock();
+        subscribers.retain(|it| it.strong_count() > 0);
+        subscribers.push(Arc::downgrade(&subscriber));
+        Subscriber(subscriber)
     }
 
     /// The number of subscribers, and the records that the last of them does not have of those up to `newest`.
     pub(super) fn count_and_lag(&self, newest: u64) -> (usize, u64) {
-        let followers = self.0.lock();
-        let revisions = followers.iter().filter_map(Weak::upgrade);
+        let subscribers = self.0.lock();
+        let revisions = subscribers.iter().filter_map(Weak::upgrade);
         let lags = revisions.map(|at| newest.saturating_sub(at.load(Relaxed)));
         lags.fold((0, 0), |(count, most), lag| (count + 1, most.max(lag)))
     }
@@ -47,15 +47,15 @@ mod tests {
 
     #[test]
     fn the_lag_is_that_of_the_last_subscriber_that_is_left() {
-        let followers = Followers::default();
-        assert_eq!(followers.count_and_lag(9), (0, 0));
-        let first = followers.join(2);
-        let second = followers.join(5);
-        assert_eq!(followers.count_and_lag(9), (2, 7));
+        let subscribers = Subscribers::default();
+        assert_eq!(subscribers.count_and_lag(9), (0, 0));
+        let first = subscribers.join(2);
+        let second = subscribers.join(5);
+        assert_eq!(subscribers.count_and_lag(9), (2, 7));
         first.has(8);
-        assert_eq!(followers.count_and_lag(9), (2, 4));
+        assert_eq!(subscribers.count_and_lag(9), (2, 4));
         drop(second);
-        assert_eq!(followers.count_and_lag(9), (1, 1));
-        assert_eq!(followers.count_and_lag(7), (1, 0));
+        assert_eq!(subscribers.count_and_lag(9), (1, 1));
+        assert_eq!(subscribers.count_and_lag(7), (1, 0));
     }
 }
