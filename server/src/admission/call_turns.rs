@@ -3,11 +3,14 @@
 use std::{
     cell::Cell,
     future::poll_fn,
+    mem,
     pin::{Pin, pin},
     sync::Arc,
     task::{Context, Poll, Waker, ready},
     time::{Duration, Instant},
 };
+
+use tokio::task::yield_now;
 
 use super::{
     Flow, Overloaded,
@@ -23,6 +26,8 @@ pub(crate) struct CallTurns {
     at_once: Duration,
     /// The turn of the next slice.
     next: Option<TurnRequest>,
+    /// True if the call has the turn of its next slice and has yielded with it.
+    has_yielded: bool,
     /// The time since which it waits for that turn.
     requested_at: Instant,
     /// The time that it has waited for turns.
@@ -43,7 +48,7 @@ pub(crate) async fn end_slice() {
         Poll::Ready(())
     })
     .await;
-    tokio::task::yield_now().await;
+    yield_now().await;
 }
 
 impl CallTurns {
@@ -53,6 +58,7 @@ impl CallTurns {
             stage: Stage::New,
             at_once: Duration::ZERO,
             next: None,
+            has_yielded: false,
             requested_at: Instant::now(),
             queued: Duration::ZERO,
             computed: Duration::ZERO,
@@ -96,6 +102,21 @@ impl CallTurns {
         work: impl FnOnce(&mut Context<'_>) -> Poll<T>,
     ) -> Poll<Result<T, Overloaded>> {
         self.request()?;
+        if mem::take(&mut self.has_yielded) {
+            // The runtime runs a task that yielded before those that read the bytes which came meanwhile: they are next.
+            context.waker().wake_by_ref();
+            return Poll::Pending;
+        }
+        if self.stage != Stage::New {
+            // Others may have come since the last slice.
+            let go_on = |next| match next {
+                TurnRequest::Granted(turn) => {
+                    self.flow.turns.give_way(turn, Duration::ZERO, self.stage)
+                }
+                waits => waits,
+            };
+            self.next = self.next.take().map(go_on);
+        }
         if let Some(TurnRequest::Waits(granted)) = &mut self.next {
             let granted = ready!(Pin::new(granted).poll(context));
             self.next = None;
@@ -106,6 +127,14 @@ impl CallTurns {
         let Some(TurnRequest::Granted(turn)) = self.next.take() else {
             return Poll::Pending;
         };
+        if self.stage == Stage::New && turn.is_long() {
+            self.stage = Stage::GoesOn;
+            self.next = Some(TurnRequest::Granted(turn));
+            self.has_yielded = true;
+            // The task is woken once the runtime has looked for bytes.
+            let _ = pin!(yield_now()).poll(context);
+            return Poll::Pending;
+        }
         GOES_ON.set(None);
         let began = Instant::now();
         self.queued += began - self.requested_at;
@@ -124,7 +153,9 @@ impl CallTurns {
             .take()
             .is_some_and(|waker| waker.will_wake(context.waker()));
         if polled.is_pending() && goes_on {
-            self.next = Some(self.flow.turns.give_way(turn, took, self.stage));
+            let next = self.flow.turns.give_way(turn, took, self.stage);
+            self.has_yielded = matches!(next, TurnRequest::Granted(_));
+            self.next = Some(next);
         } else {
             turn.end(took);
         }
@@ -135,5 +166,47 @@ impl CallTurns {
     pub(crate) async fn run<F: Future>(&mut self, work: F) -> Result<F::Output, Overloaded> {
         let mut work = pin!(work);
         poll_fn(|context| self.poll(context, |context| work.as_mut().poll(context))).await
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use futures_util::poll;
+
+    use super::*;
+    use crate::{admission::Admission, config::Config};
+
+    #[tokio::test]
+    async fn a_call_that_came_during_a_slice_goes_before_the_next_one() {
+        let admission = Admission::new(&Config::default().admission, 1, 0);
+        let (long, short) = (admission.open(), admission.open());
+        let slices = Cell::new(0);
+        let mut turns = long.turns();
+        let mut long = pin!(turns.run(async {
+            loop {
+                slices.set(slices.get() + 1);
+                end_slice().await;
+            }
+        }));
+        assert!(poll!(long.as_mut()).is_pending());
+        assert_eq!(slices.get(), 0, "it reads what has come before it begins");
+        while slices.get() < 1 {
+            assert!(poll!(long.as_mut()).is_pending());
+        }
+        let mut turns = short.turns();
+        let mut short = pin!(turns.run(async {}));
+        assert!(poll!(short.as_mut()).is_pending());
+        for _ in 0..10 {
+            assert!(poll!(long.as_mut()).is_pending());
+        }
+        let mut polls = 0;
+        while poll!(short.as_mut()).is_pending() {
+            polls += 1;
+            assert!(polls < 10, "it has no turn");
+        }
+        assert_eq!(slices.get(), 1);
+        while slices.get() < 2 {
+            assert!(poll!(long.as_mut()).is_pending());
+        }
     }
 }

@@ -248,6 +248,11 @@ impl Turns {
 }
 
 impl Turn {
+    /// True if it is one of few at a time.
+    pub(super) fn is_long(&self) -> bool {
+        self.size == SHORT_TURNS
+    }
+
     /// Ends the turn after `took` of work.
     pub(super) fn end(mut self, took: Duration) {
         self.took = took;

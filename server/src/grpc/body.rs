@@ -66,11 +66,11 @@ impl AsRef<[u8]> for UnreadFrame {
 }
 
 impl CallResources {
-    /// Counts the bytes of `frame` until its client has read them.
+    /// Counts the buffer of `frame` until its client has read it: the encoder doubles it while it grows.
     fn count(&self, frame: Frame<Bytes>) -> Frame<Bytes> {
         frame.map_data(|bytes| {
             let held = self.held.flow().hold();
-            held.take_anyway(bytes.len());
+            held.take_anyway(bytes.len().next_power_of_two());
             Bytes::from_owner(UnreadFrame {
                 bytes,
                 _held: held,

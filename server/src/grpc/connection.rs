@@ -2,7 +2,7 @@
 
 use std::{
     io,
-    pin::Pin,
+    pin::{Pin, pin},
     sync::Arc,
     task::{Context, Poll, ready},
     time::Duration,
@@ -12,6 +12,7 @@ use futures_util::{Stream, stream};
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
     net::{TcpListener, TcpStream},
+    task::yield_now,
     time::{Instant, Sleep, sleep_until, timeout},
 };
 use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
@@ -44,6 +45,9 @@ const MAX_READ_BYTES: usize = 8 * 1024;
 /// The same while no call comes with them. Requests as large take their own time to come: they do not wait.
 const MAX_BODY_BYTES: usize = 64 * 1024;
 
+/// Bytes that a connection writes before others have their turn.
+const MAX_WRITTEN_BYTES: usize = 64 * 1024;
+
 /// The connections made to `listener`, at most as many at a time as `connections` has room for: a further one waits
 /// until an idle one has made room. `cut` fails all of them.
 pub(crate) fn incoming(
@@ -65,6 +69,7 @@ pub(crate) fn incoming(
                 open,
                 read_bytes: 0,
                 read_calls: 0,
+                written_bytes: 0,
                 was_silent: true,
                 paused: None,
                 cut: Box::pin(own_cut.cancelled_owned()),
@@ -118,6 +123,8 @@ pub(crate) struct Connection {
     read_bytes: usize,
     /// The calls of the flow at the last turn of others.
     read_calls: u64,
+    /// The bytes that were written since others had their turn.
+    written_bytes: usize,
     /// True if there was nothing to read.
     was_silent: bool,
     /// The time since which others have their turn.
@@ -150,11 +157,30 @@ impl Connection {
 }
 
 impl Connection {
-    fn note_written(&self, written: &Poll<io::Result<usize>>) {
-        self.open.activity().set_stalled(written.is_pending());
-        if let Poll::Ready(Ok(1..)) = written {
-            self.open.activity().note_departure();
+    /// Writes, and lets others have their turn after [`MAX_WRITTEN_BYTES`].
+    fn write_some(
+        &mut self,
+        context: &mut Context<'_>,
+        write: impl FnOnce(Pin<&mut Socket>, &mut Context<'_>) -> Poll<io::Result<usize>>,
+    ) -> Poll<io::Result<usize>> {
+        // A client that no longer reads keeps a connection here.
+        self.check(context)?;
+        if self.written_bytes >= MAX_WRITTEN_BYTES {
+            self.written_bytes = 0;
+            // The task is woken once the runtime has looked for bytes.
+            let _ = pin!(yield_now()).poll(context);
+            return Poll::Pending;
         }
+        let written = write(Pin::new(&mut self.socket), context);
+        self.open.activity().set_stalled(written.is_pending());
+        match written {
+            Poll::Ready(Ok(bytes @ 1..)) => {
+                self.open.activity().note_departure();
+                self.written_bytes += bytes;
+            }
+            _ => self.written_bytes = 0,
+        }
+        written
     }
 }
 
@@ -217,11 +243,7 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
-        // A client that no longer reads keeps a connection here.
-        self.check(context)?;
-        let written = Pin::new(&mut self.socket).poll_write(context, bytes);
-        self.note_written(&written);
-        written
+        self.write_some(context, |socket, context| socket.poll_write(context, bytes))
     }
 
     fn poll_write_vectored(
@@ -229,10 +251,9 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        self.check(context)?;
-        let written = Pin::new(&mut self.socket).poll_write_vectored(context, slices);
-        self.note_written(&written);
-        written
+        self.write_some(context, |socket, context| {
+            socket.poll_write_vectored(context, slices)
+        })
     }
 
     fn is_write_vectored(&self) -> bool {
@@ -338,8 +359,13 @@ mod tests {
         // The client reads nothing: the rest of the answer waits.
         let part = vec![0; 1024 * 1024];
         let mut left = b"ping".len() + b"a part".len();
-        while let Poll::Ready(written) = poll!(pin!(connection.write(&part))) {
-            left += written.unwrap();
+        // One pending write lets others have their turn; after a second, the socket has no room.
+        let mut pending = 0;
+        while pending < 2 {
+            match poll!(pin!(connection.write(&part))) {
+                Poll::Ready(written) => (left, pending) = (left + written.unwrap(), 0),
+                Poll::Pending => pending += 1,
+            }
         }
         advance(STEP).await;
         assert!(poll!(pin!(connection.write(&part))).is_pending());

@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_silent_connection_gives_its_place_up_after_its_time() {
+    async fn a_silent_connection_gives_its_slot_up_after_its_time() {
         let slots = ConnectionSlots::new(1);
         let (mut client, mut bounded) = connect(&listen().await, &slots).await;
         client.write_all(b"G").await.unwrap();

@@ -111,7 +111,7 @@ fn work_that_goes_on_gives_way_only_if_others_wait() {
 }
 
 #[test]
-fn who_has_left_is_passed_over_and_returns_the_turn() {
+fn a_call_whose_caller_has_left_is_passed_over_and_returns_the_turn() {
     let turns = Turns::new(1, TARGET, BURST);
     let flow = turns.open();
     let turn = take(&turns, flow);
