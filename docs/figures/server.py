@@ -3,6 +3,13 @@
 from saved import digits, of, ratio, table
 
 
+def columns():
+    names = {"states": "`States` of SE(3)", "neighbors": "`Neighbors`, ten of each state"}
+    rows = [[f"{names[row['message']]}, {row['rows']} states", f"{digits(row['doubles'])} µs", f"{digits(row['bytes'])} µs",
+             digits(row["doubles"] / row["bytes"])] for row in of("columns")]
+    return table(["columns"], ["encoded and decoded, from and to a column of doubles", "packed doubles", "`bytes`", "ratio"], rows)
+
+
 def both(server, bare, unit=""):
     """A cell of the server's figure and of the bare protocol's, and their ratio."""
     return f"{digits(server)} / {digits(bare)}{unit}: {digits(server / bare)}"
@@ -130,7 +137,7 @@ def pauses():
 
 
 SERVER = {
-    "grpc": grpc, "loading": loading, "cluster": cluster, "writers": writers, "call-cost": call_cost, "zenoh": zenoh,
+    "columns": columns, "grpc": grpc, "loading": loading, "cluster": cluster, "writers": writers, "call-cost": call_cost, "zenoh": zenoh,
     "acknowledged": acknowledged, "kept": kept, "pauses": pauses,
     "restart": lambda: digits(durable("restart")["from opening to ready"]["figure"]) + " seconds",
     "loaded-bytes": lambda: digits(durable("while ")["on disk: resident bytes a point, right after the load"]["figure"]) + " bytes",

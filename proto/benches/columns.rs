@@ -17,7 +17,7 @@ const K: usize = 10;
 #[derive(Clone, PartialEq, Message)]
 struct ByteStates {
     #[prost(uint32, tag = "1")]
-    rows: u32,
+    row_count: u32,
     #[prost(bytes = "bytes", tag = "2")]
     coordinates: Bytes,
 }
@@ -26,7 +26,7 @@ struct ByteStates {
 #[derive(Clone, PartialEq, Message)]
 struct ByteNeighbors {
     #[prost(uint32, repeated, tag = "1")]
-    counts: Vec<u32>,
+    neighbor_counts: Vec<u32>,
     #[prost(fixed64, repeated, tag = "2")]
     ids: Vec<u64>,
     #[prost(bytes = "bytes", tag = "3")]
@@ -76,7 +76,7 @@ fn states(criterion: &mut Criterion) {
             |b, coordinates| {
                 b.iter(|| {
                     let message = ByteStates {
-                        rows,
+                        row_count: rows,
                         coordinates: to_bytes(coordinates),
                     };
                     let wire = Bytes::from(black_box(message).encode_to_vec());
@@ -112,13 +112,13 @@ fn neighbors(criterion: &mut Criterion) {
         group.bench_function(BenchmarkId::new("bytes", rows), |b| {
             b.iter(|| {
                 let message = ByteNeighbors {
-                    counts: counts.clone(),
+                    neighbor_counts: counts.clone(),
                     ids: ids.clone(),
                     distances: to_bytes(&distances),
                 };
                 let wire = Bytes::from(black_box(message).encode_to_vec());
                 let read = ByteNeighbors::decode(black_box(wire));
-                read.map(|read| (read.counts, read.ids, to_numbers(&read.distances)))
+                read.map(|read| (read.neighbor_counts, read.ids, to_numbers(&read.distances)))
             });
         });
     }

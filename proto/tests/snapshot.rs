@@ -100,7 +100,7 @@ fn coordinates(points: &mut v1::SnapshotPoints) -> &mut Vec<f64> {
 }
 
 #[test]
-fn what_is_written_is_read() {
+fn a_written_snapshot_is_read_again() {
     assert_eq!(check(&file(&parts(&[]))[..]).unwrap(), header(0));
     let written = parts(&[vec![1, 5, 6], vec![70, 999]]);
     let bytes = file(&written);
@@ -160,7 +160,7 @@ fn every_flipped_bit_is_noticed() {
 }
 
 #[test]
-fn what_follows_the_trailer_is_noticed() {
+fn bytes_after_the_trailer_are_noticed() {
     for more in [&b"\n"[..], b"\0", b"more", &whole()] {
         let bytes = [&whole()[..], more].concat();
         assert_error!(check(&bytes[..]).unwrap_err(), Trailing { part: 4 });
