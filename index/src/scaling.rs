@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_factor_is_left_as_it_is() {
+    fn a_search_without_factors_stays_unchanged() {
         let mut search = Search::nearest_k(7);
         search.radius = 0.25;
         Scaling::default().apply(&mut search, 1000, 3);

@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_forgotten_is_said_to_be() {
+    fn forgotten_changes_are_reported() {
         let mut history = History::default();
         for at in 1..=MAX_CHANGES as u64 + 2 {
             history.push(at, at);

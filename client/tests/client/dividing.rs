@@ -306,7 +306,7 @@ async fn columns_have_a_value_for_each_row() {
 
 /// Against the real server, with limits that a few rows exceed, the answers are those of brute force.
 #[tokio::test]
-async fn what_was_divided_and_joined_equals_brute_force() {
+async fn joined_answers_of_divided_calls_equal_brute_force() {
     let server = Server::with(|config| {
         config.limits.max_rows_per_call = 1_500;
         config.limits.max_ids_per_call = 300;

@@ -95,7 +95,7 @@ async fn pieces_are_put_together() {
 }
 
 #[tokio::test]
-async fn what_is_no_next_mutation_ends_the_watch() {
+async fn a_message_that_is_no_next_mutation_ends_the_watch() {
     let fake = Fake::start().await;
     let other_uid = v1::WatchResponse {
         revision: Some(v1::Revision {

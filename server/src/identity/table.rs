@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named_without_the_line() {
+    fn an_error_names_the_place_without_the_line() {
         let entry = |rest: &str| format!("[[identity]]\nname = \"cell\"\n{rest}");
         for (text, part) in [
             (entry("role = \"root\""), "line 3"),

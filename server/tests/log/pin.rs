@@ -4,7 +4,7 @@
 //! and then write its version below:
 //!
 //! - A batch goes to the largest of the files `N.jnl`; the one before is synced when the next is made. Relied on in
-//!   `fjall/journal.rs`, checked by `what_was_committed_is_in_the_newest_file_once_it_is_synced`,
+//!   `fjall/journal.rs`, checked by `a_synced_commit_is_in_the_newest_file`,
 //!   `a_file_that_was_made_and_is_not_written_to_does_not_hide_the_one_before`.
 //! - An entry of the journal never begins with a zero, and a damaged entry ends the journal in silence. Relied on in
 //!   `fjall/journal.rs`, `fjall/sync_marks.rs`, checked by `log::lost`, above all

@@ -185,7 +185,7 @@ async fn a_mutation_is_refused_by_its_own_size() {
 
 /// Bytes that were taken in since the last measurement count.
 #[test]
-fn what_was_taken_in_counts_before_it_is_measured() {
+fn bytes_taken_in_count_before_they_are_measured() {
     let used = Used::default();
     let watermark = used.watermark(Resource::Memory).unwrap();
     let watermark = Arc::into_inner(watermark).unwrap();

@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn what_workers_record_is_drained_once_and_by_step() {
+    fn records_of_workers_are_drained_once_and_by_step() {
         let second = Duration::from_secs(1);
         let recorder = Recorder::new(40, second);
         for worker in 0..40 {

@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn as_many_calls_are_due_as_the_schedule_gives() {
+    fn the_schedule_gives_the_number_of_due_calls() {
         for rate in [0.3, 1.0, 3.0, 7.0, 999.0, 12_345.6] {
             for end in [MS, 100 * MS, 333 * MS, 1000 * MS, 7777 * MS] {
                 let schedule = Schedule::new(Some(rate), Some(end), None);

@@ -62,7 +62,7 @@ fn an_index_is_created_listed_described_and_deleted() {
 }
 
 #[test]
-fn what_is_inserted_is_found() {
+fn inserted_points_are_found() {
     let server = Server::start();
     server
         .json(&["create", "arm", "--space", "R3*SO3:0.15"])

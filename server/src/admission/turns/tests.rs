@@ -192,7 +192,7 @@ fn a_thread_has_one_long_turn_or_many_short_ones() {
 }
 
 #[test]
-fn as_many_long_turns_as_threads_and_none_is_lost() {
+fn threads_bound_the_long_turns_and_none_is_lost() {
     let turns = Turns::new(3, TARGET, BURST);
     let flow = turns.open();
     take(&turns, flow).end(MS);

@@ -193,7 +193,7 @@ mod tests {
 
     /// Checks the module's assumption about fjall's files, to detect a version of fjall that behaves otherwise.
     #[test]
-    fn what_was_committed_is_in_the_newest_file_once_it_is_synced() {
+    fn a_synced_commit_is_in_the_newest_file() {
         let directory = tempfile::tempdir().unwrap();
         let store = Arc::new(Store::open(directory.path(), Durability::Fsync).unwrap());
         let mut journal = Journal::new(Arc::clone(&store), directory.path().into());

@@ -301,7 +301,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_forgotten_is_known_of_a_bounded_number_of_indices() {
+    fn forgotten_revisions_are_known_of_a_bounded_number_of_indices() {
         let mut forgotten = ForgottenRevisions::default();
         for _ in 0..=MAX_FORGOTTEN {
             let uid = Uid::unique();

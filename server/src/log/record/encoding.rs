@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_stored_is_read_again() {
+    fn stored_values_are_read_again() {
         for effects in [effects(), with_batch(), Effects::new(7)] {
             let record = Record::new(5, [9; 32], 77, effects);
             assert_eq!(Record::decode(&record.encode()), Ok(record));

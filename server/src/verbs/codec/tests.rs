@@ -63,7 +63,7 @@ fn states_are_rows_or_one_row_or_the_message() {
 }
 
 #[test]
-fn what_json_has_not_is_written_as_text() {
+fn numbers_that_json_lacks_are_written_as_text() {
     let request: v1::InsertRequest = read(
         "InsertRequest",
         r#"{"states": [["NaN", "-Infinity"]], "ids": [9007199254740991, "9223372036854775807"],
@@ -152,7 +152,7 @@ fn answers_are_rows_under_the_names_of_the_message() {
 }
 
 #[test]
-fn what_is_wrong_is_named() {
+fn an_error_names_the_wrong_part() {
     for (json, field, reason) in [
         ("{", "request", "MALFORMED_MESSAGE"),
         ("7", "request", "TYPE"),

@@ -23,7 +23,7 @@ fn nothing_is_scouted_for_and_loopback_is_listened_on() {
 }
 
 #[test]
-fn what_zenoh_has_to_set_can_be_set() {
+fn settings_of_zenoh_can_be_set() {
     let config = with(
         "{ mode: 'client', /* a robot's */ connect: { endpoints: ['tcp/127.0.0.1:7447'] },
            scouting: { gossip: { enabled: true } } }",
@@ -63,7 +63,7 @@ fn every_way_beyond_this_machine_is_named() {
 }
 
 #[test]
-fn what_is_no_address_is_refused_with_one_that_is() {
+fn a_wrong_address_is_refused_with_an_example() {
     for listen in [
         "garbage",
         "OFF",
@@ -114,7 +114,7 @@ fn the_options_of_endpoints_are_not_shown() {
 }
 
 #[test]
-fn what_is_no_configuration_is_refused() {
+fn a_text_that_is_no_configuration_is_refused() {
     for config in [
         "",
         "[]",

@@ -180,7 +180,7 @@ async fn twins_in_flight_take_effect_once() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn of_different_requests_under_one_number_one_is_taken() {
+async fn one_of_different_requests_under_one_number_is_taken() {
     let (service, uid) = arm("R1").await;
     let (session, _) = open(&service, &uid, 1).await;
     for number in 1..20 {
