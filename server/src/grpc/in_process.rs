@@ -6,7 +6,7 @@ use bytes::Bytes;
 use http::Request;
 use http_body_util::{BodyExt, Full};
 use tokio_util::task::TaskTracker;
-use tonic::body::Body;
+use tonic::{Status, body::Body};
 use tower::{Layer, Service as _};
 
 use super::{
@@ -25,6 +25,8 @@ use crate::{
 /// See the module.
 pub struct InProcess {
     calls: Calls<TolerantPointServer>,
+    /// Streams end when it is dropped.
+    _lifecycle: Lifecycle,
 }
 
 impl InProcess {
@@ -38,21 +40,31 @@ impl InProcess {
         identities: Option<&Path>,
     ) -> Result<Self, TableError> {
         let shared = Shared::new(config, service, Identities::open(identities)?);
-        let points = points(&config.grpc, &shared, &Lifecycle::starting().watch());
+        let lifecycle = Lifecycle::starting();
+        let points = points(&config.grpc, &shared, &lifecycle.watch());
         let layer = CallsLayer::new(&config.grpc, shared, Callers::Clients, TaskTracker::new());
         Ok(Self {
             calls: layer.layer(points),
+            _lifecycle: lifecycle,
         })
     }
 
-    /// Makes a call, and returns the bytes of its answer; none if it was refused.
-    pub async fn call(&mut self, request: Request<Bytes>) -> Bytes {
+    /// Makes a call, and returns the bytes of its answer and its status.
+    pub async fn call(&mut self, request: Request<Bytes>) -> (Bytes, Status) {
         let request = request.map(|message| Body::new(Full::new(message)));
         let response = match self.calls.call(request).await {
             Ok(response) => response,
             Err(never) => match never {},
         };
-        let body = response.into_body().collect().await;
-        body.map(|body| body.to_bytes()).unwrap_or_default()
+        let (head, body) = response.into_parts();
+        let body = match body.collect().await {
+            Ok(body) => body,
+            Err(status) => return (Bytes::new(), status),
+        };
+        // The headers of a refusal have the status; otherwise the trailers do.
+        let status = Status::from_header_map(&head.headers)
+            .or_else(|| body.trailers().and_then(Status::from_header_map))
+            .unwrap_or_else(|| Status::unknown("an answer without a status"));
+        (body.to_bytes(), status)
     }
 }

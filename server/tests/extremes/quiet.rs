@@ -1,6 +1,11 @@
 //! Calls that wait, in the process of the test, and must not spin.
 
-use std::{future::poll_fn, pin::pin, sync::Arc};
+use std::{
+    future::poll_fn,
+    pin::pin,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use wayfold_proto::v1::{self, create_index_request::SpaceForm};
 use wayfold_server::{
@@ -42,6 +47,11 @@ pub(crate) async fn two_points() -> (Service, String) {
     };
     service.open_session(&call, session).await.unwrap();
     (service, created.index.unwrap().revision.unwrap().uid)
+}
+
+/// A deadline in a minute of the paused clock, which each wait moves ahead of the real one.
+pub(crate) fn deadline() -> Instant {
+    (tokio::time::Instant::now() + Duration::from_secs(60)).into_std()
 }
 
 /// Awaits a call and asserts that it does not spin.

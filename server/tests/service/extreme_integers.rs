@@ -7,7 +7,6 @@ use std::{
         atomic::{AtomicUsize, Ordering::Relaxed},
     },
     task::{Context, Poll, Wake, Waker},
-    time::{Duration, Instant},
 };
 
 use prost_reflect::{DynamicMessage, ReflectMessage};
@@ -19,7 +18,7 @@ use wayfold_server::service::{Call, Code, Error, Service};
 
 use crate::{
     extremes::{EXTREMES, requests, variants},
-    quiet::{quietly, two_points},
+    quiet::{deadline, quietly, two_points},
     support::*,
 };
 
@@ -78,11 +77,10 @@ async fn every_verb_answers_or_refuses_extreme_integers() {
     for request in requests(&uid) {
         for (what, variant) in variants(&request) {
             println!("{what}");
-            let deadline = Some(Instant::now() + Duration::from_secs(3600));
             let answer = quietly(ask(
                 &service,
                 &Call {
-                    deadline,
+                    deadline: Some(deadline()),
                     ..Call::default()
                 },
                 &variant,
@@ -102,7 +100,7 @@ async fn the_requests_that_are_varied_are_good_ones() {
     let (service, uid) = two_points().await;
     for request in requests(&uid) {
         let call = Call {
-            deadline: Some(Instant::now() + Duration::from_secs(3600)),
+            deadline: Some(deadline()),
             ..Call::default()
         };
         let answer = ask(&service, &call, &request).await;
