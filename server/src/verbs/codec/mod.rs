@@ -6,7 +6,7 @@
 //! which JavaScript and others round, are written as strings; both forms are read. Numbers that JSON lacks are the
 //! strings "NaN", "Infinity" and "-Infinity".
 
-mod parameters;
+pub(super) mod parameters;
 mod path;
 mod read;
 mod schema;

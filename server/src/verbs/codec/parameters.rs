@@ -14,7 +14,7 @@ use super::{
 use crate::service::Error;
 
 /// Short names of fields. A field of the same name takes precedence.
-const SHORT: [(&str, &str); 5] = [
+pub(in crate::verbs) const SHORT: [(&str, &str); 5] = [
     ("r", "radius"),
     ("eps", "epsilon"),
     ("from", "after_revision.number"),
