@@ -45,6 +45,13 @@ pub use snapshots::SnapshotsError;
 pub use zenoh::ZenohError;
 
 #[cfg(test)]
+#[path = "../tests/extremes/mod.rs"]
+mod extremes;
+#[cfg(test)]
+#[path = "../tests/extremes/quiet.rs"]
+mod quiet;
+
+#[cfg(test)]
 mod testing {
     use std::sync::Arc;
 

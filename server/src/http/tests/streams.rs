@@ -1,6 +1,11 @@
 //! Streams of frames.
 
+use std::time::Duration;
+
+use tokio::time::timeout;
+
 use super::*;
+use crate::{extremes::EXTREMES, quiet::quietly};
 
 #[tokio::test]
 async fn all_points_are_sent_once_with_their_columns() {
@@ -307,4 +312,43 @@ async fn a_stream_tells_which_points_are_replaced() {
         ("points", POINTS),
     ];
     assert_eq!(seen, expected);
+}
+
+/// A stream that waits says each ten seconds that it lives. The clock of the test is paused, so its end comes at once.
+#[tokio::test(start_paused = true)]
+async fn points_are_answered_or_refused_for_extreme_integers() {
+    let service = service().await;
+    let mut router = router(&service, Identities::default());
+    let (_, described) = post(&mut router, "arm/info", json!({})).await;
+    let uid = described["index"]["revision"]["uid"].as_str().unwrap();
+    let extremes = EXTREMES.map(|integer| integer.to_string());
+    let malformed = ["-1", "18446744073709551616", "1e30", "0x10", ""];
+    for integer in extremes.iter().map(|it| &**it).chain(malformed) {
+        for query in [
+            format!("max={integer}"),
+            format!("after={uid}:{integer}"),
+            format!("after={uid}:{integer}&follow=true&max={integer}"),
+            format!("max={integer}&follow=true"),
+        ] {
+            println!("{query}");
+            let request = Request::post(format!("/api/v1/arm/points?{query}"));
+            let read = async {
+                let answer = ask(&mut router, request, "").await;
+                let status = answer.status();
+                let body = to_bytes(answer.into_body(), usize::MAX);
+                (status, timeout(Duration::from_secs(60), body).await)
+            };
+            let (status, body) = quietly(read).await;
+            let is_refused = malformed.contains(&integer)
+                || query.contains("max=0")
+                || (query.contains("after") && integer == "18446744073709551615");
+            match is_refused {
+                true => assert_eq!(status, StatusCode::BAD_REQUEST, "{query}"),
+                false => assert_eq!(status, StatusCode::OK, "{query}"),
+            }
+            // A stream that ends has sent all points.
+            let waits = !is_refused && query != format!("max={integer}");
+            assert_eq!(body.is_err(), waits, "{query}");
+        }
+    }
 }

@@ -5,6 +5,8 @@ use prost_reflect::{DynamicMessage, Kind, ReflectMessage, Value};
 
 use super::*;
 use crate::{
+    extremes::{EXTREMES, requests, variants},
+    quiet::{deadline, quietly, two_points},
     service::{Call, Code, Service},
     verbs::{
         Target,
@@ -13,14 +15,6 @@ use crate::{
         verb::{IndexVerb, PointVerb},
     },
 };
-
-#[path = "../../../tests/extremes/mod.rs"]
-mod extremes;
-#[path = "../../../tests/extremes/quiet.rs"]
-mod quiet;
-
-use extremes::{EXTREMES, requests, variants};
-use quiet::{deadline, quietly, two_points};
 
 /// The key and the request message of each verb. The length is that of the lists of all verbs.
 const VERBS: [(&str, &str); PointVerb::ALL.len() + IndexVerb::ALL.len()] = [
