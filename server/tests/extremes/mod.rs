@@ -34,7 +34,7 @@ pub(crate) fn pool() -> DescriptorPool {
     DescriptorPool::decode(v1::FILE_DESCRIPTOR_SET).unwrap()
 }
 
-/// A good request for each verb, by the name of its message. Its index is `arm` in R1, which has this uid, two points,
+/// A good request for each verb but `RestoreIndex`, by the name of its message. Its index is `arm` in R1, which has this uid, two points,
 /// two revisions, and a writer session that the third one opened.
 pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
     let (index, uid) = ("arm".to_owned(), uid.to_owned());
@@ -204,13 +204,6 @@ pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
             &v1::SnapshotIndexRequest {
                 index_name: index.clone(),
                 min_revision: revision.clone(),
-            },
-        ),
-        dynamic(
-            "RestoreIndexRequest",
-            &v1::RestoreIndexRequest {
-                name: "restored".into(),
-                part: None,
             },
         ),
         dynamic(

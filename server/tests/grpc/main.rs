@@ -20,6 +20,8 @@ mod quiet;
 mod receiving;
 mod reflection;
 mod refusals;
+#[path = "../extremes/restores.rs"]
+mod restores;
 mod shutdown;
 mod starting;
 mod stream_knn;

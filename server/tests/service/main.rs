@@ -38,6 +38,8 @@ mod remote;
 mod replay;
 mod restore;
 mod restored_sessions;
+#[path = "../extremes/restores.rs"]
+mod restores;
 mod scaling;
 mod scan;
 mod sessions;
