@@ -33,7 +33,7 @@ def drive(address: str) -> str:
     query = {"indexName": "curl", "states": {"rowCount": 1, "coordinates": [0, 0, 0]}, "k": 10}
     found = _call(address, "wayfold.v1.PointService/Knn", query)
     neighbors = found["neighbors"]
-    assert neighbors == {"neighbor_counts": [3], "ids": ["7", "9", "8"], "distances": [0, 1, 5]}, neighbors
+    assert neighbors == {"neighborCounts": [3], "ids": ["7", "9", "8"], "distances": [0, 1, 5]}, neighbors
     assert found["revision"] == inserted["revision"], found
 
     query["states"] = {"rowCount": 1, "coordinates": [0, "NaN", 0]}

@@ -35,7 +35,7 @@ const VERBS: [(&str, &str); PointVerb::ALL.len() + IndexVerb::ALL.len()] = [
     ("delete", "DeleteIndexRequest"),
 ];
 
-async fn assert_answered(service: &Service, key: &str, request: &Request<'_>) {
+async fn answer(service: &Service, key: &str, request: &Request<'_>) -> Result<(), Error> {
     let key = format!("wayfold/v1/{key}");
     let target = Target::of("wayfold/v1", &key).unwrap();
     let call = Call {
@@ -43,8 +43,13 @@ async fn assert_answered(service: &Service, key: &str, request: &Request<'_>) {
         ..Call::default()
     };
     // Waits end at once: the test runs in paused time.
-    let answer = quietly(dispatch(service, &call, target.verb, request, 1 << 20)).await;
-    if let Err(error) = answer {
+    quietly(dispatch(service, &call, target.verb, request, 1 << 20))
+        .await
+        .map(drop)
+}
+
+async fn assert_answered(service: &Service, key: &str, request: &Request<'_>) {
+    if let Err(error) = answer(service, key, request).await {
         let is_conflict = error.to_string().contains("disagree");
         let is_bug = is_conflict || matches!(error.code(), Code::Internal | Code::DataLoss);
         assert!(!is_bug, "{key} {:?}: {error}", request.parameters);
@@ -129,6 +134,33 @@ async fn every_verb_answers_or_refuses_whatever_integers_it_is_asked_with() {
                         }
                         assert_answered(&service, key, &request).await;
                     }
+                }
+            }
+        }
+    }
+}
+
+/// The requests that the other test varies are good ones, in both forms.
+#[tokio::test(start_paused = true)]
+async fn every_verb_answers_a_good_request() {
+    for (key, name) in VERBS {
+        for form in [Form::Protobuf, Form::Json] {
+            for at in 0.. {
+                // A request may change the index, so that the next one is refused.
+                let (service, uid) = two_points().await;
+                let requests = requests(&uid);
+                let of_verb = |request: &&DynamicMessage| request.descriptor().name() == name;
+                let Some(good) = requests.iter().filter(of_verb).nth(at) else {
+                    assert!(at > 0, "{key}");
+                    break;
+                };
+                let answered = answer(&service, key, &request_in(form, key, good)).await;
+                match (name, answered) {
+                    // It names another uid.
+                    ("DeleteIndexRequest", Err(error)) => {
+                        assert_eq!(error.code(), Code::FailedPrecondition);
+                    }
+                    (_, answered) => answered.unwrap(),
                 }
             }
         }
