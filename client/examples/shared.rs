@@ -45,9 +45,9 @@ pub fn shared(uri: &str, seed: u64) -> Result<Roadmap, Box<dyn Error>> {
             continue;
         }
         // The milestone is in the copy at once, and travels to the server in the background.
-        let options = InsertOptions::new().ask(Search::within(RADIUS));
+        let options = InsertOptions::new().neighbors(Search::within(RADIUS));
         let inserted = index.insert_with(state, options)?;
-        connect(&mut own, inserted.id, &inserted.found.neighbors);
+        connect(&mut own, inserted.id, &inserted.neighbors.neighbors);
     }
     // The server has all milestones after this.
     index.flush()?;

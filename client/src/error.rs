@@ -76,7 +76,7 @@ pub enum Error {
         /// The state's numbers.
         found: usize,
     },
-    /// A typed state does not mean what a row of the space means: an `Isometry3` where the quaternion comes first.
+    /// The coordinates of a typed state are not those of the space: an `Isometry3` where the quaternion comes first.
     #[error("{state} is laid out as {given}, but a state of {space} as {expected}")]
     Layout {
         /// The type of the state.

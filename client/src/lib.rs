@@ -28,7 +28,7 @@
 //! | store states | [`insert`](IndexHandle::insert), [`Insert`] | [`Inserted`], an [`Outcome`] a row |
 //! | set tags and payloads | [`update`](IndexHandle::update), [`Update`] | [`Updated`] |
 //! | remove points | [`remove`](IndexHandle::remove), [`Remove`] | [`Removed`] |
-//! | find the k nearest | [`knn`](IndexHandle::knn), [`Knn`] | [`Neighbors`], a [`Row`] a state |
+//! | find the k nearest | [`knn`](IndexHandle::knn), [`Knn`] | [`Neighbors`], a [`StateNeighbors`] a state |
 //! | find all within a radius | [`query`](IndexHandle::query), [`Query`] | [`Neighbors`] |
 //! | keep many searches under way | [`stream_knn`](IndexHandle::stream_knn), [`KnnRequests`] | [`KnnAnswers`] |
 //! | read points by id | [`get`](IndexHandle::get), [`Get`] | [`Points`] |
@@ -42,10 +42,10 @@
 //! **States** are values that implement [`State`]: arrays, slices, vectors, your own types, and with the feature
 //! `nalgebra` its types.
 //!
-//! **Searches** have the same settings everywhere: `k` or `k_factor`, `radius` (a number or a [`ScaledRadius`]),
-//! `filter` ([`Filter`]), `include` ([`Include`]). The scaled ones depend on the size of the index, as PRM\* and RRT\*
-//! need; the index evaluates them. The neighbours of one state have the same methods everywhere: `ids`,
-//! `distances`, `nearest`, `iter`.
+//! **Searches** have `k` or `k_factor`, and `radius` (a number or a [`ScaledRadius`]) everywhere. The scaled ones depend
+//! on the size of the index, as PRM\* and RRT\* need; the index evaluates them. A [`Search`] of an [`Index`] has `tag`
+//! and `since` too; the calls of a handle take them as a [`Filter`], and the columns of their answer as an [`Include`].
+//! The neighbours of one state have the methods `ids`, `distances`, `nearest` and `iter` in every answer.
 //!
 //! **Revisions.** Every answer names its [`Revision`]. A handle's reads see at least the last revision that an answer
 //! to the handle named: a caller reads its own writes.
@@ -72,7 +72,9 @@ pub use index::{
     Changes, Index, InsertOptions, InsertedPoint, Search, SearchResult, StoredPoint, StoredPoints,
 };
 #[cfg(feature = "net")]
-pub use index::{Meanwhile, MeanwhileAnswers, OpenRemote, OpenShared, Status, UnsentWrite};
+pub use index::{
+    ConnectionStatus, Meanwhile, MeanwhileAnswers, OpenRemote, OpenShared, UnsentWrite,
+};
 pub use layout::{Coordinate, coordinate_names};
 #[cfg(feature = "net")]
 pub use net::*;

@@ -32,7 +32,7 @@ use wayfold_examples::{
         },
     },
     rigid::{
-        options::{Job, Options, Role, Source},
+        options::{Job, Options, ProcessCommand, Source},
         processes, replay,
         roadmap::Roadmap,
         scene::Rooms,
@@ -52,14 +52,16 @@ fn main() -> ExitCode {
     }
     match env::args().nth(1).as_deref() {
         Some("work") => {
-            let Some(Role::Work(job)) = Options::parse().role else {
+            let Some(ProcessCommand::Work(job)) = Options::parse().role else {
                 panic!("a worker has a job");
             };
             runtime().block_on(processes::work(&job)).unwrap();
             return ExitCode::SUCCESS;
         }
         Some("grow") => {
-            let Some(trees_options::Role::Grow(job)) = trees_options::Options::parse().role else {
+            let Some(trees_options::ProcessCommand::Grow(job)) =
+                trees_options::Options::parse().role
+            else {
                 panic!("a worker has a job");
             };
             job::grow(&*MAZE, &job).unwrap();
@@ -151,8 +153,8 @@ fn a_killed_worker_changes_nothing_but_speed() {
     let server = ServerProcess::start().unwrap();
     let runtime = runtime();
     let index = runtime.block_on(index(server.uri()));
-    let crew = run(&jobs(server.uri(), 4), Incident::WorkerKilled).unwrap();
-    assert!(crew.killed.is_some_and(|(worker, _)| worker == 0));
+    let workers_report = run(&jobs(server.uri(), 4), Incident::WorkerKilled).unwrap();
+    assert!(workers_report.killed.is_some_and(|(worker, _)| worker == 0));
 
     let [as_left, roadmap] = runtime.block_on(read(server.uri(), &index));
     let of_the_dead = as_left.workers.iter().filter(|&&worker| worker == 0);
@@ -171,8 +173,8 @@ fn a_killed_server_costs_a_pause_and_nothing_else() {
     let mut server = ServerProcess::durable().unwrap();
     let (runtime, uri) = (runtime(), server.uri().to_owned());
     let index = runtime.block_on(index(&uri));
-    let crew = run(&jobs(&uri, 3), Incident::ServerRestarted(&mut server)).unwrap();
-    let (killed, listened) = crew.restarted.unwrap();
+    let workers_report = run(&jobs(&uri, 3), Incident::ServerRestarted(&mut server)).unwrap();
+    let (killed, listened) = workers_report.restarted.unwrap();
     assert!(killed < listened);
 
     let [as_left, roadmap] = runtime.block_on(read(&uri, &index));
@@ -200,8 +202,8 @@ fn a_killed_worker_leaves_trees_on_which_the_others_meet() {
         halt_at: (number == 2).then_some(HALF),
     };
     let jobs: Vec<job::Job> = (0..3).map(job).collect();
-    let crew = run(&jobs, Incident::WorkerKilled).unwrap();
-    assert!(crew.killed.is_some_and(|(worker, _)| worker == 2));
+    let workers_report = run(&jobs, Incident::WorkerKilled).unwrap();
+    assert!(workers_report.killed.is_some_and(|(worker, _)| worker == 2));
 
     let (shared, path) = runtime.block_on(solve::read(&store)).unwrap();
     path::verify(&*MAZE, &path).unwrap();
@@ -214,8 +216,11 @@ fn a_killed_worker_leaves_trees_on_which_the_others_meet() {
     };
     // The killed worker may have reported an insert under way that never took effect; no other worker's vertex is
     // missing.
-    assert!(of(2).count() as u64 <= crew.accounts[2].vertices);
-    let others: u64 = crew.accounts[..2].iter().map(|one| one.vertices).sum();
+    assert!(of(2).count() as u64 <= workers_report.accounts[2].vertices);
+    let others: u64 = workers_report.accounts[..2]
+        .iter()
+        .map(|one| one.vertices)
+        .sum();
     assert_eq!(
         (of(0).count() + of(1).count()) as u64,
         others + 2,

@@ -23,7 +23,7 @@ use std::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold_index::{
-    Forest, ForestOptions, Merge, Merged, PointRef, Points, Search, Snapshot, Space,
+    Forest, ForestOptions, ForestSnapshot, Merge, Merged, PointRef, Points, Search, Space,
 };
 
 const WIDTH: usize = 7;
@@ -149,7 +149,7 @@ fn forest(states: &[f64]) -> Forest {
 
 /// Work of one kind, with its data.
 enum Workload {
-    Read(Snapshot, Vec<f64>),
+    Read(ForestSnapshot, Vec<f64>),
     Bulk(Vec<f64>),
 }
 
@@ -181,7 +181,7 @@ impl Workload {
     }
 }
 
-fn query(points: &Snapshot, row: &[f64]) {
+fn query(points: &ForestSnapshot, row: &[f64]) {
     let answer = points
         .search(row, &Search::nearest_k(K))
         .expect("points and states of the space");

@@ -7,7 +7,7 @@
 //! - [`Linear`], brute force, the oracle of the others;
 //! - [`Mpnn`], the static kd-tree of Yershova and LaValle as their paper describes it, to compare with;
 //! - [`KdTree`], static, built once;
-//! - [`Forest`], dynamic, with frozen [`Snapshot`]s for readers while one owner writes.
+//! - [`Forest`], dynamic, with frozen [`ForestSnapshot`]s for readers while one owner writes.
 //!
 //! Nothing here does I/O, waits, or starts a thread. Reading order: `space` (the metric), `points` and `neighbor`
 //! (points stored and found), `search` and `traversal` (a request, and a search under way), `candidates`, `lanes`,
@@ -52,7 +52,9 @@ mod space;
 mod traversal;
 
 pub use error::{ApplyError, PointsError, SearchError};
-pub use forest::{Forest, ForestOptions, ForestReport, Merge, Merged, ReplacedLevels, Snapshot};
+pub use forest::{
+    Forest, ForestOptions, ForestReport, ForestSnapshot, Merge, Merged, ReplacedLevels,
+};
 pub use kdtree::{KdTree, TreeReport};
 pub use lanes::Kernels;
 pub use linear::Linear;

@@ -3,11 +3,11 @@
 use std::{collections::HashSet, sync::Arc};
 
 use crate::{
-    ApplyError, Forest, ForestOptions, Neighbor, Point, Points, Search, SearchError, Snapshot,
-    Space,
+    ApplyError, Forest, ForestOptions, ForestSnapshot, Neighbor, Point, Points, Search,
+    SearchError, Space,
 };
 
-/// Changes to some of the points below it, which are those of a [`Snapshot`] and of earlier overlays: points that it
+/// Changes to some of the points below it, which are those of a [`ForestSnapshot`] and of earlier overlays: points that it
 /// stores, and ids that it removes.
 #[derive(Debug)]
 pub struct Overlay {
@@ -67,9 +67,9 @@ pub struct EarlierAnswer<'a> {
 /// before it.
 ///
 /// # Errors
-/// The errors of [`Snapshot::search`].
+/// The errors of [`ForestSnapshot::search`].
 pub fn search_overlaid(
-    snapshot: &Snapshot,
+    snapshot: &ForestSnapshot,
     overlays: &[&Overlay],
     known: Option<EarlierAnswer<'_>>,
     state: &[f64],

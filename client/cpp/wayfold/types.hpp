@@ -128,7 +128,7 @@ struct NewIndex {
 };
 
 // The state of a shared index's connection.
-struct Status {
+struct ConnectionStatus {
     wayfold_status name;
     // The number of revisions by which the server was ahead; of WAYFOLD_STATUS_FOLLOWING.
     std::uint64_t behind;

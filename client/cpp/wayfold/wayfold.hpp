@@ -40,13 +40,13 @@ public:
     // The same, at most for this long.
     void flush_within(std::uint64_t timeout_ms) const { detail::check(wayfold_index_flush_within(raw(), timeout_ms)); }
     // The state of a shared index's connection; nothing for the other forms.
-    std::optional<Status> status() const {
-        Status status{WAYFOLD_STATUS_NOT_SHARED, 0, {}};
+    std::optional<ConnectionStatus> status() const {
+        ConnectionStatus status{WAYFOLD_STATUS_NOT_SHARED, 0, {}};
         std::string why(256, '\0');
         status.why = read_text(why, [this, &status](char *room, std::size_t capacity, std::size_t *bytes) {
             return wayfold_index_status(raw(), &status.name, &status.behind, room, capacity, bytes);
         });
-        return status.name == WAYFOLD_STATUS_NOT_SHARED ? std::nullopt : std::optional<Status>(std::move(status));
+        return status.name == WAYFOLD_STATUS_NOT_SHARED ? std::nullopt : std::optional<ConnectionStatus>(std::move(status));
     }
     std::uint64_t pending() const {
         std::uint64_t pending = 0;

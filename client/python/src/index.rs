@@ -15,8 +15,8 @@ use wayfold::InsertOptions;
 use crate::{
     content::Content,
     points::{
-        Changes, InsertedPoint, MeanwhileAnswers, Neighbor, SearchResult, Status, StoredPoint,
-        StoredPoints, UnsentWrite, columns,
+        Changes, ConnectionStatus, InsertedPoint, MeanwhileAnswers, Neighbor, SearchResult,
+        StoredPoint, StoredPoints, UnsentWrite, columns,
     },
     query,
     rows::Rows,
@@ -121,13 +121,13 @@ impl Index {
         payload: Option<&[u8]>,
     ) -> PyResult<InsertedPoint> {
         let (py, row) = (state.py(), self.one(state)?);
-        let options = options(id, tag, payload).ask(ask.get().search);
+        let options = options(id, tag, payload).neighbors(ask.get().search);
         let inserted = self.call(py, |index| index.insert_with(&row[..], options))?;
         self.gave(inserted.id);
-        let found = &inserted.found;
+        let found = &inserted.neighbors;
         Ok(InsertedPoint {
             id: inserted.id,
-            found: Py::new(
+            neighbors: Py::new(
                 py,
                 SearchResult::of(py, &found.neighbors, found.read_revision.0),
             )?,
@@ -303,9 +303,11 @@ impl Index {
     }
 
     /// The state of a shared index's connection; None for the other forms.
-    fn status(&self, py: Python<'_>) -> PyResult<Option<Status>> {
+    fn status(&self, py: Python<'_>) -> PyResult<Option<ConnectionStatus>> {
         self.check_process(py)?;
-        Ok(py.detach(|| self.index.status()).map(Status::from))
+        Ok(py
+            .detach(|| self.index.status())
+            .map(ConnectionStatus::from))
     }
 
     /// The answers about own points that were inserted with a question.

@@ -28,8 +28,8 @@ mod _wayfold {
         index::Index,
         open::{remote, shared},
         points::{
-            Changes, InsertedPoint, Meanwhile, MeanwhileAnswers, Neighbor, SearchResult, Status,
-            StoredPoint, StoredPoints, UnsentWrite,
+            Changes, ConnectionStatus, InsertedPoint, Meanwhile, MeanwhileAnswers, Neighbor,
+            SearchResult, StoredPoint, StoredPoints, UnsentWrite,
         },
         search::{ScaledRadius, Scaling, Search},
         space::Space,

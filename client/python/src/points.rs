@@ -92,12 +92,12 @@ pub(crate) fn column<T: Element + Copy>(py: Python<'_>, numbers: Vec<T>) -> Boun
     }
 }
 
-/// The id of an inserted point, and what the insert found.
+/// The id of an inserted point, and the neighbours that its insert found.
 #[pyclass(frozen, get_all, module = "wayfold")]
 #[derive(Debug)]
 pub(crate) struct InsertedPoint {
     pub(crate) id: u64,
-    pub(crate) found: Py<SearchResult>,
+    pub(crate) neighbors: Py<SearchResult>,
 }
 
 /// One stored point.
@@ -260,7 +260,7 @@ impl MeanwhileAnswers {
 /// The state of a shared index's connection.
 #[pyclass(frozen, get_all, module = "wayfold")]
 #[derive(Debug)]
-pub(crate) struct Status {
+pub(crate) struct ConnectionStatus {
     /// `following`, `reloading`, `disconnected`, `refused`, `ended` or `closed`.
     name: &'static str,
     /// The number of revisions by which the server was ahead; only of `following`.
@@ -270,15 +270,15 @@ pub(crate) struct Status {
 }
 
 #[pymethods]
-impl Status {
+impl ConnectionStatus {
     fn __repr__(&self) -> String {
         format!("{self:?}")
     }
 }
 
-impl From<wayfold::Status> for Status {
-    fn from(status: wayfold::Status) -> Status {
-        use wayfold::Status as Of;
+impl From<wayfold::ConnectionStatus> for ConnectionStatus {
+    fn from(status: wayfold::ConnectionStatus) -> ConnectionStatus {
+        use wayfold::ConnectionStatus as Of;
         let (name, behind, why) = match status {
             Of::Following { behind } => ("following", Some(behind), None),
             Of::Reloading => ("reloading", None, None),
@@ -288,7 +288,7 @@ impl From<wayfold::Status> for Status {
             Of::Closed => ("closed", None, None),
             _ => ("unknown", None, None),
         };
-        Status {
+        ConnectionStatus {
             name,
             behind,
             why: why.map(|why| why.to_string()),

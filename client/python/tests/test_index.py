@@ -64,7 +64,7 @@ def test_an_answer_says_what_it_has_seen() -> None:
     index = plane()
     found = index.nearest_k([0.0, 0.0], 1)
     inserted = index.insert_with([0.1, 0.0], wayfold.Search(10))
-    assert inserted.found.ids.tolist() == [0, 1, 40]
+    assert inserted.neighbors.ids.tolist() == [0, 1, 40]
     assert index.search([0.0, 0.0], wayfold.Search(10, since=found.read_revision)).ids.tolist() == [inserted.id]
     index.remove(1)
     changes = index.changes(found.read_revision)

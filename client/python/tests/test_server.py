@@ -56,7 +56,7 @@ def test_two_shared_indices_and_a_remote_one(server: Server) -> None:
     ):
         remote = wayfold.remote(server.url, "two")
         inserted = first.insert_with([0.0, 0.0], wayfold.Search(5), tag=3, payload=b"edges")
-        assert len(inserted.found) == 0
+        assert len(inserted.neighbors) == 0
         wait_for_length(second, 1)
         answers = first.wait_meanwhile(MAX_WAIT_S)
         assert [answer.id for answer in answers.answers] == [inserted.id]

@@ -1,8 +1,8 @@
 //! The points that an index holds in this process.
 
 use wayfold_index::{
-    Changes, Forest, ForestOptions, Merge, Neighbor, NewPoint, Point, PointRef, Points,
-    ReadRevision, ScaledSearch, Snapshot, Space,
+    Changes, Forest, ForestOptions, ForestSnapshot, Merge, Neighbor, NewPoint, Point, PointRef,
+    Points, ReadRevision, ScaledSearch, Space,
 };
 
 use super::history::History;
@@ -159,7 +159,7 @@ impl LocalPoints {
     }
 
     /// A copy of the points, frozen, for a search that would keep writers waiting.
-    pub(super) fn snapshot_for(&self, question: &ScaledSearch<'_>) -> Option<Snapshot> {
+    pub(super) fn snapshot_for(&self, question: &ScaledSearch<'_>) -> Option<ForestSnapshot> {
         let is_long = question.search.k > MAX_LOCKED_K || question.search.until.is_some();
         is_long.then(|| self.forest.snapshot())
     }
@@ -206,7 +206,7 @@ pub(super) struct NewRow<'a> {
 
 /// Searches a snapshot.
 pub(super) fn search_snapshot(
-    snapshot: &Snapshot,
+    snapshot: &ForestSnapshot,
     row: &[f64],
     question: &ScaledSearch<'_>,
 ) -> Result<Vec<Neighbor>, Error> {

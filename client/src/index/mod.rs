@@ -26,7 +26,7 @@ pub use point::{Changes, InsertOptions, InsertedPoint, SearchResult, StoredPoint
 pub use remote::OpenRemote;
 pub use search::Search;
 #[cfg(feature = "net")]
-pub use shared::{Meanwhile, MeanwhileAnswers, OpenShared, Status, UnsentWrite};
+pub use shared::{ConnectionStatus, Meanwhile, MeanwhileAnswers, OpenShared, UnsentWrite};
 
 use std::sync::Arc;
 
@@ -55,8 +55,8 @@ use shared::SharedIndex;
 /// let nearest = index.nearest(pose)?.expect("the index has a point");
 /// assert_eq!(nearest.id, start);
 /// // Stores the pose and finds the ten nearest before it at once.
-/// let inserted = index.insert_with(pose, InsertOptions::new().tag(1).ask(Search::k(10)))?;
-/// assert_eq!(inserted.found.neighbors, [nearest]);
+/// let inserted = index.insert_with(pose, InsertOptions::new().tag(1).neighbors(Search::k(10)))?;
+/// assert_eq!(inserted.neighbors.neighbors, [nearest]);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Debug)]
@@ -140,7 +140,7 @@ impl Index {
         state: S,
         options: InsertOptions<'_>,
     ) -> Result<InsertedPoint, Error> {
-        let question = options.ask.as_ref().map(Search::question).transpose()?;
+        let question = options.search.as_ref().map(Search::question).transpose()?;
         let mut neighbors = Vec::new();
         let (id, read_revision) = self.with_row(state, |row| {
             self.form
@@ -148,7 +148,7 @@ impl Index {
         })?;
         Ok(InsertedPoint {
             id,
-            found: SearchResult {
+            neighbors: SearchResult {
                 neighbors,
                 read_revision,
             },
@@ -176,6 +176,7 @@ impl Index {
     }
 
     /// Moves a point to another state; it keeps its tag and loses its payload. False if there is none with this id.
+    /// A remote index makes two calls: a tag that another process sets between them is lost, and a removal is undone.
     ///
     /// # Errors
     /// Those of [`Index::insert`].
@@ -282,7 +283,10 @@ impl Index {
         self.ask(state, &search.question()?, found)
     }
 
-    /// Answers a search of many states, which see the same points.
+    /// Answers a search of many states, which see the same points. A remote index divides more than 1,000 states
+    /// among calls, which may see different revisions.
+    ///
+    /// [`READ_ROWS`]: https://docs.rs/wayfold/latest/wayfold/constant.READ_ROWS.html
     ///
     /// # Errors
     /// Those of [`Index::search`] for any of the states.

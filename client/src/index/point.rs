@@ -42,23 +42,45 @@ pub struct SearchResult {
     pub read_revision: ReadRevision,
 }
 
-/// The tag, the payload and the id that an insert stores with a state, and its question.
+impl SearchResult {
+    /// The ids of the neighbours.
+    pub fn ids(&self) -> impl ExactSizeIterator<Item = u64> {
+        self.iter().map(|neighbor| neighbor.id)
+    }
+
+    /// The distances of the neighbours.
+    pub fn distances(&self) -> impl ExactSizeIterator<Item = f64> {
+        self.iter().map(|neighbor| neighbor.distance)
+    }
+
+    /// The nearest neighbour.
+    pub fn nearest(&self) -> Option<Neighbor> {
+        self.neighbors.first().copied()
+    }
+
+    /// All neighbours.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = Neighbor> {
+        self.neighbors.iter().copied()
+    }
+}
+
+/// The tag, the payload and the id that an insert stores with a state, and the search of its neighbours.
 ///
 /// ```
 /// use wayfold::{InsertOptions, Search};
 ///
-/// let options = InsertOptions::new().tag(1).payload(b"parent 17").ask(Search::k(10));
+/// let options = InsertOptions::new().tag(1).payload(b"parent 17").neighbors(Search::k(10));
 /// ```
 #[derive(Clone, Copy, Debug, Default)]
 pub struct InsertOptions<'a> {
     id: Option<u64>,
     tag: u64,
     payload: &'a [u8],
-    pub(super) ask: Option<Search>,
+    pub(super) search: Option<Search>,
 }
 
 impl<'a> InsertOptions<'a> {
-    /// An id that the index assigns, tag 0, no payload, no question.
+    /// An id that the index assigns, tag 0, no payload, no search.
     pub fn new() -> InsertOptions<'a> {
         InsertOptions::default()
     }
@@ -87,8 +109,9 @@ impl<'a> InsertOptions<'a> {
     }
 
     /// Asks for the neighbours that the point has at its insertion: of any two points, the later one finds the earlier.
-    pub fn ask(mut self, search: Search) -> InsertOptions<'a> {
-        self.ask = Some(search);
+    /// A remote index does not end this search by its [timeout](Search::timeout), but by that of the call.
+    pub fn neighbors(mut self, search: Search) -> InsertOptions<'a> {
+        self.search = Some(search);
         self
     }
 
@@ -107,8 +130,8 @@ impl<'a> InsertOptions<'a> {
 pub struct InsertedPoint {
     /// The point's id.
     pub id: u64,
-    /// The neighbours that [`InsertOptions::ask`] asked for.
-    pub found: SearchResult,
+    /// The neighbours that [`InsertOptions::neighbors`] asked for.
+    pub neighbors: SearchResult,
 }
 
 /// Everything that changed in an index after an earlier answer.

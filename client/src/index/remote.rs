@@ -216,7 +216,6 @@ impl NearestNeighbors for Remote {
             .collect())
     }
 
-    /// In two calls: of what another process does to the point between them, a tag is lost and a removal is undone.
     fn replace(&self, id: u64, row: &[f64]) -> Result<bool, Error> {
         let Some(points) = self.point(id, Include::none().tags())? else {
             return Ok(false);

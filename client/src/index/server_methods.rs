@@ -3,7 +3,8 @@
 use std::{sync::Arc, time::Duration};
 
 use super::{
-    Index, MeanwhileAnswers, OpenRemote, OpenShared, Status, UnsentWrite, shared::SharedIndex,
+    ConnectionStatus, Index, MeanwhileAnswers, OpenRemote, OpenShared, UnsentWrite,
+    shared::SharedIndex,
 };
 use crate::Error;
 
@@ -75,7 +76,7 @@ impl Index {
     }
 
     /// The state of a shared index's connection; `None` for the other forms.
-    pub fn status(&self) -> Option<Status> {
+    pub fn status(&self) -> Option<ConnectionStatus> {
         self.shared.as_ref().map(|shared| shared.status())
     }
 

@@ -14,7 +14,7 @@ use tonic::{
 use super::trace;
 use crate::Error;
 
-/// By what a client knows its server, and a server its client: certificates and a token. Clones share them.
+/// The certificates and the token by which a client and its server identify each other. Clones share them.
 ///
 /// ```no_run
 /// use wayfold::{Client, Credentials};

@@ -1,8 +1,8 @@
 //! The asynchronous client: a connection to a server, and its calls.
 //!
 //! `client` makes the calls on its `connections`, and `handle` is an index; `request` has a file for each call. `limits`
-//! divides what is too large for one call, `retry` repeats what found no server, and `newest` remembers the revisions
-//! that were seen. The other files are what travels.
+//! divides what is too large for one call, `retry` repeats a call that found no server, and `newest` remembers the
+//! newest revisions. The other files hold the types of requests and answers.
 
 pub(crate) mod client;
 mod columns;
@@ -32,7 +32,7 @@ pub use include::Include;
 pub use info::{DamagedIndex, IndexInfo, IndexList};
 pub use limits::READ_ROWS;
 pub use neighbor_spec::{Filter, NeighborSpec};
-pub use neighbors::{Neighbors, Row};
+pub use neighbors::{Neighbors, StateNeighbors};
 pub use points::{Point, Points};
 pub use refusal::{FieldViolation, Refusal};
 pub use request::{

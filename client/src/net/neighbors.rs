@@ -21,7 +21,7 @@ pub struct Neighbors {
 
 /// The neighbours of one state, in columns.
 #[derive(Clone, Copy, Debug)]
-pub struct Row<'a> {
+pub struct StateNeighbors<'a> {
     ids: &'a [u64],
     distances: &'a [f64],
     tags: Option<&'a [u64]>,
@@ -31,7 +31,7 @@ pub struct Row<'a> {
     start: usize,
 }
 
-impl<'a> Row<'a> {
+impl<'a> StateNeighbors<'a> {
     /// The number of neighbours.
     pub fn len(&self) -> usize {
         self.ids.len()
@@ -100,11 +100,11 @@ impl Neighbors {
     ///
     /// # Panics
     /// If there is no such state.
-    pub fn row(&self, i: usize) -> Row<'_> {
+    pub fn row(&self, i: usize) -> StateNeighbors<'_> {
         let start = if i == 0 { 0 } else { self.ends[i - 1] };
         let range = start..self.ends[i];
         let columns = &self.columns;
-        Row {
+        StateNeighbors {
             ids: &columns.ids[range.clone()],
             distances: &self.distances[range.clone()],
             tags: columns.tags.as_ref().map(|tags| &tags[range.clone()]),
@@ -116,7 +116,7 @@ impl Neighbors {
     }
 
     /// The neighbours of each state, in the order of the states.
-    pub fn rows(&self) -> impl ExactSizeIterator<Item = Row<'_>> {
+    pub fn rows(&self) -> impl ExactSizeIterator<Item = StateNeighbors<'_>> {
         (0..self.len()).map(|i| self.row(i))
     }
 

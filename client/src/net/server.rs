@@ -12,7 +12,7 @@ pub struct ServerInfo {
     pub version: String,
     /// The failures that an acknowledged mutation survives.
     pub durability: Durability,
-    /// The limits of one call.
+    /// The server's limits.
     pub limits: Limits,
 }
 
@@ -32,7 +32,7 @@ pub enum Durability {
     Other(i32),
 }
 
-/// The limits of one call. The server refuses a call that exceeds them with `RESOURCE_EXHAUSTED`, or with
+/// The limits of a call, and the one of the number of indices. The server refuses a call that exceeds them with `RESOURCE_EXHAUSTED`, or with
 /// `INVALID_ARGUMENT` for a payload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]

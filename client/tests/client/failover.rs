@@ -4,7 +4,7 @@ use std::{thread, time::Duration};
 
 use tokio::runtime::Runtime;
 use tonic::Status as Answer;
-use wayfold::{Client, Code, Error, Index, RetryPolicy, Status, WatchEvent};
+use wayfold::{Client, Code, ConnectionStatus, Error, Index, RetryPolicy, WatchEvent};
 use wayfold_proto::v1;
 
 use crate::{
@@ -277,7 +277,10 @@ async fn the_copy_of_a_shared_index_goes_on_at_a_server_that_lags() {
         asked_for(requests.map(|request| request.after_revision))
     };
     assert_eq!((after(&first), after(&second)), (vec![3], vec![4]));
-    while !matches!(index.status(), Some(Status::Following { behind: 0 })) {
+    while !matches!(
+        index.status(),
+        Some(ConnectionStatus::Following { behind: 0 })
+    ) {
         thread::yield_now();
     }
 }

@@ -20,7 +20,7 @@ use wayfold_examples::{
     rigid::{
         audit,
         build::{self, Built},
-        options::{Options, Role},
+        options::{Options, ProcessCommand},
         picture, processes, report,
         scene::Rooms,
         sources, until_solved,
@@ -41,8 +41,8 @@ fn main() -> ExitCode {
         (Err(error), _) => Err(PlanningError::Server(error)),
         // Its sources wait on their own threads.
         (Ok(_), None) if options.compare => sources::compare(&Rooms::new(), &options),
-        (Ok(runtime), Some(Role::Work(job))) => runtime.block_on(processes::work(job)),
-        (Ok(runtime), Some(Role::Audit(of))) => {
+        (Ok(runtime), Some(ProcessCommand::Work(job))) => runtime.block_on(processes::work(job)),
+        (Ok(runtime), Some(ProcessCommand::Audit(of))) => {
             runtime.block_on(audit::audit(&of.server, &of.index))
         }
         (Ok(runtime), None) => runtime.block_on(run(&options)),

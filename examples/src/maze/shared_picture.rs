@@ -9,13 +9,13 @@ use plotters::{
 
 use super::{picture, scene::Maze};
 use crate::planning::{
-    crew_panels,
     drawing::{
         self, Area, DARK, DrawingError, FONT_SIZES, WORKERS, letters, lighter, lines, straightened,
         write,
     },
     error::PlanningError,
     shared_trees::solve::SharedSolution,
+    worker_panels,
 };
 
 /// The number of bodies drawn along the path, small enough that the trees stay visible between them.
@@ -35,8 +35,8 @@ pub fn draw(
         let (above, below) = area.split_vertically(1900);
         trees(maze, solved, shown, &above)?;
         let (left, right) = below.split_horizontally(1400);
-        crew_panels::growth(&left, &solved.crew, "Vertices")?;
-        crew_panels::shares(&right, &solved.crew)
+        worker_panels::growth(&left, &solved.workers_report, "Vertices")?;
+        worker_panels::shares(&right, &solved.workers_report)
     })
 }
 
@@ -64,13 +64,13 @@ fn trees(
     picture::walls(maze, &mut chart)?;
     picture::bodies(maze, shown, BODIES, &mut chart)?;
 
-    let workers = solved.crew.accounts.len();
-    let crew = match workers {
+    let workers = solved.workers_report.accounts.len();
+    let grown_by = match workers {
         1 => "one process".to_owned(),
         workers => format!("{workers} processes"),
     };
     let title = format!(
-        "The same two trees, grown by {crew}: {} vertices in R² × S¹",
+        "The same two trees, grown by {grown_by}: {} vertices in R² × S¹",
         shared.len()
     );
     write(&head, title, (80, 60), letters(FONT_SIZES[0], DARK))?;

@@ -3,7 +3,7 @@
 use super::{
     account::{Account, Growth},
     error::PlanningError,
-    figures::{Row, RunTimes},
+    figures::{RunRecord, RunTimes},
     host::Host,
     options::{Options, Source, seeds},
     path,
@@ -92,7 +92,7 @@ impl<R> Comparison<R> {
 
 impl<R: PlannerOutcome> Comparison<R> {
     /// The figures of all runs.
-    pub fn rows(&self) -> impl Iterator<Item = Row> {
+    pub fn rows(&self) -> impl Iterator<Item = RunRecord> {
         self.runs.iter().map(|run| run.row(R::PLANNER))
     }
 }
@@ -104,8 +104,8 @@ impl Run {
     }
 
     /// Its figures.
-    pub fn row(&self, planner: &'static str) -> Row {
-        Row {
+    pub fn row(&self, planner: &'static str) -> RunRecord {
+        RunRecord {
             planner,
             source: self.source.name(),
             workers: 1,

@@ -8,7 +8,7 @@ use super::{account::Account, error::PlanningError, processes::Times, report::un
 
 /// One run of a planner.
 #[derive(Clone, Debug, Serialize)]
-pub struct Row {
+pub struct RunRecord {
     /// The method.
     pub planner: &'static str,
     /// The source of neighbours.
@@ -70,11 +70,11 @@ impl RunTimes {
 
 /// Writes rows to the given file, if there is one.
 pub fn write(
-    rows: impl IntoIterator<Item = Row>,
+    rows: impl IntoIterator<Item = RunRecord>,
     file: Option<&Path>,
 ) -> Result<(), PlanningError> {
     let Some(file) = file else { return Ok(()) };
-    let rows: Vec<Row> = rows.into_iter().collect();
+    let rows: Vec<RunRecord> = rows.into_iter().collect();
     let text = serde_json::to_string_pretty(&rows).map_err(|error| unwritten(file, &error))?;
     fs::write(file, text + "\n").map_err(|error| unwritten(file, &error))
 }

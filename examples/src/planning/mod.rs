@@ -8,7 +8,6 @@
 
 pub mod account;
 pub mod comparison;
-pub mod crew_panels;
 pub mod drawing;
 pub mod error;
 pub mod example;
@@ -28,3 +27,4 @@ pub mod sampling;
 pub mod server;
 pub mod shared_trees;
 pub mod source;
+pub mod worker_panels;

@@ -14,7 +14,7 @@ use super::{
 pub struct Options {
     /// The role of this process, if it is not the one that starts the others
     #[command(subcommand)]
-    pub role: Option<Role>,
+    pub role: Option<ProcessCommand>,
     /// The source of neighbours
     #[arg(long, value_enum, default_value_t = Source::All)]
     pub source: Source,
@@ -52,7 +52,7 @@ pub struct Options {
 
 /// The roles of a process.
 #[derive(Clone, Debug, Subcommand)]
-pub enum Role {
+pub enum ProcessCommand {
     /// One of the workers that share two trees
     #[command(hide = true)]
     Grow(Job),

@@ -165,7 +165,7 @@ pub fn lost(number: usize, problem: impl ToString) -> PlanningError {
 }
 
 /// The accounts of the workers, and their progress.
-pub struct Crew<A> {
+pub struct WorkersReport<A> {
     /// The final account of each worker; for a killed worker, its last report.
     pub accounts: Vec<A>,
     /// The time from the common start to the end of the last worker, whose writes were acknowledged then.
@@ -178,7 +178,7 @@ pub struct Crew<A> {
     pub restarted: Option<(Duration, Duration)>,
 }
 
-impl<A: Account> Crew<A> {
+impl<A: Account> WorkersReport<A> {
     /// The time at which the last worker knew that the run was over; it waited for acknowledgements after that.
     pub fn end(&self) -> Duration {
         let ends = self.accounts.iter().map(|account| account.times().total);
@@ -219,7 +219,7 @@ pub struct WorkerProgress {
 pub fn run<J: Job>(
     jobs: &[J],
     mut incident: Incident<'_>,
-) -> Result<Crew<J::Account>, PlanningError> {
+) -> Result<WorkersReport<J::Account>, PlanningError> {
     let (events, lines) = mpsc::channel();
     let mut processes = Vec::with_capacity(jobs.len());
     for job in jobs {
@@ -239,7 +239,7 @@ pub fn run<J: Job>(
     for process in &mut processes {
         process.begin()?;
     }
-    let mut crew = Crew {
+    let mut workers_report = WorkersReport {
         accounts: vec![J::Account::default(); jobs.len()],
         wall: Duration::ZERO,
         growth: Vec::new(),
@@ -251,7 +251,9 @@ pub fn run<J: Job>(
     while working > 0 {
         let (number, line, when) = next(&lines)?;
         let at = when.saturating_duration_since(started);
-        let was_killed = crew.killed.is_some_and(|(killed, _)| killed == number);
+        let was_killed = workers_report
+            .killed
+            .is_some_and(|(killed, _)| killed == number);
         let account = match line {
             Some(Line::Progress(account)) => account,
             Some(Line::Halted(account)) => {
@@ -259,13 +261,13 @@ pub fn run<J: Job>(
                     Incident::None => processes[number].begin()?,
                     Incident::WorkerKilled => {
                         processes[number].kill()?;
-                        crew.killed = Some((number, at));
+                        workers_report.killed = Some((number, at));
                     }
                     Incident::ServerRestarted(server) => {
                         server.kill()?;
                         processes[number].begin()?;
                         server.start_again()?;
-                        crew.restarted = Some((at, started.elapsed()));
+                        workers_report.restarted = Some((at, started.elapsed()));
                     }
                 }
                 account
@@ -281,15 +283,15 @@ pub fn run<J: Job>(
             }
             None => return Err(lost(number, "it ended early; what it said is above")),
         };
-        crew.wall = at;
-        crew.accounts[number] = account;
-        crew.growth.push(WorkerProgress {
+        workers_report.wall = at;
+        workers_report.accounts[number] = account;
+        workers_report.growth.push(WorkerProgress {
             at,
             worker: number,
             made: account.made(),
         });
     }
-    Ok(crew)
+    Ok(workers_report)
 }
 
 /// A line of a worker, or its end, and the time of its arrival.

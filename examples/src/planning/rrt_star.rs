@@ -18,7 +18,7 @@ use wayfold_index::Search;
 use super::{
     account::Account,
     error::PlanningError,
-    figures::{Row, RunTimes},
+    figures::{RunRecord, RunTimes},
     options::Source,
     problem::Problem,
     sampling,
@@ -127,9 +127,9 @@ pub struct Star {
 
 impl Star {
     /// The figures of its run.
-    pub fn row(&self, source: Source, seed: u64) -> Row {
+    pub fn row(&self, source: Source, seed: u64) -> RunRecord {
         let length = self.goal.map(|goal| self.tree.costs[goal]);
-        Row {
+        RunRecord {
             planner: "RRT*",
             source: source.name(),
             workers: 1,

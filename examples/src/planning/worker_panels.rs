@@ -8,7 +8,7 @@ use plotters::{
 
 use super::{
     drawing::{Area, DARK, DrawingError, FONT_SIZES, WORKERS, axes, legend, letters, write},
-    processes::{Account, Crew},
+    processes::{Account, WorkersReport},
 };
 
 /// The parts of the time.
@@ -20,18 +20,22 @@ const PARTS: [(&str, RGBColor); 4] = [
 ];
 
 /// The number of things that each worker and all workers had made over time. `what` names them and begins the title.
-pub fn growth<A: Account>(area: &Area<'_>, crew: &Crew<A>, what: &str) -> Result<(), DrawingError> {
-    let mut own = vec![vec![(0.0, 0.0)]; crew.accounts.len()];
+pub fn growth<A: Account>(
+    area: &Area<'_>,
+    workers_report: &WorkersReport<A>,
+    what: &str,
+) -> Result<(), DrawingError> {
+    let mut own = vec![vec![(0.0, 0.0)]; workers_report.accounts.len()];
     let mut all = vec![(0.0, 0.0)];
-    let mut now = vec![0; crew.accounts.len()];
-    for progress in &crew.growth {
+    let mut now = vec![0; workers_report.accounts.len()];
+    for progress in &workers_report.growth {
         let at = progress.at.as_secs_f64();
         now[progress.worker] = progress.made;
         own[progress.worker].push((at, progress.made as f64));
         all.push((at, now.iter().sum::<u64>() as f64));
     }
     let most = now.iter().sum::<u64>().max(1) as f64;
-    let wall = crew.wall.as_secs_f64().max(f64::MIN_POSITIVE);
+    let wall = workers_report.wall.as_secs_f64().max(f64::MIN_POSITIVE);
     let mut chart = ChartBuilder::on(area)
         .margin_left(40)
         .margin_right(40)
@@ -52,7 +56,10 @@ pub fn growth<A: Account>(area: &Area<'_>, crew: &Crew<A>, what: &str) -> Result
 }
 
 /// One bar for each worker: the shares of its time, and the share of searches as a number.
-pub fn shares<A: Account>(area: &Area<'_>, crew: &Crew<A>) -> Result<(), DrawingError> {
+pub fn shares<A: Account>(
+    area: &Area<'_>,
+    workers_report: &WorkersReport<A>,
+) -> Result<(), DrawingError> {
     let (width, height) = area.dim_in_pixel();
     let title = "Where the workers' time went; in figures: searches";
     write(area, title, (40, 56), letters(FONT_SIZES[0], DARK))?;
@@ -60,8 +67,8 @@ pub fn shares<A: Account>(area: &Area<'_>, crew: &Crew<A>) -> Result<(), Drawing
         legend(area, parts, (40, 130 + 52 * row as i32), 420)?;
     }
     let (left, right) = (240.0, f64::from(width) - 150.0);
-    let each = (f64::from(height) - 330.0) / crew.accounts.len() as f64;
-    for (worker, account) in crew.accounts.iter().enumerate() {
+    let each = (f64::from(height) - 330.0) / workers_report.accounts.len() as f64;
+    for (worker, account) in workers_report.accounts.iter().enumerate() {
         let times = account.times();
         let (top, color) = (
             250.0 + each * worker as f64,

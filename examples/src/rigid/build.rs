@@ -16,7 +16,7 @@ use crate::planning::{
     options::seeds,
     path,
     problem::Problem,
-    processes::{self, Crew, Incident, PROGRESS_MS},
+    processes::{self, Incident, PROGRESS_MS, WorkersReport},
     server::ServerProcess,
 };
 
@@ -29,7 +29,7 @@ pub struct Built {
     /// The seed of the random states.
     pub seed: u64,
     /// The account of each worker.
-    pub crew: Crew<Account>,
+    pub workers_report: WorkersReport<Account>,
     /// The number of milestones that a dead worker left pending.
     pub adopted: usize,
     /// The time to complete these.
@@ -106,7 +106,7 @@ async fn build_in(
         halt_at: half.filter(|_| number == 0),
     };
     let jobs: Vec<Job> = (0..options.workers).map(job).collect();
-    let crew = processes::run(&jobs, incident)?;
+    let workers_report = processes::run(&jobs, incident)?;
 
     // The questions are asked by one more worker. Their states become milestones like all others, and stay for later
     // questions.
@@ -142,7 +142,7 @@ async fn build_in(
         workers: options.workers,
         source: options.source,
         seed,
-        crew,
+        workers_report,
         adopted,
         adopting,
         roadmap,

@@ -29,7 +29,7 @@ const COOPERATION: [&str; 8] = [
 pub struct Options {
     /// The role of this process, if it is not the one that starts the others
     #[command(subcommand)]
-    pub role: Option<Role>,
+    pub role: Option<ProcessCommand>,
     /// The number of processes that build the roadmap
     #[arg(long, default_value_t = 4, value_parser = at_least_one)]
     pub workers: usize,
@@ -81,7 +81,7 @@ pub struct Options {
 
 /// The roles of a process.
 #[derive(Clone, Debug, Subcommand)]
-pub enum Role {
+pub enum ProcessCommand {
     /// One worker
     #[command(hide = true)]
     Work(Job),

@@ -15,11 +15,11 @@ use super::{
     solid::{self, DEPTH, Projection, Solid},
 };
 use crate::planning::{
-    crew_panels,
     drawing::{self, Area, DARK, DrawingError, FONT_SIZES, PALE, WORKERS, letters, write},
     error::PlanningError,
     path,
     problem::Problem,
+    worker_panels,
 };
 
 /// The chair's colours at the start and at the goal of each question.
@@ -46,8 +46,8 @@ pub fn draw(scene: &Rooms, built: &Built, file: &Path) -> Result<(), PlanningErr
         let (above, below) = area.split_vertically(1940);
         rooms(scene, built, &paths, &above)?;
         let (left, right) = below.split_horizontally(1720);
-        crew_panels::growth(&left, &built.crew, "Milestones")?;
-        crew_panels::shares(&right, &built.crew)
+        worker_panels::growth(&left, &built.workers_report, "Milestones")?;
+        worker_panels::shares(&right, &built.workers_report)
     })
 }
 
@@ -96,12 +96,12 @@ fn rooms(
     solids.extend(furniture.into_iter().chain(walls).map(standing));
     solid::draw(area, &projection, &solids)?;
 
-    let crew = match built.workers {
+    let workers_report = match built.workers {
         1 => "one process".to_owned(),
         workers => format!("{workers} processes"),
     };
     let title = format!(
-        "A chair through three rooms: one roadmap in R³ × RP³ by {crew}, {} milestones, {} edges",
+        "A chair through three rooms: one roadmap in R³ × RP³ by {workers_report}, {} milestones, {} edges",
         built.roadmap.len(),
         built.roadmap.edge_count(),
     );

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::planning::{
     comparison::PlannerOutcome,
-    figures::{Row, RunTimes},
+    figures::{RunRecord, RunTimes},
     prm_star::AnsweredRoadmap,
     processes::Times,
     report::median,
@@ -18,24 +18,28 @@ use crate::planning::{
 impl Built {
     /// The account of all workers together.
     fn sum(&self) -> Account {
-        self.crew.accounts.iter().copied().sum()
+        self.workers_report.accounts.iter().copied().sum()
     }
 
     /// The milestones that the workers made per second.
     pub fn rate(&self) -> f64 {
-        self.sum().milestones as f64 / self.crew.wall.as_secs_f64()
+        self.sum().milestones as f64 / self.workers_report.wall.as_secs_f64()
     }
 
     /// Its figures, for the workers without the questions.
-    pub fn row(&self) -> Row {
+    pub fn row(&self) -> RunRecord {
         let sum = self.sum();
-        Row {
+        RunRecord {
             planner: AnsweredRoadmap::PLANNER,
             source: self.source.name(),
             workers: self.workers,
             seed: self.seed,
             nodes: sum.milestones,
-            spent: RunTimes::by_workers(self.crew.end(), self.crew.wall, sum.times),
+            spent: RunTimes::by_workers(
+                self.workers_report.end(),
+                self.workers_report.wall,
+                sum.times,
+            ),
             checks: sum.checks,
             path_lengths: self.paths.iter().map(|path| path.length).collect(),
         }
@@ -61,10 +65,10 @@ pub fn table(built: &Built) -> String {
             account.milestones as f64 / wall.as_secs_f64().max(f64::MIN_POSITIVE),
         );
     };
-    for (number, account) in built.crew.accounts.iter().enumerate() {
+    for (number, account) in built.workers_report.accounts.iter().enumerate() {
         row(&format!("worker {number}"), account.times.total, account);
     }
-    row("all", built.crew.wall, &built.sum());
+    row("all", built.workers_report.wall, &built.sum());
     let head = format!(
         "{:<10} {:>9} {:>10} {:>9} {:>9} {:>8} {:>9} {:>8} {:>8} {:>10}\n",
         "",
@@ -79,21 +83,21 @@ pub fn table(built: &Built) -> String {
         "per second",
     );
     let mut text = head + &text;
-    if let Some((worker, at)) = built.crew.killed {
+    if let Some((worker, at)) = built.workers_report.killed {
         let _ = writeln!(
             text,
             "Worker {worker} was killed after {:.2} s.",
             at.as_secs_f64()
         );
     }
-    if let Some((killed, listened)) = built.crew.restarted {
+    if let Some((killed, listened)) = built.workers_report.restarted {
         let _ = writeln!(
             text,
             "The server was killed after {:.2} s and listened again after {:.2} s; no worker reported a milestone for \
              {:.2} s.",
             killed.as_secs_f64(),
             listened.as_secs_f64(),
-            built.crew.longest_pause().as_secs_f64(),
+            built.workers_report.longest_pause().as_secs_f64(),
         );
     }
     let _ = writeln!(
@@ -171,7 +175,7 @@ pub fn comparison(all: &[Built]) -> String {
                 "{:<10} {workers:>8} {:>10.0} {:>8.2} {:>10.0} {:>9.1} {:>8.1} {:>8.1} {:>13.2} {:>10.2}",
                 source.name(),
                 median(of(source, workers).map(|one| one.sum().milestones as f64)),
-                median(of(source, workers).map(|one| one.crew.wall.as_secs_f64())),
+                median(of(source, workers).map(|one| one.workers_report.wall.as_secs_f64())),
                 median(of(source, workers).map(Built::rate)),
                 share(|times| times.searching),
                 share(|times| times.checking),

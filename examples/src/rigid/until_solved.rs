@@ -26,7 +26,7 @@ use super::{
 use crate::planning::{
     comparison::PlannerOutcome,
     error::PlanningError,
-    figures::{self, Row, RunTimes},
+    figures::{self, RunRecord, RunTimes},
     options::seeds,
     path,
     prm_star::AnsweredRoadmap,
@@ -102,7 +102,7 @@ async fn solve(
     let watch = index.watch().after(index.revision_at(0));
     let mut watch = watch.include(Include::all()).await?;
     let (events, mut lines) = mpsc::unbounded_channel();
-    let mut crew = Vec::new();
+    let mut workers_report = Vec::new();
     for number in 0..options.workers {
         let job = Job {
             server: uri.to_owned(),
@@ -118,7 +118,7 @@ async fn solve(
             halt_at: None,
         };
         let events = events.clone();
-        crew.push(Process::start(&job, move |heard| {
+        workers_report.push(Process::start(&job, move |heard| {
             events.send(heard).is_ok()
         })?);
     }
@@ -144,13 +144,13 @@ async fn solve(
             _ => return Err(unconnected(task.name, ends.len())),
         }
     }
-    for process in &mut crew {
+    for process in &mut workers_report {
         process.begin()?;
     }
     let mut accounts = vec![Account::default(); options.workers];
     let joined = follow(&mut watch, &mut lines, &mut accounts, &ends).await;
     // The workers end here, even after an error.
-    drop(crew);
+    drop(workers_report);
     joined?;
     let roadmap = Roadmap::read(index).await?;
     let mut paths = Vec::new();
@@ -276,8 +276,8 @@ fn table(all: &[SolvedRoadmap], workers: &[usize]) -> String {
 }
 
 impl SolvedRoadmap {
-    fn row(&self) -> Row {
-        Row {
+    fn row(&self) -> RunRecord {
+        RunRecord {
             planner: AnsweredRoadmap::PLANNER,
             source: self.source.name(),
             workers: self.workers,

@@ -50,7 +50,7 @@ pub struct Worker<'a> {
     /// The states of the milestones that it has met.
     states: HashMap<u64, Vec<f64>>,
     /// Its milestones without a known place in the order, by id.
-    unplaced: BTreeMap<u64, Unplaced>,
+    unplaced: BTreeMap<u64, UnorderedMilestone>,
     /// The number of its milestones whose place the index cannot tell.
     lost: usize,
     account: Account,
@@ -66,7 +66,7 @@ pub struct CheckedState {
 }
 
 /// A stored milestone that may lack edges.
-struct Unplaced {
+struct UnorderedMilestone {
     checked: CheckedState,
     /// Its nearest milestones at its insert.
     found: Vec<Neighbor>,
@@ -210,13 +210,13 @@ impl<'a> Worker<'a> {
         };
         let inserted = self
             .index
-            .insert_with(&checked.state[..], options.ask(ask))?;
+            .insert_with(&checked.state[..], options.neighbors(ask))?;
         self.account.times.waiting += start.elapsed();
-        let (id, found) = (inserted.id, inserted.found.neighbors);
+        let (id, found) = (inserted.id, inserted.neighbors.neighbors);
         self.states.insert(id, checked.state.clone());
         match self.is_shared {
             true => {
-                let unplaced = Unplaced {
+                let unplaced = UnorderedMilestone {
                     checked,
                     found,
                     max_k,

@@ -4,7 +4,7 @@
 //! pack levels into ones of doubling size, and into a few when writes pause ([`policy`]); they drop dead points.
 //! Removing a point marks it with a *tombstone*; replacing one removes it and stores the new one.
 //!
-//! One owner writes, and any number of [`Snapshot`]s read, each at its own revision; neither waits for the other.
+//! One owner writes, and any number of [`ForestSnapshot`]s read, each at its own revision; neither waits for the other.
 //! Levels are immutable and shared by count, a tombstone hides a point from its revision on, and the parts of the
 //! growing level that a snapshot holds are copied before they change. The owner chooses the thread of a merge:
 //! [`Forest::begin_merge`] returns the next one, [`Merge::run`] does the work, and [`Forest::finish_merge`] swaps the
@@ -39,7 +39,7 @@ use merge::Running;
 pub use merge::{Merge, Merged, ReplacedLevels};
 use packed::Packed;
 use retired::Retired;
-pub use snapshot::Snapshot;
+pub use snapshot::ForestSnapshot;
 use tombstones::LATEST;
 pub use validate::ForestReport;
 
@@ -96,7 +96,7 @@ const LARGE_MUTATION_DIVISOR: usize = 8;
 pub struct Forest {
     options: ForestOptions,
     /// The newest revision; a snapshot is a clone of it.
-    head: Snapshot,
+    head: ForestSnapshot,
     /// The growing levels that snapshots share.
     retired: Retired<Growing>,
     running: Vec<Running>,
@@ -115,7 +115,7 @@ impl Forest {
             leaf_rows: options.leaf_rows.max(1),
         };
         let growing = Growing::new(&space, options.leaf_rows, options.growing_rows);
-        let head = Snapshot {
+        let head = ForestSnapshot {
             scale: KeyScale::new(&space),
             space,
             revision: 0,
@@ -165,13 +165,13 @@ impl Forest {
     /// Answers `search` for a canonical `state` at the head.
     ///
     /// # Errors
-    /// The errors of [`Snapshot::search`].
+    /// The errors of [`ForestSnapshot::search`].
     pub fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Answer, SearchError> {
         self.head.search(state, search)
     }
 
     /// The head, frozen.
-    pub fn snapshot(&self) -> Snapshot {
+    pub fn snapshot(&self) -> ForestSnapshot {
         self.head.clone()
     }
 

@@ -17,7 +17,7 @@ use crate::{
 /// changes under a snapshot, and frees them at some write after the snapshot is dropped. Any number of threads may call
 /// its methods.
 #[derive(Clone, Debug)]
-pub struct Snapshot {
+pub struct ForestSnapshot {
     pub(super) space: Arc<Space>,
     pub(super) scale: KeyScale,
     pub(super) revision: u64,
@@ -28,7 +28,7 @@ pub struct Snapshot {
     pub(super) growing: Arc<Growing>,
 }
 
-impl Snapshot {
+impl ForestSnapshot {
     /// The space of the states.
     pub fn space(&self) -> &Space {
         &self.space
@@ -58,10 +58,10 @@ impl Snapshot {
         self.search_with(&Kernels::default(), state, search)
     }
 
-    /// Acts like [`Snapshot::search`], with these kernels.
+    /// Acts like [`ForestSnapshot::search`], with these kernels.
     ///
     /// # Errors
-    /// The errors of [`Snapshot::search`].
+    /// The errors of [`ForestSnapshot::search`].
     pub fn search_with(
         &self,
         kernels: &Kernels,
@@ -78,7 +78,7 @@ impl Snapshot {
     /// The number of leaves that a search visits. For tests of the trees' shape.
     ///
     /// # Errors
-    /// The errors of [`Snapshot::search`].
+    /// The errors of [`ForestSnapshot::search`].
     #[doc(hidden)]
     pub fn leaves_visited(&self, state: &[f64], search: &Search<'_>) -> Result<usize, SearchError> {
         Kernels::default().run(CountLeaves(SearchSnapshot {
@@ -146,7 +146,7 @@ impl Snapshot {
 
 /// A search of all levels, the growing one last.
 struct SearchSnapshot<'a> {
-    snapshot: &'a Snapshot,
+    snapshot: &'a ForestSnapshot,
     state: &'a [f64],
     search: &'a Search<'a>,
 }

@@ -6,7 +6,8 @@ use crate::common::{
     SHAPES, SPACES, Shape, assert_same, brute_force, rng, searches, states, table,
 };
 use wayfold_index::{
-    Answer, Forest, ForestOptions, KdTree, Kernels, Linear, Mpnn, Points, Search, Snapshot, Space,
+    Answer, Forest, ForestOptions, ForestSnapshot, KdTree, Kernels, Linear, Mpnn, Points, Search,
+    Space,
 };
 
 pub(crate) const ROWS: usize = 150;
@@ -73,7 +74,7 @@ pub(crate) fn structures(space: &Space, points: &Points) -> Vec<Structure> {
 }
 
 /// A snapshot, searched with the kernels of each instruction set that this processor has.
-fn with_every_kernel(name: &str, snapshot: &Snapshot) -> Vec<Structure> {
+fn with_every_kernel(name: &str, snapshot: &ForestSnapshot) -> Vec<Structure> {
     let with = |kernels: &'static Kernels| -> Structure {
         let snapshot = snapshot.clone();
         let name = format!("{name}/{}", kernels.name());

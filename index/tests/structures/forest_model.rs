@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crate::common::{SPACES, Shape, assert_same, brute_force, rng, states};
 use proptest::{prelude::*, test_runner::RngSeed};
 use wayfold_index::{
-    Forest, ForestOptions, KdTree, Merged, Point, PointRef, Points, Search, Snapshot, Space,
+    Forest, ForestOptions, ForestSnapshot, KdTree, Merged, Point, PointRef, Points, Search, Space,
 };
 
 /// A stored point of the model: tag, revision, row.
@@ -60,7 +60,7 @@ fn op() -> impl Strategy<Value = Op> {
 }
 
 #[track_caller]
-fn same_as_model(snapshot: &Snapshot, model: &Model, query: &[f64]) {
+fn same_as_model(snapshot: &ForestSnapshot, model: &Model, query: &[f64]) {
     assert_eq!(snapshot.len(), model.len());
     let stored: Vec<Point> = points_of(model).map(PointRef::to_point).collect();
     assert_eq!(snapshot.points_after(None).collect::<Vec<_>>(), stored);
@@ -89,7 +89,7 @@ fn run(space: &Space, options: ForestOptions, ops: Vec<Op>, seed: u64) {
     let mut model = Model::new();
     let mut begun = Vec::new();
     let mut ran: Vec<Merged> = Vec::new();
-    let mut held: Vec<(Snapshot, Model)> = Vec::new();
+    let mut held: Vec<(ForestSnapshot, Model)> = Vec::new();
     for op in ops {
         let revision = forest.revision() + 1;
         let mut store = |model: &mut Model, rows: usize, first_id: u64| {
@@ -271,7 +271,7 @@ fn snapshots_are_never_torn() {
         leaf_rows: 2,
     };
     let mut forest = Forest::new(space.clone(), options);
-    let (sender, receiver) = std::sync::mpsc::sync_channel::<Snapshot>(4);
+    let (sender, receiver) = std::sync::mpsc::sync_channel::<ForestSnapshot>(4);
     let reader = std::thread::spawn(move || {
         let mut seen = 0;
         for snapshot in receiver {

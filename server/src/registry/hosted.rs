@@ -15,7 +15,7 @@ use tokio::{
     time::timeout,
 };
 use tokio_util::task::AbortOnDropHandle;
-use wayfold_index::{Forest, Snapshot, Space};
+use wayfold_index::{Forest, ForestSnapshot, Space};
 use wayfold_proto::v1::PayloadEncoding;
 
 use super::{
@@ -35,7 +35,7 @@ use crate::log::{Effects, Entry, LogError, Retention, Tip, Uid, View, Window};
 /// One frozen revision of an index. It does not change while it is held.
 pub struct Published {
     /// The points, for search.
-    pub snapshot: Snapshot,
+    pub snapshot: ForestSnapshot,
     /// The same points in the log, with payloads.
     pub view: Arc<dyn View>,
     /// The revision of both.

@@ -5,7 +5,9 @@ use prost::encoding::encoded_len_varint;
 use wayfold_index::{Neighbor, Point, PointRef, Search};
 use wayfold_proto::v1;
 
-use super::{Error, Limits, call::Pace, check::Rows, read_view::ReadView, stored::BATCH_ROWS};
+use super::{
+    Error, Limits, call::TimeSlicer, check::Rows, read_view::ReadView, stored::BATCH_ROWS,
+};
 
 /// Bytes reserved for the fixed fields, and for the tags and lengths of columns.
 const FRAME_BYTES: usize = 256;
@@ -180,7 +182,7 @@ pub(super) async fn search(
     states: &Rows,
     search: Search<'_>,
     mut found: NeighborColumns,
-    pace: &mut Pace,
+    pace: &mut TimeSlicer,
 ) -> Result<v1::Neighbors, Error> {
     for state in states.iter() {
         let search = Search {

@@ -81,8 +81,8 @@ impl Call {
     }
 
     /// Begins work that may be long.
-    pub(super) fn pace(&self, doing: &'static str) -> Pace {
-        Pace {
+    pub(super) fn pace(&self, doing: &'static str) -> TimeSlicer {
+        TimeSlicer {
             call: self.clone(),
             doing,
             began: Instant::now(),
@@ -91,13 +91,13 @@ impl Call {
 }
 
 /// Slices long work: between two slices other tasks run and the deadline is checked.
-pub(super) struct Pace {
+pub(super) struct TimeSlicer {
     call: Call,
     doing: &'static str,
     began: Instant,
 }
 
-impl Pace {
+impl TimeSlicer {
     /// Fails if the deadline has passed.
     pub(super) fn check(&self) -> Result<(), Error> {
         self.call.check(self.doing)

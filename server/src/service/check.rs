@@ -6,7 +6,7 @@ use bytes::Bytes;
 use wayfold_index::{Filter, Space, StateError, StateProblem};
 use wayfold_proto::{END_OF_IDS, v1};
 
-use super::{Error, Limits, Violation, call::Pace, read_view::revision_number};
+use super::{Error, Limits, Violation, call::TimeSlicer, read_view::revision_number};
 use crate::registry::Hosted;
 
 /// The first few violations of a request.
@@ -71,7 +71,7 @@ pub(super) async fn states(
     space: &Space,
     states: Option<v1::States>,
     limits: &Limits,
-    pace: &mut Pace,
+    pace: &mut TimeSlicer,
     violations: &mut Violations,
 ) -> Result<Rows, Error> {
     let width = space.coordinates();
@@ -137,7 +137,7 @@ fn state_reason(error: &StateError) -> &'static str {
 /// Ids are below 2^63, each once.
 pub(super) async fn ids(
     ids: &[u64],
-    pace: &mut Pace,
+    pace: &mut TimeSlicer,
     violations: &mut Violations,
 ) -> Result<(), Error> {
     let mut first = HashMap::with_capacity(ids.len());

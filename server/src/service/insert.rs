@@ -12,7 +12,7 @@ use self::evaluation::Evaluation;
 use super::{
     Call, Error, Limits, Service,
     answer::Room,
-    call::Pace,
+    call::TimeSlicer,
     check::{self, Rows, Violations},
     mutation::{Claim, Start, refused},
     neighbor_spec::NeighborSpec,
@@ -141,7 +141,7 @@ impl Insertion {
         &self,
         head: &Arc<Published>,
         limits: &Limits,
-        pace: &mut Pace,
+        pace: &mut TimeSlicer,
     ) -> Result<Option<Prefetch>, Error> {
         if !self.is_searched() {
             return Ok(None);
@@ -161,7 +161,7 @@ impl Insertion {
     async fn evaluate(
         &self,
         evaluation: &mut Evaluation<'_>,
-        pace: &mut Pace,
+        pace: &mut TimeSlicer,
     ) -> Result<(), Error> {
         for (at, row) in self.rows.iter().enumerate() {
             match evaluation.row(at, row) {
@@ -188,7 +188,7 @@ impl Insertion {
         &self,
         head: &Published,
         prefetch: Option<&Prefetch>,
-        pace: &mut Pace,
+        pace: &mut TimeSlicer,
     ) -> Result<UnreadPayloads, Error> {
         let mut compared = Vec::new();
         for (at, (&id, row)) in self.ids.iter().zip(self.rows.iter()).enumerate() {
@@ -228,7 +228,7 @@ impl Insertion {
         request: v1::InsertRequest,
         hosted: &Hosted,
         limits: &Limits,
-        pace: &mut Pace,
+        pace: &mut TimeSlicer,
     ) -> Result<Self, Error> {
         let space = hosted.space();
         let mut violations = Violations::default();

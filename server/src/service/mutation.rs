@@ -9,7 +9,7 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    call::Pace,
+    call::TimeSlicer,
     error_map::registry_error,
     stored::{MAX_READS_AHEAD, ReadAhead},
 };
@@ -41,7 +41,7 @@ impl Claim {
         verb: &str,
         operation_id: &str,
         request: &impl Message,
-        pace: &mut Pace,
+        pace: &mut TimeSlicer,
     ) -> Result<Option<Self>, Error> {
         if operation_id.is_empty() {
             return Ok(None);
@@ -56,7 +56,7 @@ impl Claim {
     /// index has others, and recognises the retry.
     pub(super) async fn of_batch(
         request: &mut v1::WriteRequest,
-        pace: &mut Pace,
+        pace: &mut TimeSlicer,
     ) -> Result<Self, Error> {
         let index = (take(&mut request.index_name), take(&mut request.uid));
         let fingerprint = fingerprint("Write", request, pace).await;
@@ -96,7 +96,11 @@ impl Claim {
 }
 
 /// The digest of a call.
-async fn fingerprint(verb: &str, request: &impl Message, pace: &mut Pace) -> Result<Digest, Error> {
+async fn fingerprint(
+    verb: &str,
+    request: &impl Message,
+    pace: &mut TimeSlicer,
+) -> Result<Digest, Error> {
     let mut hash = Sha256::new();
     hash.update(verb.as_bytes());
     for bytes in request.encode_to_vec().chunks(DIGEST_STEP_BYTES) {

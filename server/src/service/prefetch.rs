@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use wayfold_index::{Neighbor, Search};
 
-use super::{Error, call::Pace, check::Rows};
+use super::{Error, call::TimeSlicer, check::Rows};
 use crate::registry::{Published, Writer};
 
 /// The neighbours of rows in one revision of the index. No point is excluded, and the rows do not see each other.
@@ -32,7 +32,7 @@ impl Prefetch {
         neighbors: Option<Search<'static>>,
         nearest: Option<Search<'static>>,
         most: usize,
-        pace: &mut Pace,
+        pace: &mut TimeSlicer,
     ) -> Result<Self, Error> {
         let bounded = |search: Search<'static>| Search {
             k: search.k.min(most + 1),

@@ -8,7 +8,7 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Limits, Service,
-    call::Pace,
+    call::TimeSlicer,
     check::{self, Violations},
     mutation::{Claim, Start, refused},
     read_view::{revision, revision_number},
@@ -75,7 +75,7 @@ async fn updated(
     if_revision: Option<u64>,
     stored: &ReadAhead<Arc<StoredPoint>>,
     hosted: &Hosted,
-    pace: &mut Pace,
+    pace: &mut TimeSlicer,
 ) -> Result<Effects, Error> {
     let mut effects = Effects::new(hosted.space().coordinates());
     let (mut missing, mut changed) = (Vec::new(), Vec::new());
@@ -127,7 +127,7 @@ async fn check_update(
     request: &v1::UpdateRequest,
     hosted: &Hosted,
     limits: &Limits,
-    pace: &mut Pace,
+    pace: &mut TimeSlicer,
 ) -> Result<Option<u64>, Error> {
     check::id_count(&request.ids, limits)?;
     let mut violations = Violations::default();

@@ -14,7 +14,7 @@ use wayfold_proto::{
 
 use super::{
     Call, Error, Limits, Service,
-    call::Pace,
+    call::TimeSlicer,
     check::{self, Rows, Violations},
     mutation::{Claim, Start, refused},
     read_view::revision,
@@ -121,7 +121,7 @@ impl Steps {
         request: v1::WriteRequest,
         hosted: &Hosted,
         limits: &Limits,
-        pace: &mut Pace,
+        pace: &mut TimeSlicer,
     ) -> Result<Self, Error> {
         let count = request.kinds.len();
         if count > limits.max_rows_per_call {
@@ -206,7 +206,7 @@ impl Steps {
         hosted: &Hosted,
         writer: &Writer,
         stored: &ReadAhead<Arc<StoredPoint>>,
-        pace: &mut Pace,
+        pace: &mut TimeSlicer,
     ) -> Result<(Effects, u64), Error> {
         let (mut nets, mut order) = (HashMap::new(), Vec::new());
         let (mut missing, mut row, mut payload) = (0, 0, 0);

@@ -9,7 +9,7 @@ use std::{
     time::Duration,
 };
 
-use wayfold::{Index, Status};
+use wayfold::{ConnectionStatus, Index};
 use wayfold_tests::States;
 
 fn main() {
@@ -27,7 +27,10 @@ fn main() {
             index.insert(&states.row()[..]).expect("an insert");
         }
         index.flush().expect("an acknowledgement");
-        while !matches!(index.status(), Some(Status::Following { behind: 0 })) {
+        while !matches!(
+            index.status(),
+            Some(ConnectionStatus::Following { behind: 0 })
+        ) {
             std::thread::yield_now();
         }
         println!("{}", index.len().expect("a copy"));

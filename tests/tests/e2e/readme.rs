@@ -16,9 +16,9 @@ fn example(uri: &str) -> Result<(), Box<dyn Error>> {
     let pose = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0];
     let nearest = index.nearest(pose)?;
     let id = index.insert(pose)?;
-    let near = index.insert_with(pose, InsertOptions::new().ask(Search::k(10)))?;
+    let near = index.insert_with(pose, InsertOptions::new().neighbors(Search::k(10)))?;
     index.flush()?;
-    println!("{nearest:?} {id} {:?}", near.found.neighbors);
+    println!("{nearest:?} {id} {:?}", near.neighbors.neighbors);
     Ok(())
 }
 

@@ -24,7 +24,7 @@ use std::{
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Index, Status};
+use wayfold::{ConnectionStatus, Index};
 use wayfold_index::Space;
 use wayfold_tests::{Process, ServerProcess, Signal, States};
 
@@ -58,7 +58,7 @@ fn shared(uri: &str, space: &Space) -> Index {
 }
 
 /// Waits until an index has another status.
-fn wait_for_status(index: &Index, is_it: impl Fn(&Status) -> bool) {
+fn wait_for_status(index: &Index, is_it: impl Fn(&ConnectionStatus) -> bool) {
     while !index.status().as_ref().is_some_and(&is_it) {
         thread::yield_now();
     }
@@ -120,7 +120,7 @@ fn every_write_is_there_once_after_kills() {
         killed += 1;
         write(&turns, random.random_range(0..200));
         wait_for_status(&reader, |status| {
-            matches!(status, Status::Disconnected { .. })
+            matches!(status, ConnectionStatus::Disconnected { .. })
         });
         of_reader.push(content(&reader));
         // Some starts are killed too, after a random number of log lines.

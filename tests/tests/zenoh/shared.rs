@@ -18,7 +18,7 @@ use std::{
 };
 
 use serde_json::json;
-use wayfold::{Error, Index, OpenShared, Status};
+use wayfold::{ConnectionStatus, Error, Index, OpenShared};
 use wayfold_index::Space;
 use wayfold_tests::States;
 use zenoh::Session;
@@ -41,7 +41,7 @@ fn shared(robot: &Robot, space: &Space) -> Index {
 }
 
 /// Waits until an index has another status.
-fn wait_for_status(index: &Index, is_it: impl Fn(&Status) -> bool) {
+fn wait_for_status(index: &Index, is_it: impl Fn(&ConnectionStatus) -> bool) {
     while !index.status().as_ref().is_some_and(&is_it) {
         thread::yield_now();
     }

@@ -2,7 +2,7 @@
 
 use std::{ffi::c_char, ptr, time::Duration};
 
-use client::{Status, UnsentWrite};
+use client::{ConnectionStatus, UnsentWrite};
 
 use super::{
     index::WayfoldIndex,
@@ -91,12 +91,16 @@ pub unsafe extern "C" fn wayfold_index_status(
         // SAFETY: the caller's promise.
         let (name, revisions_behind, cause) = match unsafe { index_of(index) }?.status() {
             None => (WayfoldStatus::NotShared, 0, None),
-            Some(Status::Following { behind }) => (WayfoldStatus::Following, behind, None),
-            Some(Status::Reloading) => (WayfoldStatus::Reloading, 0, None),
-            Some(Status::Disconnected { why, .. }) => (WayfoldStatus::Disconnected, 0, Some(why)),
-            Some(Status::Refused { why }) => (WayfoldStatus::Refused, 0, Some(why)),
-            Some(Status::Ended { why }) => (WayfoldStatus::Ended, 0, Some(why)),
-            Some(Status::Closed) => (WayfoldStatus::Closed, 0, None),
+            Some(ConnectionStatus::Following { behind }) => {
+                (WayfoldStatus::Following, behind, None)
+            }
+            Some(ConnectionStatus::Reloading) => (WayfoldStatus::Reloading, 0, None),
+            Some(ConnectionStatus::Disconnected { why, .. }) => {
+                (WayfoldStatus::Disconnected, 0, Some(why))
+            }
+            Some(ConnectionStatus::Refused { why }) => (WayfoldStatus::Refused, 0, Some(why)),
+            Some(ConnectionStatus::Ended { why }) => (WayfoldStatus::Ended, 0, Some(why)),
+            Some(ConnectionStatus::Closed) => (WayfoldStatus::Closed, 0, None),
             Some(_) => (WayfoldStatus::Unknown, 0, None),
         };
         let cause = cause.map_or_else(String::new, |cause| cause.to_string());

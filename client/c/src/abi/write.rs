@@ -88,15 +88,15 @@ pub unsafe extern "C" fn wayfold_index_insert_with(
             if found.is_null() {
                 return Err(null("found"));
             }
-            options = options.ask(search);
+            options = options.neighbors(search);
         }
         let inserted = index.insert_with(row, options)?;
         // SAFETY: the caller's promise.
         unsafe {
             copy(&[inserted.id], id);
-            copy(&[inserted.found.read_revision.0], read_revision);
+            copy(&[inserted.neighbors.read_revision.0], read_revision);
             if search.is_some() {
-                let neighbors = &inserted.found.neighbors;
+                let neighbors = &inserted.neighbors.neighbors;
                 write_neighbors(neighbors, capacity, ids, distances);
                 put(neighbors.len(), found, "found")?;
             }

@@ -15,7 +15,9 @@ use crate::{
     parse::{self, MaskedTag, RevisionArg},
     progress,
 };
-use wayfold::{Include, IndexHandle, Inserted, NeighborSpec, Neighbors, Outcome, Revision, Row};
+use wayfold::{
+    Include, IndexHandle, Inserted, NeighborSpec, Neighbors, Outcome, Revision, StateNeighbors,
+};
 
 const EXAMPLES: &str = "\
 A CSV row is one state, its numbers in the order of the space (`wayfold info` names them). A header
@@ -229,7 +231,7 @@ fn print_row(
     number: usize,
     id: Option<u64>,
     outcome: Outcome,
-    row: Row<'_>,
+    row: StateNeighbors<'_>,
     include: Include,
 ) -> Result<(), Failure> {
     let (name, text, blocker) = match outcome {

@@ -3,7 +3,7 @@
 use std::io;
 
 use serde::Serialize;
-use wayfold::{Include, Row};
+use wayfold::{Include, StateNeighbors};
 
 use crate::output::{Column, JsonId, JsonIds, Output, Row as Numbers, json_payload, table};
 
@@ -23,7 +23,7 @@ pub(super) struct NeighborFields<'a> {
 }
 
 impl<'a> NeighborFields<'a> {
-    pub(super) fn of(row: Row<'a>, include: Include) -> NeighborFields<'a> {
+    pub(super) fn of(row: StateNeighbors<'a>, include: Include) -> NeighborFields<'a> {
         let payloads = row
             .payloads()
             .map(|payloads| payloads.iter().map(|payload| json_payload(payload)));
@@ -38,14 +38,14 @@ impl<'a> NeighborFields<'a> {
     }
 }
 
-fn states<'a>(row: Row<'a>) -> impl Iterator<Item = &'a [f64]> {
+fn states<'a>(row: StateNeighbors<'a>) -> impl Iterator<Item = &'a [f64]> {
     (0..row.len()).map(move |i| row.state(i).unwrap_or_default())
 }
 
 /// Prints one line a neighbour below a header; nothing if there are none.
 pub(super) fn neighbor_table(
     output: &mut Output,
-    row: Row<'_>,
+    row: StateNeighbors<'_>,
     include: Include,
 ) -> io::Result<()> {
     if row.is_empty() {

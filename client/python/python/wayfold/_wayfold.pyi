@@ -104,12 +104,12 @@ class SearchResult:
     def __len__(self) -> int: ...
 
 class InsertedPoint:
-    """The id of an inserted point, and what the insert found."""
+    """The id of an inserted point, and the neighbours that its insert found."""
 
     @property
     def id(self) -> int: ...
     @property
-    def found(self) -> SearchResult: ...
+    def neighbors(self) -> SearchResult: ...
 
 class StoredPoint:
     """One stored point, its state in canonical form."""
@@ -163,7 +163,7 @@ class MeanwhileAnswers:
     @property
     def has_dropped(self) -> bool: ...
 
-class Status:
+class ConnectionStatus:
     """The state of a shared index's connection."""
 
     @property
@@ -274,7 +274,7 @@ class Index:
         """Waits until the server has acknowledged every write before this call. At once for the other forms."""
     def pending(self) -> int:
         """The number of writes that the server has not acknowledged; 0 for the other forms."""
-    def status(self) -> Status | None:
+    def status(self) -> ConnectionStatus | None:
         """The state of a shared index's connection; None for the other forms."""
     def meanwhile(self) -> MeanwhileAnswers:
         """The answers about own points that were inserted with a question."""

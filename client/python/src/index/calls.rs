@@ -59,7 +59,7 @@ impl Index {
     /// Raises in a process that was forked from the one that opened a shared index.
     pub(super) fn check_process(&self, py: Python<'_>) -> PyResult<()> {
         self.call(py, |index| match index.status() {
-            Some(wayfold::Status::Ended { why }) if matches!(*why, Error::Forked) => {
+            Some(wayfold::ConnectionStatus::Ended { why }) if matches!(*why, Error::Forked) => {
                 Err(Error::Forked)
             }
             _ => Ok(()),

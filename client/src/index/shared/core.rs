@@ -14,7 +14,7 @@ use super::{
     link::Link,
     meanwhile::{Answerable, MeanwhileAnswers},
     served_index::ServedIndex,
-    status::Status,
+    status::ConnectionStatus,
     writer::Writer,
 };
 use crate::{
@@ -335,33 +335,33 @@ impl Core {
         self.ended.get().is_some()
     }
 
-    pub(super) fn status(&self) -> Status {
+    pub(super) fn status(&self) -> ConnectionStatus {
         if self.is_forked() {
             let why = Arc::new(Error::Forked);
-            return Status::Ended { why };
+            return ConnectionStatus::Ended { why };
         }
         let writer = self.writer.lock();
         let connection = self.connection.lock();
         if writer.is_closed {
-            return Status::Closed;
+            return ConnectionStatus::Closed;
         }
         if let Some(why) = self.ended.get() {
-            return Status::Ended {
+            return ConnectionStatus::Ended {
                 why: Arc::clone(why),
             };
         }
         if let Some(why) = &writer.refused {
-            return Status::Refused {
+            return ConnectionStatus::Refused {
                 why: Arc::clone(why),
             };
         }
         match connection.lost.iter().flatten().next() {
-            Some((since, why)) => Status::Disconnected {
+            Some((since, why)) => ConnectionStatus::Disconnected {
                 since: *since,
                 why: Arc::clone(why),
             },
-            None if connection.is_reloading => Status::Reloading,
-            None => Status::Following {
+            None if connection.is_reloading => ConnectionStatus::Reloading,
+            None => ConnectionStatus::Following {
                 behind: connection.behind,
             },
         }

@@ -2,7 +2,7 @@
 
 use std::collections::{HashMap, VecDeque};
 
-use wayfold_index::{Filter, Neighbor, Point, Search, Snapshot, Space};
+use wayfold_index::{Filter, ForestSnapshot, Neighbor, Point, Search, Space};
 
 use crate::index::local::LocalPoints;
 
@@ -141,7 +141,7 @@ pub(super) struct Answerable {
     arrived: Vec<(Vec<Change>, Point)>,
     /// The last change by which another writer removed or moved a point.
     departure: u64,
-    snapshot: Option<Snapshot>,
+    snapshot: Option<ForestSnapshot>,
 }
 
 impl OpenQuestions {

@@ -22,7 +22,7 @@ mod writer;
 pub use batch::UnsentWrite;
 pub use meanwhile::{Meanwhile, MeanwhileAnswers};
 pub use open::OpenShared;
-pub use status::Status;
+pub use status::ConnectionStatus;
 
 use std::{fmt, sync::Arc, time::Duration};
 
@@ -72,7 +72,7 @@ impl SharedIndex {
         writer.written - writer.settled
     }
 
-    pub(super) fn status(&self) -> Status {
+    pub(super) fn status(&self) -> ConnectionStatus {
         self.core.status()
     }
 

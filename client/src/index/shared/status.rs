@@ -7,7 +7,7 @@ use crate::Error;
 /// The state of a shared index's connection to its server.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
-pub enum Status {
+pub enum ConnectionStatus {
     /// Writes of others are applied as they arrive.
     Following {
         /// The number of revisions by which the server was ahead when it last sent something.

@@ -101,7 +101,7 @@ pub(crate) fn misses_no_edge(make: impl Fn(&Space) -> Index) {
     const THREADS: usize = 4;
     const INSERTS: usize = 250;
     let index = make(&"R1".parse().unwrap());
-    let all = InsertOptions::new().ask(Search::within(f64::INFINITY));
+    let all = InsertOptions::new().neighbors(Search::within(f64::INFINITY));
     let found: Vec<(u64, Vec<u64>)> = std::thread::scope(|scope| {
         let threads: Vec<_> = (0..THREADS)
             .map(|thread| {
@@ -110,7 +110,7 @@ pub(crate) fn misses_no_edge(make: impl Fn(&Space) -> Index) {
                     let insert = |at: usize| {
                         let state = [(thread * INSERTS + at) as f64];
                         let inserted = index.insert_with(state, all).unwrap();
-                        let ids = inserted.found.neighbors.iter().map(|found| found.id);
+                        let ids = inserted.neighbors.neighbors.iter().map(|found| found.id);
                         (inserted.id, ids.collect())
                     };
                     (0..INSERTS).map(insert).collect::<Vec<_>>()

@@ -3,7 +3,7 @@
 use std::thread;
 
 use tonic::Status as Answer;
-use wayfold::{Code, Error, Index, Status};
+use wayfold::{Code, ConnectionStatus, Error, Index};
 use wayfold_proto::v1;
 
 use crate::{
@@ -73,7 +73,10 @@ async fn a_feed_that_breaks_in_mid_mutation_is_taken_up_where_it_was_whole() {
     let index = open(&fake);
     wait_for(&index, &[(1, 0.0), (2, 10.0), (4, 6.0)]);
     assert_eq!(after_revisions(&fake, 2), [Some(3), Some(4)]);
-    while !matches!(index.status(), Some(Status::Following { behind: 0 })) {
+    while !matches!(
+        index.status(),
+        Some(ConnectionStatus::Following { behind: 0 })
+    ) {
         thread::yield_now();
     }
 }
@@ -119,7 +122,10 @@ async fn after_a_reset_all_points_are_read_again() {
     let index = open(&fake);
     wait_for(&index, &[(9, 1.0)]);
     assert_eq!(after_revisions(&fake, 3), [Some(3), Some(3), Some(9)]);
-    while !matches!(index.status(), Some(Status::Following { behind: 0 })) {
+    while !matches!(
+        index.status(),
+        Some(ConnectionStatus::Following { behind: 0 })
+    ) {
         thread::yield_now();
     }
 }
@@ -130,7 +136,7 @@ async fn a_server_that_cannot_be_followed_ends_it() {
     fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
     fake.watch_tells(vec![Err(Answer::unimplemented("an old server"))]);
     let index = open(&fake);
-    while !matches!(index.status(), Some(Status::Ended { .. })) {
+    while !matches!(index.status(), Some(ConnectionStatus::Ended { .. })) {
         thread::yield_now();
     }
     let error = index.nearest([0.0]).unwrap_err();

@@ -111,11 +111,14 @@ impl Model {
         }
         let (tag, payload) = (self.rng.random_range(0..4), self.payload());
         let (search, expected) = self.question(&row);
-        let options = InsertOptions::new().tag(tag).payload(&payload).ask(search);
+        let options = InsertOptions::new()
+            .tag(tag)
+            .payload(&payload)
+            .neighbors(search);
         let inserted = self.index.insert_with(&state[..], options).unwrap();
-        assert_same(&inserted.found.neighbors, &expected);
+        assert_same(&inserted.neighbors.neighbors, &expected);
         self.read_revisions
-            .push((inserted.found.read_revision, self.changes));
+            .push((inserted.neighbors.read_revision, self.changes));
         self.assigned(inserted.id);
         self.store(inserted.id, tag, &row, self.changes);
         self.payloads.insert(inserted.id, payload);

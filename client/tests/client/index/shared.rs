@@ -9,8 +9,8 @@ use std::{
 };
 
 use wayfold::{
-    Client, Code, Error, Index, InsertOptions, OpenShared, PayloadEncoding, RetryPolicy, Search,
-    Space, Status,
+    Client, Code, ConnectionStatus, Error, Index, InsertOptions, OpenShared, PayloadEncoding,
+    RetryPolicy, Search, Space,
 };
 
 use super::conformance;
@@ -144,9 +144,9 @@ fn a_busy_server_takes_the_writes_later() {
     let inserting = runtime.spawn(handle.insert([[0.5; 10]]).into_future());
     let refused = loop {
         match index.status() {
-            Some(Status::Disconnected { why, .. }) => break why,
+            Some(ConnectionStatus::Disconnected { why, .. }) => break why,
             status => assert!(
-                matches!(status, Some(Status::Following { .. })),
+                matches!(status, Some(ConnectionStatus::Following { .. })),
                 "{status:?}"
             ),
         }
@@ -334,6 +334,6 @@ fn a_closed_index_takes_no_writes_and_gives_none_back(link: ServerLink) {
     assert_eq!(index.close(std::time::Duration::from_secs(20)), []);
     assert!(matches!(index.insert([1.0; 3]), Err(Error::Closed)));
     assert_eq!(index.len().unwrap(), 1);
-    assert!(matches!(index.status(), Some(Status::Closed)));
+    assert!(matches!(index.status(), Some(ConnectionStatus::Closed)));
     assert!(matches!(index.clear(), Err(Error::NotInMemory { .. })));
 }

@@ -28,10 +28,10 @@ pub fn table(solved: &SharedSolution) -> String {
             times.percent(times.waiting),
         );
     };
-    for (number, account) in solved.crew.accounts.iter().enumerate() {
+    for (number, account) in solved.workers_report.accounts.iter().enumerate() {
         row(&format!("worker {number}"), account.times.total, account);
     }
-    row("all", solved.crew.wall, &solved.sum());
+    row("all", solved.workers_report.wall, &solved.sum());
     let spent = solved.spent();
     let _ = writeln!(
         text,
@@ -42,7 +42,7 @@ pub fn table(solved: &SharedSolution) -> String {
         solved.source.name(),
         solved.rate(),
         spent.total_s,
-        solved.crew.wall.as_secs_f64(),
+        solved.workers_report.wall.as_secs_f64(),
         solved.shared.len(),
         solved.seed,
         solved.path.len(),
@@ -72,11 +72,11 @@ pub fn comparison(alone: &[Run], all: &[SharedSolution]) -> String {
         for workers in WORKERS {
             let of = |source, workers| {
                 let is_of_row = move |one: &&SharedSolution| {
-                    one.source == source && one.crew.accounts.len() == workers
+                    one.source == source && one.workers_report.accounts.len() == workers
                 };
                 all.iter().filter(is_of_row)
             };
-            let wall = |one: &SharedSolution| one.crew.wall.as_secs_f64();
+            let wall = |one: &SharedSolution| one.workers_report.wall.as_secs_f64();
             let mut walls: Vec<f64> = of(source, workers).map(wall).collect();
             walls.sort_by(f64::total_cmp);
             let [Some(least), Some(most)] = [walls.first(), walls.last()] else {

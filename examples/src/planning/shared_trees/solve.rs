@@ -6,11 +6,11 @@ use super::{
     super::{
         comparison::{self, Open, PlannerOutcome, Run, Trials},
         error::PlanningError,
-        figures::{Row, RunTimes},
+        figures::{RunRecord, RunTimes},
         options::{Options, Source, seeds},
         path::{self, Verify},
         problem::Problem,
-        processes::{self, Crew, Incident, PROGRESS_MS},
+        processes::{self, Incident, PROGRESS_MS, WorkersReport},
         rrt::{self, Solution},
     },
     account::Account,
@@ -27,7 +27,7 @@ pub struct SharedSolution {
     /// The seed of the random states.
     pub seed: u64,
     /// The account of each worker until it learned that the trees had met.
-    pub crew: Crew<Account>,
+    pub workers_report: WorkersReport<Account>,
     /// The trees.
     pub shared: SharedTrees,
     /// The path from start to goal.
@@ -39,26 +39,30 @@ pub struct SharedSolution {
 impl SharedSolution {
     /// The account of all workers together.
     pub fn sum(&self) -> Account {
-        self.crew.accounts.iter().copied().sum()
+        self.workers_report.accounts.iter().copied().sum()
     }
 
     /// The vertices that the workers inserted per second, until the server had acknowledged all.
     pub fn rate(&self) -> f64 {
-        self.sum().vertices as f64 / self.crew.wall.as_secs_f64()
+        self.sum().vertices as f64 / self.workers_report.wall.as_secs_f64()
     }
 
     /// The account of its time.
     pub fn spent(&self) -> RunTimes {
-        RunTimes::by_workers(self.crew.end(), self.crew.wall, self.sum().times)
+        RunTimes::by_workers(
+            self.workers_report.end(),
+            self.workers_report.wall,
+            self.sum().times,
+        )
     }
 
     /// Its figures.
-    pub fn row(&self, problem: &impl Problem) -> Row {
+    pub fn row(&self, problem: &impl Problem) -> RunRecord {
         let sum = self.sum();
-        Row {
+        RunRecord {
             planner: Solution::PLANNER,
             source: self.source.name(),
-            workers: self.crew.accounts.len(),
+            workers: self.workers_report.accounts.len(),
             seed: self.seed,
             nodes: self.shared.len() as u64,
             spent: self.spent(),
@@ -93,16 +97,16 @@ pub async fn solve(
         halt_at: None,
     };
     let jobs: Vec<Job> = (0..workers).map(job).collect();
-    let crew = processes::run(&jobs, Incident::None);
+    let workers_report = processes::run(&jobs, Incident::None);
     let read = read(&store).await;
     if !options.keep {
         store.delete(&client).await;
     }
-    let (crew, (shared, path)) = (crew?, read?);
+    let (workers_report, (shared, path)) = (workers_report?, read?);
     Ok(SharedSolution {
         source,
         seed,
-        crew,
+        workers_report,
         shared,
         checked: path::verify(problem, &path)?,
         path,

@@ -2,7 +2,9 @@
 
 use std::{collections::BTreeSet, process::Command};
 
-use wayfold::{Client, Error, Index, InsertOptions, ResetReason, Search, Status, WatchEvent};
+use wayfold::{
+    Client, ConnectionStatus, Error, Index, InsertOptions, ResetReason, Search, WatchEvent,
+};
 use wayfold_index::Space;
 use wayfold_tests::{Process, ServerProcess, Signal, States, server};
 
@@ -149,14 +151,14 @@ async fn no_edge_is_missed_over_a_reload() {
     let reached = outage.begin(false).await;
     let mut questions = Vec::new();
     for search in [Search::within(5.0), Search::k(1), Search::k(3).radius(4.0)] {
-        let options = InsertOptions::new().ask(search);
+        let options = InsertOptions::new().neighbors(search);
         // Each is alone with its neighbours.
         let x = 100.0 + 100.0 * questions.len() as f64;
         let inserted = away.insert_with(at(x, 100.0), options).unwrap();
         let near = there.insert(at(x, 101.0)).unwrap();
         questions.push((inserted, near));
     }
-    assert_eq!(questions[0].0.found.neighbors[0].id, before);
+    assert_eq!(questions[0].0.neighbors.neighbors[0].id, before);
     there.flush().unwrap();
     outage.pass_window(reached, 3).await;
     outage.end();
@@ -188,7 +190,9 @@ async fn an_index_that_is_gone_or_has_another_space_ends() {
     assert_eq!(index.nearest([0.9]).unwrap().unwrap().id, id, "what it had");
     index.insert([1.0]).unwrap();
     way.lead_to(server.uri());
-    wait_for_status(&index, |status| matches!(status, Status::Ended { .. }));
+    wait_for_status(&index, |status| {
+        matches!(status, ConnectionStatus::Ended { .. })
+    });
     let error = index.nearest([0.9]).unwrap_err();
     let Error::Ended { why } = &error else {
         panic!("{error}")
@@ -199,7 +203,9 @@ async fn an_index_that_is_gone_or_has_another_space_ends() {
 
     let index = shared(&way.uri, &wide);
     direct.delete_index("arm").await.unwrap();
-    wait_for_status(&index, |status| matches!(status, Status::Ended { .. }));
+    wait_for_status(&index, |status| {
+        matches!(status, ConnectionStatus::Ended { .. })
+    });
     let error = index.nearest(at(0.9, 0.0)).unwrap_err();
     assert_eq!(error.reason(), Some("INDEX_NOT_FOUND"), "{error}");
 }
@@ -242,7 +248,7 @@ async fn no_edge_to_a_point_that_was_tagged_meanwhile_is_missed() {
     let space: Space = "R1".parse().unwrap();
     let (there, away) = (shared(server.uri(), &space), shared(&way.uri, &space));
     way.close();
-    let ask = InsertOptions::new().ask(Search::within(2.0));
+    let ask = InsertOptions::new().neighbors(Search::within(2.0));
     let inserted = away.insert_with([0.0], ask).unwrap();
     let near = there.insert([1.0]).unwrap();
     there.flush().unwrap();

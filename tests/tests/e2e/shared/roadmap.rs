@@ -36,9 +36,9 @@ fn build(indexes: &[Index; WORKERS], ask: Search) -> Edges {
                 let mut edges = Edges::new();
                 start.wait();
                 for _ in 0..INSERTS {
-                    let options = InsertOptions::new().ask(ask);
+                    let options = InsertOptions::new().neighbors(ask);
                     let inserted = index.insert_with(&states.row()[..], options).unwrap();
-                    let old = edges.insert(inserted.id, inserted.found.neighbors);
+                    let old = edges.insert(inserted.id, inserted.neighbors.neighbors);
                     assert_eq!(old, None);
                 }
                 index.flush().unwrap();

@@ -2,7 +2,7 @@
 
 use std::{net::TcpListener, time::Duration};
 
-use wayfold::{Code, Error, Index, Status};
+use wayfold::{Code, ConnectionStatus, Error, Index};
 use wayfold_index::Space;
 use wayfold_tests::{Process, ServerProcess, Signal};
 
@@ -52,7 +52,7 @@ fn pending_writes_are_bounded_while_the_server_is_silent() {
     }
     assert_eq!(index.pending(), inserted.len() as u64);
     wait_for_status(&index, |status| match status {
-        Status::Disconnected { why, .. } => why.code() == Code::DeadlineExceeded,
+        ConnectionStatus::Disconnected { why, .. } => why.code() == Code::DeadlineExceeded,
         _ => false,
     });
 
@@ -68,7 +68,9 @@ fn pending_writes_are_bounded_while_the_server_is_silent() {
         &space,
         &[&index, &other],
     );
-    wait_for_status(&index, |status| matches!(status, Status::Following { .. }));
+    wait_for_status(&index, |status| {
+        matches!(status, ConnectionStatus::Following { .. })
+    });
     assert_eq!(index.close(TIMEOUT), []);
 }
 

@@ -4,7 +4,7 @@ use std::{collections::BTreeSet, sync::mpsc, thread};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Index, Status};
+use wayfold::{ConnectionStatus, Index};
 use wayfold_index::Space;
 use wayfold_tests::{Signal, States};
 
@@ -58,7 +58,7 @@ async fn every_write_is_there_once_after_kills_of_server_and_router() {
     let mut outage = |random: &mut ChaCha8Rng| {
         write(random.random_range(1..200));
         wait_for_status(&reader, |status| {
-            matches!(status, Status::Disconnected { .. })
+            matches!(status, ConnectionStatus::Disconnected { .. })
         });
         of_reader.push(content(&reader));
     };

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use wayfold::{Code, Error, ResetReason, Search, Status, WatchEvent};
+use wayfold::{Code, ConnectionStatus, Error, ResetReason, Search, WatchEvent};
 use wayfold_index::Space;
 use wayfold_tests::{Signal, States};
 
@@ -55,7 +55,7 @@ async fn a_deleted_index_and_one_of_another_space_end_the_copy() {
     let copy = shared(&robot, &"R2".parse().unwrap());
     client.delete_index("arm").await.unwrap();
     wait_for_status(&copy, |status| match status {
-        Status::Ended { why } => why.code() == Code::NotFound,
+        ConnectionStatus::Ended { why } => why.code() == Code::NotFound,
         _ => false,
     });
     assert!(matches!(copy.insert([1.0, 2.0]), Err(Error::Ended { .. })));
@@ -65,7 +65,7 @@ async fn a_deleted_index_and_one_of_another_space_end_the_copy() {
     let line = "R1".parse().unwrap();
     client.create_index("arm", &line).await.unwrap();
     wait_for_status(&copy, |status| match status {
-        Status::Ended { why } => matches!(**why, Error::OtherSpace { .. }),
+        ConnectionStatus::Ended { why } => matches!(**why, Error::OtherSpace { .. }),
         _ => false,
     });
 }
@@ -95,7 +95,7 @@ async fn pending_writes_are_bounded_while_the_server_is_silent() {
     assert_eq!(index.pending(), inserted.len() as u64);
     assert!(inserted.len() * MIN_STEP_BYTES <= MAX_PENDING_BYTES);
     wait_for_status(&index, |status| match status {
-        Status::Disconnected { why, .. } => why.code() == Code::DeadlineExceeded,
+        ConnectionStatus::Disconnected { why, .. } => why.code() == Code::DeadlineExceeded,
         _ => false,
     });
 
@@ -105,6 +105,8 @@ async fn pending_writes_are_bounded_while_the_server_is_silent() {
     }
     wait_for_all(&other, &[0.0, 2.0], &[&index, &other]);
     check_copies(&content(&shared(&robot, &space)), &space, &[&index, &other]);
-    wait_for_status(&index, |status| matches!(status, Status::Following { .. }));
+    wait_for_status(&index, |status| {
+        matches!(status, ConnectionStatus::Following { .. })
+    });
     assert_eq!(index.close(TIMEOUT), []);
 }

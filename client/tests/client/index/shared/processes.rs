@@ -8,7 +8,7 @@ use std::{
 
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Index, InsertOptions, Search, Space, Status};
+use wayfold::{ConnectionStatus, Index, InsertOptions, Search, Space};
 
 use super::{ServerLink, content, shared, wait_for_same};
 use crate::index::model::Model;
@@ -25,7 +25,10 @@ pub(super) fn another_process_holds_the_same(link: ServerLink) {
     wait_for_same(&writer, &reader);
     assert_eq!(content(&shared(&link, "index", &space)), content(&writer));
     assert_eq!(writer.pending(), 0);
-    assert!(matches!(reader.status(), Some(Status::Following { .. })));
+    assert!(matches!(
+        reader.status(),
+        Some(ConnectionStatus::Following { .. })
+    ));
 }
 
 /// Writers that change each other's points end with the same points, which are the server's.
@@ -80,7 +83,7 @@ pub(super) fn no_edge_between_processes_is_missed(link: ServerLink) {
         .map(|_| shared(&link, "index", &space))
         .collect();
     let start = Arc::new(Barrier::new(WRITERS));
-    let ask = InsertOptions::new().ask(Search::within(f64::INFINITY));
+    let options = InsertOptions::new().neighbors(Search::within(f64::INFINITY));
     let mut edges: Vec<(u64, u64)> = thread::scope(|scope| {
         let threads: Vec<_> = indexes
             .iter()
@@ -92,8 +95,8 @@ pub(super) fn no_edge_between_processes_is_missed(link: ServerLink) {
                     let mut edges = Vec::new();
                     for at in 0..INSERTS {
                         let state = [(writer * INSERTS + at) as f64];
-                        let inserted = index.insert_with(state, ask).unwrap();
-                        let found = inserted.found.neighbors.iter();
+                        let inserted = index.insert_with(state, options).unwrap();
+                        let found = inserted.neighbors.neighbors.iter();
                         edges.extend(found.map(|neighbor| (inserted.id, neighbor.id)));
                     }
                     index.flush().unwrap();
