@@ -19,10 +19,11 @@ Examples:
   wayfold watch arm
   wayfold watch arm --after 0 --output json | jq -c .removed_ids
 
-Prints a line for each mutation as soon as reads can see it, until Ctrl-C. In JSON the line holds the
-stored points and the removed ids: {\"revision\":{\"uid\":...,\"number\":N},\"time_ms\":...,
-\"stored\":[{\"id\":...,\"state\":[...],...}],\"removed_ids\":[...]}. The exit status is 3 if the next mutation is not
-available: the index was deleted or created again, or the server no longer keeps mutations that old.";
+Prints a line for each mutation as soon as reads can see it, until Ctrl-C. In JSON the line holds
+the stored points and the removed ids: {\"revision\":{\"uid\":...,\"number\":N},\"time_ms\":...,
+\"stored\":[{\"id\":...,\"state\":[...],...}],\"removed_ids\":[...]}. The exit status is 3 if the
+next mutation is not available: the index was deleted or created again, or the server no longer
+keeps mutations that old.";
 
 /// Prints the mutations of an index as they happen
 #[derive(Debug, clap::Args)]
