@@ -111,26 +111,24 @@ impl Index {
     }
 
     /// Stores a state, and searches the points before it at once.
-    #[pyo3(signature = (state, ask, *, id=None, tag=0, payload=None))]
+    #[pyo3(signature = (state, search, *, id=None, tag=0, payload=None))]
     fn insert_with(
         &self,
         state: &Bound<'_, PyAny>,
-        ask: &Bound<'_, Search>,
+        search: &Bound<'_, Search>,
         id: Option<u64>,
         tag: u64,
         payload: Option<&[u8]>,
     ) -> PyResult<InsertedPoint> {
         let (py, row) = (state.py(), self.one(state)?);
-        let options = options(id, tag, payload).neighbors(ask.get().search);
+        let options = options(id, tag, payload).neighbors(search.get().search);
         let inserted = self.call(py, |index| index.insert_with(&row[..], options))?;
         self.gave(inserted.id);
         let found = &inserted.neighbors;
+        let neighbors = SearchResult::of(py, &found.neighbors, found.read_revision.0);
         Ok(InsertedPoint {
             id: inserted.id,
-            neighbors: Py::new(
-                py,
-                SearchResult::of(py, &found.neighbors, found.read_revision.0),
-            )?,
+            neighbors: Py::new(py, neighbors)?,
         })
     }
 

@@ -206,7 +206,7 @@ class Index:
     def insert(self, state: _States, *, id: int | None = None, tag: int = 0, payload: bytes | None = None) -> int:
         """Stores a state and returns its id."""
     def insert_with(
-        self, state: _States, ask: Search, *, id: int | None = None, tag: int = 0, payload: bytes | None = None
+        self, state: _States, search: Search, *, id: int | None = None, tag: int = 0, payload: bytes | None = None
     ) -> InsertedPoint:
         """Stores a state, and searches the points before it at once."""
     def insert_many(self, states: _States) -> _Ids:
