@@ -53,7 +53,7 @@ impl DamagedLine<'_> {
 #[derive(Serialize)]
 pub(super) struct InfoLine<'a> {
     name: &'a str,
-    space: String,
+    space_text: String,
     point_count: u64,
     revision: JsonRevision<'a>,
     coordinate_count: usize,
@@ -76,7 +76,7 @@ impl InfoLine<'_> {
     pub(super) fn of(index: &IndexInfo) -> InfoLine<'_> {
         InfoLine {
             name: &index.name,
-            space: index.space.to_string(),
+            space_text: index.space.to_string(),
             point_count: index.point_count,
             revision: (&index.revision).into(),
             coordinate_count: index.coordinate_count,

@@ -42,7 +42,7 @@ pub(crate) struct SnapshotArgs {
 #[derive(Serialize)]
 struct Written<'a> {
     name: &'a str,
-    space: String,
+    space_text: String,
     point_count: u64,
     revision: JsonRevision<'a>,
     bytes: u64,
@@ -108,7 +108,7 @@ fn report(
     match context.output.format {
         Format::Json => context.output.json(&Written {
             name: &header.name,
-            space: header.space.to_string(),
+            space_text: header.space.to_string(),
             point_count: header.point_count,
             revision: JsonRevision::new(&header.uid, header.revision),
             bytes,

@@ -40,7 +40,7 @@ fn an_index_is_created_listed_described_and_deleted() {
 
     let info = server.json(&["info", "arm"]).line();
     let expected = json!({
-        "name": "arm", "space": "R3*SO3:0.15", "point_count": 0,
+        "name": "arm", "space_text": "R3*SO3:0.15", "point_count": 0,
         "revision": {"uid": created["revision"]["uid"], "number": 0},
         "coordinate_count": 7, "dimension": 6, "memory_bytes": info["memory_bytes"],
     });
