@@ -97,6 +97,11 @@ impl Turns {
         })
     }
 
+    /// True if the turns of a flow are known to be long.
+    pub(super) fn are_long(&self, flow: FlowNumber) -> bool {
+        self.state.lock().are_long(flow)
+    }
+
     /// The refusal of a call that waits for too long.
     pub(super) fn overloaded(&self) -> Overloaded {
         Overloaded(self.target)
@@ -248,11 +253,6 @@ impl Turns {
 }
 
 impl Turn {
-    /// True if it is one of few at a time.
-    pub(super) fn is_long(&self) -> bool {
-        self.size == SHORT_TURNS
-    }
-
     /// Ends the turn after `took` of work.
     pub(super) fn end(mut self, took: Duration) {
         self.took = took;

@@ -176,6 +176,12 @@ impl State {
         Some((number, size, next))
     }
 
+    /// True if the turns of this flow are known to be long.
+    pub(super) fn are_long(&self, number: FlowNumber) -> bool {
+        let mean_ns = self.flows.get(&number).and_then(|flow| flow.mean_ns);
+        mean_ns.is_some_and(|mean_ns| mean_ns > MAX_SHORT_NS)
+    }
+
     /// The short turns that a turn of this flow takes.
     pub(super) fn size(&self, number: FlowNumber, stage: Stage) -> usize {
         let mean_ns = self.flows.get(&number).and_then(|flow| flow.mean_ns);
