@@ -56,7 +56,10 @@ use shared::SharedIndex;
 /// assert_eq!(nearest.id, start);
 /// // Stores the pose and finds the ten nearest before it at once.
 /// let inserted = index.insert_with(pose, InsertOptions::new().tag(1).neighbors(Search::k(10)))?;
-/// assert_eq!(inserted.neighbors.neighbors, [nearest]);
+/// assert_eq!(inserted.neighbors.nearest(), Some(nearest));
+/// assert!(inserted.neighbors.iter().eq([nearest]));
+/// assert!(inserted.neighbors.ids().eq([nearest.id]));
+/// assert!(inserted.neighbors.distances().eq([nearest.distance]));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Debug)]
@@ -285,8 +288,6 @@ impl Index {
 
     /// Answers a search of many states, which see the same points. A remote index divides more than 1,000 states
     /// among calls, which may see different revisions.
-    ///
-    /// [`READ_ROWS`]: https://docs.rs/wayfold/latest/wayfold/constant.READ_ROWS.html
     ///
     /// # Errors
     /// Those of [`Index::search`] for any of the states.

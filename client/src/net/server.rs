@@ -32,8 +32,8 @@ pub enum Durability {
     Other(i32),
 }
 
-/// The limits of a call, and the one of the number of indices. The server refuses a call that exceeds them with `RESOURCE_EXHAUSTED`, or with
-/// `INVALID_ARGUMENT` for a payload.
+/// The limits of a call, and the one of the number of indices. The server refuses a call that exceeds one with
+/// `RESOURCE_EXHAUSTED`, or with `INVALID_ARGUMENT` for a payload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Limits {

@@ -127,7 +127,7 @@ impl CallTurns {
         let Some(TurnRequest::Granted(turn)) = self.next.take() else {
             return Poll::Pending;
         };
-        if self.stage == Stage::New && self.flow.turns.are_long(self.flow.number) {
+        if self.stage == Stage::New && turn.is_long() {
             self.stage = Stage::GoesOn;
             self.next = Some(TurnRequest::Granted(turn));
             self.has_yielded = true;

@@ -97,11 +97,6 @@ impl Turns {
         })
     }
 
-    /// True if the turns of a flow are known to be long.
-    pub(super) fn are_long(&self, flow: FlowNumber) -> bool {
-        self.state.lock().are_long(flow)
-    }
-
     /// The refusal of a call that waits for too long.
     pub(super) fn overloaded(&self) -> Overloaded {
         Overloaded(self.target)
@@ -253,6 +248,14 @@ impl Turns {
 }
 
 impl Turn {
+    /// True if the turns of its flow are known to be long.
+    pub(super) fn is_long(&self) -> bool {
+        // A short one is known without the lock.
+        let turns = self.turns.as_ref();
+        let turns = turns.filter(|_| self.size == SHORT_TURNS);
+        turns.is_some_and(|turns| turns.state.lock().are_long(self.flow))
+    }
+
     /// Ends the turn after `took` of work.
     pub(super) fn end(mut self, took: Duration) {
         self.took = took;

@@ -50,7 +50,7 @@ pub(crate) fn call_of<T>(request: &tonic::Request<T>) -> Call {
     })
 }
 
-/// The resources of a call in a trace.
+/// The place of a call in a trace.
 fn traceparent(headers: &HeaderMap) -> Option<&str> {
     headers.get("traceparent")?.to_str().ok()
 }

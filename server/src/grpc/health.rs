@@ -65,7 +65,7 @@ impl HealthFace {
     }
 }
 
-/// The watch of one watch of [`WRITING`].
+/// A watch of [`WRITING`].
 struct WritingWatch {
     health: HealthFace,
     stopping: Pin<Box<dyn Future<Output = ()> + Send>>,
@@ -74,7 +74,7 @@ struct WritingWatch {
 }
 
 impl WritingWatch {
-    /// The next status that differs, and the watch after it; none after that of a stopping server.
+    /// The next status that differs, and the watch that goes on; none after that of a stopping server.
     async fn next(mut self) -> Option<(ServingStatus, Option<Self>)> {
         loop {
             tokio::select! {

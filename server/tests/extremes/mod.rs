@@ -34,8 +34,8 @@ pub(crate) fn pool() -> DescriptorPool {
     DescriptorPool::decode(v1::FILE_DESCRIPTOR_SET).unwrap()
 }
 
-/// A good request for each verb but `RestoreIndex`, by the name of its message. Its index is `arm` in R1, which has this uid, two points,
-/// two revisions, and a writer session that the third one opened.
+/// A good request for each verb but `RestoreIndex`, by the name of its message. Its index is `arm` in R1, which has this
+/// uid, two points, two revisions, and a writer session that the third one opened.
 pub(crate) fn requests(uid: &str) -> Vec<DynamicMessage> {
     let (index, uid) = ("arm".to_owned(), uid.to_owned());
     let states = Some(v1::States {

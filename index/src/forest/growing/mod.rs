@@ -12,9 +12,8 @@
 //!
 //! A row is stored twice: in its leaf, and in the log, which finds it by its slot and is scanned in memory order. One
 //! copy saves memory and slows searches. With rows in the log alone a leaf gathers them; with rows in the leaves alone
-//! a scan reads leaves that are two thirds full. All spaces have two copies: one layout has one code to read, and where
-//! one copy would cost no time, the growing level is a small part of the forest's memory. Ratios to two copies (8,000 points; Intel Xeon with AVX-512, 23
-//! November 2026, recorded at ef5d762):
+//! a scan reads leaves that are two thirds full. All spaces have two copies, so that there is one layout. Ratios to two
+//! copies (8,000 points; Intel Xeon with AVX-512, 23 November 2026, recorded at ef5d762):
 //!
 //! | rows in | space | insert | random tree | k = 1 | k = 10 | radius | bytes |
 //! |---|---|---|---|---|---|---|---|

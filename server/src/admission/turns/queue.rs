@@ -178,22 +178,25 @@ impl State {
 
     /// True if the turns of this flow are known to be long.
     pub(super) fn are_long(&self, number: FlowNumber) -> bool {
-        let mean_ns = self.flows.get(&number).and_then(|flow| flow.mean_ns);
-        mean_ns.is_some_and(|mean_ns| mean_ns > MAX_SHORT_NS)
+        self.mean_ns(number)
+            .is_some_and(|mean_ns| mean_ns > MAX_SHORT_NS)
+    }
+
+    fn mean_ns(&self, number: FlowNumber) -> Option<u64> {
+        self.flows.get(&number)?.mean_ns
     }
 
     /// The short turns that a turn of this flow takes.
     pub(super) fn size(&self, number: FlowNumber, stage: Stage) -> usize {
-        let mean_ns = self.flows.get(&number).and_then(|flow| flow.mean_ns);
-        match mean_ns {
+        match self.mean_ns(number) {
             Some(mean_ns) if stage == Stage::New && mean_ns <= MAX_SHORT_NS => 1,
             _ => SHORT_TURNS,
         }
     }
 
     pub(super) fn charge(&mut self, number: FlowNumber, took: Duration) {
-        // A closed flow pays nothing.
-        let Some(flow) = self.flows.get_mut(&number) else {
+        // A closed flow pays nothing, and a turn without work is none of the mean.
+        let Some(flow) = self.flows.get_mut(&number).filter(|_| !took.is_zero()) else {
             return;
         };
         let (before, took_ns) = (flow.used_ns, took.as_nanos() as u64);

@@ -111,6 +111,22 @@ fn work_that_goes_on_gives_way_only_if_others_wait() {
 }
 
 #[test]
+fn a_turn_that_goes_on_without_work_leaves_the_mean_of_its_flow() {
+    let turns = Turns::new(1, TARGET, BURST);
+    let flow = turns.open();
+    let work = Duration::from_micros(80);
+    take(&turns, flow).end(work);
+    for _ in 0..20 {
+        let turn = take(&turns, flow);
+        assert!(turn.is_long());
+        let TurnRequest::Granted(turn) = turns.give_way(turn, Duration::ZERO, Stage::GoesOn) else {
+            panic!("no other waits");
+        };
+        turn.end(work);
+    }
+}
+
+#[test]
 fn a_call_whose_caller_has_left_is_passed_over_and_returns_the_turn() {
     let turns = Turns::new(1, TARGET, BURST);
     let flow = turns.open();

@@ -123,7 +123,7 @@ struct NatsJournal {
     forgotten: Mutex<ForgottenRevisions>,
 }
 
-/// The most indices of which [`ForgottenRevisions`] knows something.
+/// The most indices in [`ForgottenRevisions`].
 const MAX_FORGOTTEN: usize = 10_000;
 
 /// The revisions up to which this server has forgotten records, so that it does not ask NATS for the same again.
