@@ -70,8 +70,8 @@ mod testing {
         let (uid, log) = (entry.uid, Arc::new(MemoryLog::new()));
         log.create(entry).expect("a new index");
         for _ in 0..records {
-            let tip = log.view(uid).expect("a view").tip();
-            let record = Arc::new(Record::after(tip, Effects::new(1)));
+            let position = log.view(uid).expect("a view").position();
+            let record = Arc::new(Record::after(position, Effects::new(1)));
             log.submit(uid, Arc::clone(&record)).expect("a receipt");
             log.apply(uid, &[record]).expect("a view");
         }

@@ -25,7 +25,7 @@ use crate::{
     observe::Metrics,
     registry::{Hosted, IndexEntry},
     service::{self, Call, Service},
-    watermark::{self, Full, Watermark},
+    watermark::{self, Watermark, WatermarkExceeded},
 };
 
 /// The longest time between two checks for indices whose snapshot is due.
@@ -74,7 +74,10 @@ enum Failure {
     #[error("cannot write {}: {source}", path.display())]
     File { path: PathBuf, source: io::Error },
     #[error("no room for {}: {full}", path.display())]
-    Full { path: PathBuf, full: Full },
+    Full {
+        path: PathBuf,
+        full: WatermarkExceeded,
+    },
     #[error("the server stops")]
     Stopping,
 }

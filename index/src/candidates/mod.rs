@@ -1,11 +1,11 @@
-//! The points that may be answers, held until a search ends: [`Few`] by bounds of their distances, [`Many`] by the
-//! distances themselves.
+//! The points that may be answers, held until a search ends: [`BoundedCandidates`] by bounds of their distances,
+//! [`MeasuredCandidates`] by the distances themselves.
 
-mod few;
-mod many;
+mod bounded;
+mod measured;
 
-pub(crate) use few::{Candidate, Few};
-pub(crate) use many::Many;
+pub(crate) use bounded::{BoundedCandidates, Candidate};
+pub(crate) use measured::MeasuredCandidates;
 
 /// The greatest `k` whose candidates are kept in a sorted list.
-pub(crate) const MAX_FEW: usize = 40;
+pub(crate) const MAX_BOUNDED: usize = 40;

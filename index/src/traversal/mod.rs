@@ -8,7 +8,7 @@ use arrayvec::ArrayVec;
 
 use crate::{
     Answer, Filter, Neighbor, Search, SearchError, Space,
-    candidates::{Candidate, Few, MAX_FEW, Many},
+    candidates::{BoundedCandidates, Candidate, MAX_BOUNDED, MeasuredCandidates},
     kernel::{self, KeyScale},
     lanes::{BLOCK_ROWS, Isa},
     quantize::{self, QuantizedQuery, Quantizer},
@@ -35,9 +35,9 @@ pub(crate) struct Traversal<'a> {
     space: &'a Space,
     state: &'a [f64],
     search: &'a Search<'a>,
-    few: Few<'a>,
-    /// Takes the place of `few` where many neighbours are asked for.
-    many: Option<Many>,
+    bounded: BoundedCandidates<'a>,
+    /// Takes the place of `bounded` where many neighbours are asked for.
+    measured: Option<MeasuredCandidates>,
     scale: &'a KeyScale,
     /// A point with a greater key is farther than the candidates held.
     limit: f64,
@@ -64,14 +64,15 @@ impl<'a> Traversal<'a> {
             0 => f64::NEG_INFINITY,
             _ => scale.limit(search.radius),
         };
-        let many = (search.k > MAX_FEW).then(|| Many::new(search.k, search.radius));
+        let measured =
+            (search.k > MAX_BOUNDED).then(|| MeasuredCandidates::new(search.k, search.radius));
         let epsilon_factor = scale.epsilon_factor(search.epsilon);
         Self {
             space,
             state,
             search,
-            few: Few::new(if many.is_some() { 0 } else { search.k }, limit),
-            many,
+            bounded: BoundedCandidates::new(if measured.is_some() { 0 } else { search.k }, limit),
+            measured,
             scale,
             limit,
             epsilon_limit: limit * epsilon_factor,
@@ -110,7 +111,9 @@ impl<'a> Traversal<'a> {
     }
 
     fn candidate_count(&self) -> usize {
-        self.many.as_ref().map_or(self.few.len(), Many::len)
+        self.measured
+            .as_ref()
+            .map_or(self.bounded.len(), MeasuredCandidates::len)
     }
 
     /// The revision after which a point's state must have been stored.
@@ -156,7 +159,7 @@ impl<'a> Traversal<'a> {
     ) {
         let (keys, within) = kernel::points::<I>(self.space, self.state, block, self.limit);
         let mut remaining = within & !(!0 << lanes);
-        if self.many.is_some() {
+        if self.measured.is_some() {
             self.scan_many::<I>(&keys, remaining, block, labels, slot, is_visible);
             return;
         }
@@ -215,8 +218,8 @@ impl<'a> Traversal<'a> {
                 distance = self.distance(keys[lane], &block[lane..]);
             }
             let id = labels.id(slot);
-            let many = self.many.as_mut();
-            let lower = many.and_then(|many| many.offer(Neighbor { distance, id }));
+            let measured = self.measured.as_mut();
+            let lower = measured.and_then(|measured| measured.offer(Neighbor { distance, id }));
             if let Some(farthest) = lower {
                 self.lower_limit(self.scale.limit(farthest));
                 remaining &= I::at_most(keys, self.limit);
@@ -295,12 +298,12 @@ impl<'a> Traversal<'a> {
         if candidate.upper_bound > candidate.key * MAX_BOUND_RATIO {
             self.measure(&mut candidate);
         }
-        let mut is_lower = self.few.offer(candidate);
-        if self.few.is_overfull() {
+        let mut is_lower = self.bounded.offer(candidate);
+        if self.bounded.is_overfull() {
             is_lower |= self.resolve_candidates();
         }
         if is_lower {
-            self.lower_limit(self.few.limit());
+            self.lower_limit(self.bounded.limit());
         }
     }
 
@@ -330,15 +333,15 @@ impl<'a> Traversal<'a> {
     /// Measures all candidates and keeps the nearest. Returns whether that lowered the limit.
     #[cold]
     fn resolve_candidates(&mut self) -> bool {
-        let before = self.few.limit();
-        let mut nearest: Vec<Candidate<'_>> = self.few.drain().collect();
+        let before = self.bounded.limit();
+        let mut nearest: Vec<Candidate<'_>> = self.bounded.drain().collect();
         nearest.retain_mut(|candidate| self.measure(candidate) <= self.search.radius);
         nearest.sort_unstable_by(|a, b| a.distance.total_cmp(&b.distance).then(a.id.cmp(&b.id)));
         nearest.truncate(self.search.k);
         for candidate in nearest {
-            self.few.offer(candidate);
+            self.bounded.offer(candidate);
         }
-        self.few.limit() < before
+        self.bounded.limit() < before
     }
 
     /// Counts a leaf about to be visited; false if the search is out of time.
@@ -366,12 +369,12 @@ impl<'a> Traversal<'a> {
         if self.is_late {
             return Err(SearchError::TimedOut);
         }
-        if let Some(many) = &mut self.many {
-            let neighbors = many.take_sorted();
+        if let Some(measured) = &mut self.measured {
+            let neighbors = measured.take_sorted();
             return Ok(Answer { neighbors });
         }
-        let mut neighbors = Vec::with_capacity(self.few.len());
-        for mut candidate in self.few.drain() {
+        let mut neighbors = Vec::with_capacity(self.bounded.len());
+        for mut candidate in self.bounded.drain() {
             let distance = self.measure(&mut candidate);
             if distance <= self.search.radius {
                 neighbors.push(Neighbor {

@@ -57,7 +57,7 @@ pub use view::{StoredPoint, View};
 /// A record's place in the log of its index. Two servers may give their records the same revision, but never the same
 /// digest: a record names the run of its server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Tip {
+pub struct RecordPosition {
     /// Its revision.
     pub revision: u64,
     /// Its digest.
@@ -102,7 +102,7 @@ pub trait Journal: Send + Sync {
 
     /// The same after a record that this server has applied. A journal elsewhere may have lost it, and have another one in its
     /// place: then the stream ends with [`LogError::Damaged`].
-    fn follow_applied(&self, uid: Uid, applied: Tip) -> RecordStream {
+    fn follow_applied(&self, uid: Uid, applied: RecordPosition) -> RecordStream {
         self.follow(uid, applied.revision)
     }
 

@@ -4,7 +4,7 @@ use std::time::SystemTime;
 
 use sha2::{Digest as _, Sha256};
 
-use super::{Effects, Tip};
+use super::{Effects, RecordPosition};
 
 mod encoding;
 
@@ -44,20 +44,26 @@ impl Record {
     /// The run of records that name none.
     pub const NO_RUN: RunId = [0; 16];
 
-    /// The next record after `tip`, with the current time, made by no named run.
-    pub fn after(tip: Tip, effects: Effects) -> Self {
-        Self::made_by(Self::NO_RUN, tip, effects)
+    /// The next record after `position`, with the current time, made by no named run.
+    pub fn after(position: RecordPosition, effects: Effects) -> Self {
+        Self::made_by(Self::NO_RUN, position, effects)
     }
 
-    /// The next record after `tip`, with the current time.
-    pub fn made_by(run: RunId, tip: Tip, effects: Effects) -> Self {
+    /// The next record after `position`, with the current time.
+    pub fn made_by(run: RunId, position: RecordPosition, effects: Effects) -> Self {
         let time_ms = time_ms(SystemTime::now());
-        Self::sealed(run, tip.revision + 1, tip.digest, time_ms, effects)
+        Self::sealed(
+            run,
+            position.revision + 1,
+            position.digest,
+            time_ms,
+            effects,
+        )
     }
 
-    /// True if it is the next record after `tip`.
-    pub fn follows(&self, tip: Tip) -> bool {
-        self.revision == tip.revision + 1 && self.previous == tip.digest
+    /// True if it is the next record after `position`.
+    pub fn follows(&self, position: RecordPosition) -> bool {
+        self.revision == position.revision + 1 && self.previous == position.digest
     }
 
     /// The record of `revision`, made at `time_ms` by no named run, after the record with the digest `previous`.
@@ -79,8 +85,8 @@ impl Record {
     }
 
     /// Its place in the log.
-    pub fn tip(&self) -> Tip {
-        Tip {
+    pub fn position(&self) -> RecordPosition {
+        RecordPosition {
             revision: self.revision,
             digest: self.digest,
         }

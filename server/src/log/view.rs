@@ -5,14 +5,14 @@ use std::sync::Arc;
 use bytes::Bytes;
 use wayfold_index::PointRef;
 
-use super::{LogError, Sessions, Tip};
+use super::{LogError, RecordPosition, Sessions};
 
 /// The points of one index as of one revision: the sum of the records up to that revision. They do not change while the
 /// view is held.
 pub trait View: Send + Sync {
     /// The revision.
     fn revision(&self) -> u64 {
-        self.tip().revision
+        self.position().revision
     }
 
     /// The least id above every id that was ever stored or reserved, by this revision or an earlier one.
@@ -22,7 +22,7 @@ pub trait View: Send + Sync {
     fn sessions(&self) -> &Sessions;
 
     /// The newest record in the sum.
-    fn tip(&self) -> Tip;
+    fn position(&self) -> RecordPosition;
 
     /// The point with this id.
     fn get(&self, id: u64) -> Result<Option<Arc<StoredPoint>>, LogError>;

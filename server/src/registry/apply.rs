@@ -26,7 +26,7 @@ use super::{
     in_flight::notify,
     stopped::is_damage,
 };
-use crate::log::{Effects, LogError, Receipt, Record, RecordStream, Tip, View};
+use crate::log::{Effects, LogError, Receipt, Record, RecordPosition, RecordStream, View};
 
 /// The time in which a lost receipt is settled, and in which a record arrives that took the place of another, before
 /// the callers are told.
@@ -51,7 +51,7 @@ pub(super) struct AwaitedReceipt {
     /// The submitted record.
     pub(super) record: Arc<Record>,
     /// The record that was published when it was submitted: the journal had it.
-    pub(super) base: Tip,
+    pub(super) base: RecordPosition,
     pub(super) outcome: BoxFuture<'static, Result<(), LogError>>,
 }
 
@@ -135,7 +135,7 @@ pub(super) async fn run(
 impl Hosted {
     /// The records after the published one.
     fn follow(&self) -> RecordStream {
-        let published = self.published().view.tip();
+        let published = self.published().view.position();
         let journal = &self.host.log.journal;
         journal.follow_applied(self.uid(), published)
     }
@@ -146,7 +146,7 @@ impl Hosted {
         self: &Arc<Self>,
         records: Vec<Arc<Record>>,
     ) -> Result<(), RegistryError> {
-        let published = self.published().view.tip();
+        let published = self.published().view.position();
         let follows = |record: &Arc<Record>| record.follows(published);
         match records.iter().position(follows) {
             Some(first) => self.apply(records[first..].to_vec()).await,
@@ -158,7 +158,7 @@ impl Hosted {
     async fn not_accepted(
         self: &Arc<Self>,
         record: &Record,
-        base: Tip,
+        base: RecordPosition,
         error: LogError,
     ) -> Result<impl Future<Output = Result<(), RegistryError>> + use<>, RegistryError> {
         let head = match error {
@@ -203,22 +203,22 @@ impl Hosted {
         if self.is_retired.load(Relaxed) {
             return Err(RegistryError::Log(LogError::Closed));
         }
-        let published = self.published().view.tip();
+        let published = self.published().view.position();
         let known = records.partition_point(|record| record.revision() <= published.revision);
         self.check_known(&records[..known])?;
         let records = &records[known..];
-        let mut tip = published;
+        let mut position = published;
         for record in records {
-            if !record.follows(tip) {
+            if !record.follows(position) {
                 return Err(RegistryError::Log(LogError::Damaged {
                     uid: self.uid(),
                     revision: record.revision(),
                     what: "it does not follow the record before it",
                 }));
             }
-            tip = record.tip();
+            position = record.position();
         }
-        if tip == published {
+        if position == published {
             return Ok(());
         }
         // Refusals count before readers see the records that caused them.
@@ -230,7 +230,7 @@ impl Hosted {
         }
         self.publish(&Arc::new(Published {
             snapshot: applied.forest.snapshot(),
-            revision: tip.revision,
+            revision: position.revision,
             view,
         }));
         self.start_merging(&mut applied);
@@ -251,7 +251,7 @@ impl Hosted {
         let revision = last.revision();
         let applied = self.recent.lock().after(revision - 1, revision, 0);
         let mut applied = applied.iter().flatten();
-        match applied.all(|applied| applied.tip() == last.tip()) {
+        match applied.all(|applied| applied.position() == last.position()) {
             true => Ok(()),
             false => Err(LogError::replaced(self.uid(), revision).into()),
         }
@@ -278,7 +278,11 @@ impl Hosted {
     }
 
     /// Fails if the journal, which ends at the revision `head`, does not have the applied record `base`. Returns its end.
-    async fn journal_has(self: &Arc<Self>, base: Tip, head: u64) -> Result<u64, RegistryError> {
+    async fn journal_has(
+        self: &Arc<Self>,
+        base: RecordPosition,
+        head: u64,
+    ) -> Result<u64, RegistryError> {
         let until = Instant::now() + BEHIND_TIME;
         let mut attempts = interval(SETTLE_INTERVAL);
         let mut head = head;
@@ -298,7 +302,7 @@ impl Hosted {
             return Ok(head);
         }
         let found = self.read(base.revision - 1, 1).await?;
-        match found.first().is_none_or(|found| found.tip() == base) {
+        match found.first().is_none_or(|found| found.position() == base) {
             true => Ok(head),
             false => Err(RegistryError::Log(LogError::replaced(
                 self.uid(),
@@ -315,7 +319,7 @@ impl Hosted {
     ) -> impl Future<Output = Result<(), RegistryError>> + use<> {
         // The record that has its place comes from the journal and decides. If none has it, none may ever come.
         if head < record.revision() {
-            let decided = self.in_flight.lock().refused(record.tip());
+            let decided = self.in_flight.lock().refused(record.position());
             notify(decided);
         }
         self.arrival(head.min(record.revision()))
@@ -333,7 +337,7 @@ impl Hosted {
         let _writer = self.write_closed().await;
         let until = Instant::now() + SETTLE_TIME;
         let mut attempts = interval(SETTLE_INTERVAL);
-        let previous = Tip {
+        let previous = RecordPosition {
             revision: record.revision() - 1,
             digest: *record.previous(),
         };

@@ -8,7 +8,7 @@ use std::sync::{
 use tokio::sync::oneshot;
 
 use super::{
-    Hosted, OperationWindow, RegistryError, WriteGuard, apply::AwaitedReceipt, in_flight::Fate,
+    Hosted, OperationWindow, RegistryError, WriteGuard, apply::AwaitedReceipt, in_flight::Decision,
 };
 use crate::log::{Effects, LogError, Operation, Receipt, Record};
 
@@ -71,10 +71,10 @@ impl Hosted {
 
     async fn decided(
         &self,
-        submitted: Result<oneshot::Receiver<Fate>, RegistryError>,
+        submitted: Result<oneshot::Receiver<Decision>, RegistryError>,
     ) -> Result<CommitOutcome, RegistryError> {
         match submitted {
-            Ok(fate) => decided(fate).await,
+            Ok(decision) => decided(decision).await,
             Err(RegistryError::Log(LogError::Fenced { head, .. })) => {
                 // A mutation that is evaluated again before the other writer's records are published would be refused
                 // again.
@@ -93,12 +93,12 @@ impl Hosted {
             let effects = Effects::new(self.space().coordinates());
             return self.decided(self.submit(writer, effects)).await;
         }
-        let fate = {
+        let decision = {
             let mut in_flight = self.in_flight.lock();
-            in_flight.wait_for(writer.tip(), writer.refusals())
+            in_flight.wait_for(writer.position(), writer.refusals())
         };
         drop(writer);
-        decided(fate).await
+        decided(decision).await
     }
 
     /// Waits until every mutation that any server acknowledged before the call is published here. Servers that share a
@@ -137,15 +137,15 @@ impl Hosted {
         &self,
         mut writer: WriteGuard,
         effects: Effects,
-    ) -> Result<oneshot::Receiver<Fate>, RegistryError> {
-        let previous = writer.tip();
+    ) -> Result<oneshot::Receiver<Decision>, RegistryError> {
+        let previous = writer.position();
         let record = Arc::new(Record::made_by(self.host.run, previous, effects));
         // The record is added before the journal has it: the apply loop may receive it at once.
         let added = {
             let mut in_flight = self.in_flight.lock();
-            in_flight.add(record.tip(), writer.refusals())
+            in_flight.add(record.position(), writer.refusals())
         };
-        let fate = added.map_err(|head| LogError::Fenced {
+        let decision = added.map_err(|head| LogError::Fenced {
             uid: self.uid(),
             expected: previous.revision,
             head,
@@ -160,24 +160,24 @@ impl Hosted {
             Ok(Receipt::Accepted) => {}
             Ok(Receipt::Awaited(outcome)) => self.await_receipt(AwaitedReceipt {
                 record,
-                base: writer.base().view.tip(),
+                base: writer.base().view.position(),
                 outcome,
             }),
             Err(error) => {
-                self.in_flight.lock().take_back(record.tip());
+                self.in_flight.lock().take_back(record.position());
                 writer.take_back();
                 return Err(error.into());
             }
         }
-        Ok(fate)
+        Ok(decision)
     }
 }
 
-async fn decided(fate: oneshot::Receiver<Fate>) -> Result<CommitOutcome, RegistryError> {
-    match fate.await {
-        Ok(Fate::Published) => Ok(CommitOutcome::Done),
-        Ok(Fate::Refused) => Ok(CommitOutcome::Refused),
-        Ok(Fate::Failed(why)) => Err(why),
+async fn decided(decision: oneshot::Receiver<Decision>) -> Result<CommitOutcome, RegistryError> {
+    match decision.await {
+        Ok(Decision::Published) => Ok(CommitOutcome::Done),
+        Ok(Decision::Refused) => Ok(CommitOutcome::Refused),
+        Ok(Decision::Failed(why)) => Err(why),
         // The sender is dropped unanswered only together with the index.
         Err(_) => Err(RegistryError::Stopped),
     }

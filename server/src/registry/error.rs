@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use crate::{
     log::{LogError, Uid},
-    watermark::Full,
+    watermark::WatermarkExceeded,
 };
 
 /// The error of a call of the registry.
@@ -37,7 +37,7 @@ pub enum RegistryError {
     },
     /// There are as many indices as a limit allows.
     #[error("there are {max} indices, as many as {setting} allows")]
-    Full {
+    TooManyIndexes {
         /// The name of the limit.
         setting: &'static str,
         /// The limit.
@@ -45,7 +45,7 @@ pub enum RegistryError {
     },
     /// The server takes in nothing that grows it.
     #[error(transparent)]
-    NoRoom(#[from] Full),
+    NoRoom(#[from] WatermarkExceeded),
     /// The index is not in memory: at the start it would have taken too much.
     #[error(
         "its {points} points take about {needed} bytes of memory, too many at the start: {full}"
@@ -56,7 +56,7 @@ pub enum RegistryError {
         /// About the bytes that they take.
         needed: u64,
         /// The memory when it was loaded.
-        full: Full,
+        full: WatermarkExceeded,
     },
     /// A task of the index panicked or was aborted: a bug.
     #[error("a task of the index did not finish")]

@@ -30,7 +30,7 @@ use super::{
     stored::FirstWrite,
     subscribers::{Subscriber, Subscribers},
 };
-use crate::log::{Effects, Entry, LogError, Retention, Tip, Uid, View, Window};
+use crate::log::{Effects, Entry, LogError, RecordPosition, Retention, Uid, View, Window};
 
 /// One frozen revision of an index. It does not change while it is held.
 pub struct Published {
@@ -118,7 +118,7 @@ impl Hosted {
             view,
         });
         let space = Arc::new(entry.space.clone());
-        let applied = (entry.uid, published.view.tip());
+        let applied = (entry.uid, published.view.position());
         let hosted = Arc::new(Self {
             name: entry.name.clone(),
             label: host.labels.of(&entry.name),
@@ -340,7 +340,12 @@ impl Hosted {
 }
 
 impl ApplyLoop {
-    fn start(number: u64, hosted: Weak<Hosted>, host: &Host, (uid, applied): (Uid, Tip)) -> Self {
+    fn start(
+        number: u64,
+        hosted: Weak<Hosted>,
+        host: &Host,
+        (uid, applied): (Uid, RecordPosition),
+    ) -> Self {
         let (receipts, awaited) = mpsc::unbounded_channel();
         let records = host.log.journal.follow_applied(uid, applied);
         let task = tokio::spawn(apply::run(hosted, number, records, awaited));

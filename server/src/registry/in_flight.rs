@@ -5,11 +5,11 @@ use std::{collections::VecDeque, sync::Arc};
 use tokio::sync::oneshot;
 
 use super::RegistryError;
-use crate::log::{Record, Tip};
+use crate::log::{Record, RecordPosition};
 
 /// The end of a submitted record.
 #[derive(Clone, Debug)]
-pub(super) enum Fate {
+pub(super) enum Decision {
     /// It is published.
     Published,
     /// Another writer's record took its revision. The mutation must be evaluated again.
@@ -29,14 +29,14 @@ pub(super) struct InFlight {
 }
 
 struct SubmittedRecord {
-    tip: Tip,
+    position: RecordPosition,
     /// True if the journal refused it. It is void once the records before it are decided.
     is_refused: bool,
-    waiting: Vec<oneshot::Sender<Fate>>,
+    waiting: Vec<oneshot::Sender<Decision>>,
 }
 
 /// Calls to notify once the index has published what decided their records.
-pub(super) type Notifications = Vec<(oneshot::Sender<Fate>, Fate)>;
+pub(super) type Notifications = Vec<(oneshot::Sender<Decision>, Decision)>;
 
 impl InFlight {
     /// The number of times that records were refused. The pending records of an earlier count are void.
@@ -52,12 +52,16 @@ impl InFlight {
     /// Adds the next record, evaluated when the refusals were at this number. It is refused at once if another record
     /// has its revision, or if a record that it follows was refused. The error is then the revision to wait for before
     /// the next attempt.
-    pub(super) fn add(&mut self, tip: Tip, refusals: u64) -> Result<oneshot::Receiver<Fate>, u64> {
-        if tip.revision <= self.decided || self.refusals != refusals {
+    pub(super) fn add(
+        &mut self,
+        position: RecordPosition,
+        refusals: u64,
+    ) -> Result<oneshot::Receiver<Decision>, u64> {
+        if position.revision <= self.decided || self.refusals != refusals {
             return Err(self.decided);
         }
         self.records.push_back(SubmittedRecord {
-            tip,
+            position,
             is_refused: false,
             waiting: Vec::new(),
         });
@@ -65,30 +69,38 @@ impl InFlight {
     }
 
     /// Takes back the last record, which the journal did not take.
-    pub(super) fn take_back(&mut self, tip: Tip) {
-        if self.records.back().is_some_and(|last| last.tip == tip) {
+    pub(super) fn take_back(&mut self, position: RecordPosition) {
+        if self
+            .records
+            .back()
+            .is_some_and(|last| last.position == position)
+        {
             self.records.pop_back();
         }
     }
 
-    /// Waits for the record `tip`, which was submitted when the refusals were at this number.
-    pub(super) fn wait_for(&mut self, tip: Tip, refusals: u64) -> oneshot::Receiver<Fate> {
+    /// Waits for the record `position`, which was submitted when the refusals were at this number.
+    pub(super) fn wait_for(
+        &mut self,
+        position: RecordPosition,
+        refusals: u64,
+    ) -> oneshot::Receiver<Decision> {
         match self.records.back() {
-            Some(last) if last.tip == tip => self.wait_for_last(),
+            Some(last) if last.position == position => self.wait_for_last(),
             _ => {
                 let (sender, receiver) = oneshot::channel();
-                let fate = match self.refusals == refusals {
-                    true => Fate::Published,
-                    false => Fate::Refused,
+                let decision = match self.refusals == refusals {
+                    true => Decision::Published,
+                    false => Decision::Refused,
                 };
                 // The receiver is held in this scope.
-                let _ = sender.send(fate);
+                let _ = sender.send(decision);
                 receiver
             }
         }
     }
 
-    fn wait_for_last(&mut self) -> oneshot::Receiver<Fate> {
+    fn wait_for_last(&mut self) -> oneshot::Receiver<Decision> {
         let (sender, receiver) = oneshot::channel();
         if let Some(last) = self.records.back_mut() {
             last.waiting.push(sender);
@@ -105,22 +117,26 @@ impl InFlight {
             let Some(first) = self.records.front() else {
                 break;
             };
-            if first.tip != record.tip() {
+            if first.position != record.position() {
                 self.refuse(&mut decided);
                 break;
             }
             let first = self.records.pop_front().into_iter();
             let waiting = first.flat_map(|first| first.waiting);
-            decided.extend(waiting.map(|waiting| (waiting, Fate::Published)));
+            decided.extend(waiting.map(|waiting| (waiting, Decision::Published)));
         }
         self.refuse_first(&mut decided);
         decided
     }
 
     /// Notes that the journal refused this record without having another one in its place: an earlier record was lost.
-    pub(super) fn refused(&mut self, tip: Tip) -> Notifications {
+    pub(super) fn refused(&mut self, position: RecordPosition) -> Notifications {
         let mut decided = Notifications::new();
-        if let Some(refused) = self.records.iter_mut().find(|record| record.tip == tip) {
+        if let Some(refused) = self
+            .records
+            .iter_mut()
+            .find(|record| record.position == position)
+        {
             refused.is_refused = true;
             self.refuse_first(&mut decided);
         }
@@ -137,22 +153,22 @@ impl InFlight {
     fn refuse(&mut self, decided: &mut Notifications) {
         self.refusals += 1;
         let waiting = self.records.drain(..).flat_map(|record| record.waiting);
-        decided.extend(waiting.map(|waiting| (waiting, Fate::Refused)));
+        decided.extend(waiting.map(|waiting| (waiting, Decision::Refused)));
     }
 
     /// Forgets all submitted records: it is unknown which of them are in the journal.
     pub(super) fn fail(&mut self, why: &RegistryError) -> Notifications {
         self.refusals += 1;
         let waiting = self.records.drain(..).flat_map(|record| record.waiting);
-        let failed = waiting.map(|waiting| (waiting, Fate::Failed(why.clone())));
+        let failed = waiting.map(|waiting| (waiting, Decision::Failed(why.clone())));
         failed.collect()
     }
 }
 
 /// Notifies calls.
 pub(super) fn notify(decided: Notifications) {
-    for (waiting, fate) in decided {
+    for (waiting, decision) in decided {
         // The caller may have left.
-        let _ = waiting.send(fate);
+        let _ = waiting.send(decision);
     }
 }

@@ -24,7 +24,7 @@ impl IndexLimit {
         if names.filter(|name| (self.counts)(name)).count() < self.max {
             return Ok(());
         }
-        Err(RegistryError::Full {
+        Err(RegistryError::TooManyIndexes {
             setting: self.setting,
             max: self.max,
         })

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use wayfold_index::{ApplyError, Forest, PointRef, Points, Space};
 
 use super::Host;
-use crate::watermark::Full;
+use crate::watermark::WatermarkExceeded;
 
 /// Memory is checked each time that the points that were read take this much more.
 const CHECKED_BYTES: usize = 4 * 1024 * 1024;
@@ -40,7 +40,7 @@ impl Host {
 /// The error of a forest that is not built.
 pub(super) enum LoadError {
     /// It would take more memory than there is.
-    Full(Full),
+    Full(WatermarkExceeded),
     /// These points are refused.
     Refused(Box<Points>, ApplyError),
 }

@@ -261,7 +261,7 @@ impl Registry {
 
     /// Creates an index, or finds the one of this name with an equal space; the flag is true if it was created.
     /// [`RegistryError::Exists`] if its space differs, or both declare other payload encodings,
-    /// [`RegistryError::Full`] if there are as many indices as `limits`
+    /// [`RegistryError::TooManyIndexes`] if there are as many indices as `limits`
     /// allow. Blocks on the log.
     pub fn create(
         &self,

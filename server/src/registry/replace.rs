@@ -112,21 +112,21 @@ mod tests {
 
     /// Submits the next record to a journal: it stores a point and has an operation.
     fn submit(journal: &MemoryLog, uid: Uid) {
-        let tip = journal.view(uid).unwrap().tip();
+        let position = journal.view(uid).unwrap().position();
         let mut effects = Effects::new(1);
         let point = PointRef {
-            id: tip.revision,
+            id: position.revision,
             tag: 0,
-            revision: tip.revision + 1,
+            revision: position.revision + 1,
             row: &[0.5],
         };
         effects.store(point, Outcome::Inserted, Bytes::new());
         effects.set_operation(Some(Arc::new(Operation {
-            id: format!("operation {}", tip.revision + 1),
+            id: format!("operation {}", position.revision + 1),
             fingerprint: [1; 32],
             response: Bytes::new(),
         })));
-        let record = Arc::new(Record::after(tip, effects));
+        let record = Arc::new(Record::after(position, effects));
         journal.submit(uid, Arc::clone(&record)).unwrap();
         // It follows its own records beyond what it keeps until it has applied them.
         journal.apply(uid, &[record]).unwrap();
@@ -161,11 +161,11 @@ mod tests {
     /// A copy of all that a peer has.
     fn copy(registry: &Registry, peer: &MemoryLog, uid: Uid) -> Result<Arc<Hosted>, RegistryError> {
         let view = peer.view(uid).unwrap();
-        let tip = view.tip();
+        let position = view.position();
         let origin = Origin {
-            revision: tip.revision,
+            revision: position.revision,
             next_id: view.next_id(),
-            digest: tip.digest,
+            digest: position.digest,
         };
         let mut restore = registry.replace(uid, origin)?;
         for point in view.page(None, 100).unwrap() {

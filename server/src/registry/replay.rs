@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     log::{Entry, LogError, StoredPoint},
-    watermark::Full,
+    watermark::WatermarkExceeded,
 };
 
 /// Replay logs its progress once per this many points.
@@ -58,7 +58,7 @@ fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError>
 struct StoredPoints<'a> {
     entry: &'a Entry,
     /// Their forest, until memory runs out: the rest of the points are only counted.
-    loader: Result<Loader, Full>,
+    loader: Result<Loader, WatermarkExceeded>,
     payload_sizes: PayloadSizes,
     count: usize,
     last: Option<u64>,

@@ -88,7 +88,7 @@ pub(crate) fn reseed(
     let origin = Origin {
         revision: view.revision(),
         next_id: view.next_id(),
-        digest: view.tip().digest,
+        digest: view.position().digest,
     };
     let mut restoring = log.points.restore(entry.clone(), origin)?;
     let (mut after, mut points) = (None, 0);

@@ -14,8 +14,8 @@ use super::{
     payload_sizes::PayloadSizes,
 };
 use crate::log::{
-    Effects, Entry, Log, LogError, Origin, Record, Restoring, RunId, Sessions, StoredPoint, Tip,
-    Uid,
+    Effects, Entry, Log, LogError, Origin, Record, RecordPosition, Restoring, RunId, Sessions,
+    StoredPoint, Uid,
 };
 
 /// An index that is being restored. If it is dropped before [`Registry::host`], nothing is left behind.
@@ -31,7 +31,7 @@ pub struct Restore {
 
 impl Registry {
     /// Begins to restore an index as a copy of another, under a new uid. [`RegistryError::Taken`] if the name is taken,
-    /// [`RegistryError::Full`] if there are as many indices as `limits` allow; [`Registry::host`] checks both again.
+    /// [`RegistryError::TooManyIndexes`] if there are as many indices as `limits` allow; [`Registry::host`] checks both again.
     /// Blocks on the log.
     pub fn restore(
         &self,
@@ -124,11 +124,11 @@ pub(crate) fn publish(
     (entry, replaced): (&Entry, Option<Uid>),
     origin: Origin,
 ) -> Result<(), LogError> {
-    let tip = Tip {
+    let position = RecordPosition {
         revision: origin.revision,
         digest: origin.digest,
     };
-    let fence = Record::made_by(run, tip, Effects::new(entry.space.coordinates()));
+    let fence = Record::made_by(run, position, Effects::new(entry.space.coordinates()));
     let published = log.journal.begin(entry.uid, Arc::new(fence));
     let is_begun = published.is_ok();
     let claimed = published.and_then(|()| log.catalogue.claim(entry, replaced));

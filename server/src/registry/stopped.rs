@@ -6,7 +6,7 @@ use std::sync::{Arc, atomic::Ordering::Relaxed};
 use tracing::error;
 
 use super::{Hosted, IndexState, Published, Registry, RegistryError};
-use crate::log::{Digest, LogError, Operation, Record, Tip, Uid};
+use crate::log::{Digest, LogError, Operation, Record, RecordPosition, Uid};
 
 /// An index that follows its journal no more.
 #[derive(Clone, Debug)]
@@ -16,7 +16,7 @@ pub(crate) struct Stopped {
     /// Its uid.
     pub(crate) uid: Uid,
     /// The newest record that this server has applied; None if its points cannot be read.
-    pub(crate) tip: Option<Tip>,
+    pub(crate) position: Option<RecordPosition>,
     /// A revision that its readers may have seen: no older copy may take its place.
     pub(crate) min_revision: u64,
     /// True if it may go on by itself: NATS may have answered from the past, or gets back what it has lost.
@@ -63,19 +63,19 @@ impl Registry {
                     if hosted.is_contradicted() {
                         return None;
                     }
-                    let tip = hosted.published().view.tip();
+                    let position = hosted.published().view.position();
                     Stopped {
                         name,
                         uid,
-                        tip: Some(tip),
-                        min_revision: tip.revision,
+                        position: Some(position),
+                        min_revision: position.revision,
                         may_pass: hosted.is_ahead(),
                     }
                 }
                 IndexState::Damaged(_, why) => Stopped {
                     name,
                     uid,
-                    tip: None,
+                    position: None,
                     min_revision: revision_before(why)?,
                     may_pass: false,
                 },
@@ -112,12 +112,18 @@ impl Registry {
     }
 
     /// True if the journal has this record. Blocks.
-    pub(crate) fn is_in_journal(&self, uid: Uid, tip: Tip) -> Result<bool, LogError> {
-        let Some(before) = tip.revision.checked_sub(1) else {
+    pub(crate) fn is_in_journal(
+        &self,
+        uid: Uid,
+        position: RecordPosition,
+    ) -> Result<bool, LogError> {
+        let Some(before) = position.revision.checked_sub(1) else {
             return Ok(true);
         };
         let found = self.host.log.journal.read(uid, Some(before), 1)?;
-        Ok(found.first().is_some_and(|found| found.tip() == tip))
+        Ok(found
+            .first()
+            .is_some_and(|found| found.position() == position))
     }
 }
 
@@ -185,9 +191,9 @@ impl Hosted {
 
     /// The digest of the record of a revision that this server has applied; None if the server does not keep it. Blocks.
     pub(crate) fn digest_at(&self, revision: u64) -> Result<Option<Digest>, RegistryError> {
-        let tip = self.published().view.tip();
-        if tip.revision == revision {
-            return Ok(Some(tip.digest));
+        let position = self.published().view.position();
+        if position.revision == revision {
+            return Ok(Some(position.digest));
         }
         if revision == 0 {
             return Ok(Some(Record::NO_PREVIOUS));

@@ -12,7 +12,7 @@ use std::{
 use tokio::{sync::Mutex, time::Instant};
 
 use super::{Hosted, Registry, RegistryError};
-use crate::log::{LogError, Tip, Uid};
+use crate::log::{LogError, RecordPosition, Uid};
 
 /// The bounds of the time between two trims of old records.
 const MIN_TRIM_INTERVAL: Duration = Duration::from_secs(1);
@@ -28,9 +28,9 @@ pub(crate) struct StoredRevision {
     /// The oldest revision in its window; None if that has no record, as after a copy.
     pub(crate) oldest: Option<u64>,
     /// The newest record that it has applied.
-    pub(crate) applied: Tip,
+    pub(crate) applied: RecordPosition,
     /// The record of the revision that was asked for, if the server keeps it.
-    pub(crate) requested: Option<Tip>,
+    pub(crate) requested: Option<RecordPosition>,
 }
 
 impl Registry {
@@ -88,12 +88,12 @@ impl Hosted {
     }
 
     fn stored(&self, requested: Option<u64>) -> Result<StoredRevision, RegistryError> {
-        let tip = self.published().view.tip();
-        let applied = tip.revision;
+        let position = self.published().view.position();
+        let applied = position.revision;
         let requested = match requested {
             Some(revision) => self
                 .digest_at(revision)?
-                .map(|digest| Tip { revision, digest }),
+                .map(|digest| RecordPosition { revision, digest }),
             None => None,
         };
         let durable = self.host.log.points.durable(self.uid())?;
@@ -102,7 +102,7 @@ impl Hosted {
             // A server that has stopped may store records that the journal does not have.
             is_durable: durable.is_some() && self.follows(),
             oldest: self.host.log.journal.oldest_kept(self.uid())?,
-            applied: tip,
+            applied: position,
             requested,
         })
     }

@@ -11,7 +11,7 @@ use tokio::sync::OwnedMutexGuard;
 use wayfold_index::{Overlay, Point, Space};
 
 use super::Published;
-use crate::log::{Operation, Record, Sessions, Tip};
+use crate::log::{Operation, Record, RecordPosition, Sessions};
 
 /// Exclusive access to an index's writer.
 pub struct WriteGuard {
@@ -113,14 +113,14 @@ impl Writer {
     }
 
     /// The newest record, pending ones included.
-    pub fn tip(&self) -> Tip {
+    pub fn position(&self) -> RecordPosition {
         let last = self.pending.back();
-        last.map_or_else(|| self.base.view.tip(), |last| last.record.tip())
+        last.map_or_else(|| self.base.view.position(), |last| last.record.position())
     }
 
     /// The revision of the newest record, pending ones included.
     pub fn revision(&self) -> u64 {
-        self.tip().revision
+        self.position().revision
     }
 
     /// The writer sessions.

@@ -13,12 +13,12 @@ use super::{
 const FRAME_BYTES: usize = 256;
 
 /// The bytes left of an answer. They are counted from above: an answer that fits here fits on the wire.
-pub(super) struct Room {
+pub(super) struct AnswerBudget {
     limit: usize,
     left: usize,
 }
 
-impl Room {
+impl AnswerBudget {
     pub(super) fn new(limits: &Limits) -> Self {
         Self {
             limit: limits.max_answer_bytes,
@@ -66,13 +66,13 @@ pub(super) fn missing(id: u64) -> Error {
 pub(super) struct NeighborColumns {
     include: v1::Include,
     width: usize,
-    room: Room,
+    budget: AnswerBudget,
     columns: v1::Neighbors,
 }
 
 impl NeighborColumns {
     /// Empty columns, for states of `width` coordinates.
-    pub(super) fn new(include: Option<v1::Include>, width: usize, room: Room) -> Self {
+    pub(super) fn new(include: Option<v1::Include>, width: usize, budget: AnswerBudget) -> Self {
         let include = include.unwrap_or_default();
         Self {
             columns: v1::Neighbors {
@@ -81,7 +81,7 @@ impl NeighborColumns {
             },
             include,
             width,
-            room,
+            budget,
         }
     }
 
@@ -96,9 +96,9 @@ impl NeighborColumns {
         8 + 8 + state + tag
     }
 
-    /// A number of neighbours that certainly exceeds the room: a search need not find more.
+    /// A number of neighbours that certainly exceeds the budget: a search need not find more.
     pub(super) fn too_many(&self) -> usize {
-        self.room.left / self.fixed_bytes() + 1
+        self.budget.left / self.fixed_bytes() + 1
     }
 
     /// Adds the neighbours of the next state without their payloads.
@@ -107,7 +107,7 @@ impl NeighborColumns {
         source: &impl Source,
         neighbors: &[Neighbor],
     ) -> Result<(), Error> {
-        self.room.take(
+        self.budget.take(
             encoded_len_varint(neighbors.len() as u64) + neighbors.len() * self.fixed_bytes(),
         )?;
         self.columns.neighbor_counts.push(neighbors.len() as u32);
@@ -135,7 +135,7 @@ impl NeighborColumns {
 
     /// Adds the payload of the next neighbour.
     pub(super) fn push_payload(&mut self, payload: Bytes) -> Result<(), Error> {
-        self.room.take(payload_bytes(&payload))?;
+        self.budget.take(payload_bytes(&payload))?;
         self.columns.payloads.push(payload);
         Ok(())
     }
@@ -149,7 +149,7 @@ impl NeighborColumns {
                 .take(BATCH_ROWS)
                 .copied()
                 .collect();
-            for payload in view.payloads(batch, self.room.remaining()).await? {
+            for payload in view.payloads(batch, self.budget.remaining()).await? {
                 self.push_payload(payload)?;
             }
         }
@@ -165,7 +165,7 @@ impl NeighborColumns {
             self.columns.tags.push(point.tag);
         }
         if self.include.with_revisions {
-            self.room.take(encoded_len_varint(point.revision))?;
+            self.budget.take(encoded_len_varint(point.revision))?;
             self.columns.revisions.push(point.revision);
         }
         Ok(())

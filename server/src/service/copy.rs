@@ -56,8 +56,8 @@ impl Service {
             return refused("it has stopped following the journal itself");
         }
         let applied = match &request.applied {
-            Some(place) => match place.tip() {
-                Some(tip) => Some(tip),
+            Some(place) => match place.position() {
+                Some(position) => Some(position),
                 None => return refused("the request names no digest"),
             },
             None => None,
@@ -89,7 +89,7 @@ impl Service {
             return refused(&why);
         }
         let start = CopyStart {
-            tip: Some(published.view.tip().into()),
+            position: Some(published.view.position().into()),
             operations: operations.len() as u64,
             is_compared: digest.is_some(),
         };

@@ -8,7 +8,7 @@ use wayfold_proto::v1;
 
 use crate::{
     identity::Denial,
-    watermark::{Full, Resource},
+    watermark::{Resource, WatermarkExceeded},
 };
 
 /// One field that is wrong.
@@ -184,7 +184,7 @@ pub enum Error {
     )]
     Full {
         /// The resource and its use.
-        full: Full,
+        full: WatermarkExceeded,
     },
     /// The index would exceed a quota.
     #[error(
@@ -213,7 +213,7 @@ pub enum Error {
         /// About the bytes that they take.
         needed: u64,
         /// The memory when it was loaded.
-        full: Full,
+        full: WatermarkExceeded,
     },
     /// No ids are left to assign.
     #[error(

@@ -20,7 +20,7 @@ use super::{
     member::{StoredIndex, StoredRequest},
 };
 use crate::{
-    log::{Digest, Tip},
+    log::{Digest, RecordPosition},
     registry::{ComparisonFailure, Hosted},
 };
 
@@ -92,7 +92,7 @@ async fn compare_in_turn(
 
 /// Compares the records of an index with those of all members that answer.
 async fn compare(peers: &dyn Peers, hosted: &Arc<Hosted>) -> Result<(), Error> {
-    let own = hosted.published().view.tip();
+    let own = hosted.published().view.position();
     let members = peers.peers(hosted.uid());
     let asking = members.iter().map(|member| ask(peers, member, hosted, own));
     let answers = join_all(asking).await;
@@ -120,8 +120,8 @@ async fn ask(
     peers: &dyn Peers,
     member: &str,
     hosted: &Hosted,
-    own: Tip,
-) -> Option<(Tip, Option<Tip>)> {
+    own: RecordPosition,
+) -> Option<(RecordPosition, Option<RecordPosition>)> {
     let request = StoredRequest {
         uids: vec![hosted.uid_text().into()],
         revisions: vec![own.revision],
@@ -142,8 +142,8 @@ async fn ask(
     };
     let is_it = |index: &StoredIndex| index.uid == hosted.uid_text();
     let index = answer.indexes.into_iter().find(is_it)?;
-    let requested = index.requested.and_then(|requested| requested.tip());
-    Some((index.applied?.tip()?, requested))
+    let requested = index.requested.and_then(|requested| requested.position());
+    Some((index.applied?.position()?, requested))
 }
 
 /// The digest of this server's record of a revision, if it keeps that.
@@ -157,7 +157,12 @@ async fn digest_at(hosted: &Arc<Hosted>, revision: u64) -> Result<Option<Digest>
 }
 
 /// Fails if a member has applied another record than this server, whose record has this digest.
-fn agree(hosted: &Hosted, member: &str, applied: Tip, digest: Option<Digest>) -> Result<(), Error> {
+fn agree(
+    hosted: &Hosted,
+    member: &str,
+    applied: RecordPosition,
+    digest: Option<Digest>,
+) -> Result<(), Error> {
     if digest.is_none_or(|digest| digest == applied.digest) {
         return Ok(());
     }
@@ -172,7 +177,7 @@ fn agree(hosted: &Hosted, member: &str, applied: Tip, digest: Option<Digest>) ->
 }
 
 /// The error of a mutation while a member has records that this server lacks.
-fn behind(hosted: &Hosted, member: &str, applied: Tip) -> Error {
+fn behind(hosted: &Hosted, member: &str, applied: RecordPosition) -> Error {
     let (index, revision) = (hosted.name(), applied.revision);
     let own_revision = hosted.published().revision;
     Error::StorageFailed {

@@ -4,7 +4,7 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    answer::{PointColumns, Room, missing},
+    answer::{AnswerBudget, PointColumns, missing},
     check::{self, Violations},
     read_view::{ReadView, revision, revision_number},
     stored::BATCH_ROWS,
@@ -49,11 +49,11 @@ impl Service {
             index: hosted.name(),
             published: &published,
         };
-        let mut room = Room::new(self.limits());
+        let mut budget = AnswerBudget::new(self.limits());
         let mut points = PointColumns::new(request.include);
         for ids in request.ids.chunks(BATCH_ROWS) {
             let mut payloads = match points.with_payloads() {
-                true => view.payloads(ids.to_vec(), room.remaining()).await?,
+                true => view.payloads(ids.to_vec(), budget.remaining()).await?,
                 false => Vec::new(),
             }
             .into_iter();
@@ -61,8 +61,8 @@ impl Service {
                 let point = published.snapshot.get(id).ok_or_else(|| missing(id))?;
                 let before = points.bytes();
                 points.push(point.by_ref(), payloads.next());
-                // Fails at the last payload if they exceed the room.
-                room.take(points.bytes() - before)?;
+                // Fails at the last payload if they exceed the budget.
+                budget.take(points.bytes() - before)?;
                 pace.step().await?;
             }
         }

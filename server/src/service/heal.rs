@@ -28,7 +28,7 @@ use super::{
     session_pages::add_restored,
 };
 use crate::{
-    log::{Operation, Origin, Sessions, Tip, Uid},
+    log::{Operation, Origin, RecordPosition, Sessions, Uid},
     registry::{Registry, Restore, Stopped},
 };
 
@@ -176,7 +176,7 @@ async fn heal_index(
     index: &Stopped,
 ) -> Result<(), NoCopy> {
     let mut min_revision = index.min_revision;
-    if index.tip.is_none() {
+    if index.position.is_none() {
         // The revision that its readers saw is unknown. They cannot have seen more than the journal has.
         let newest = blocking(registry, |registry, uid| registry.newest(uid), index.uid).await;
         match newest {
@@ -187,7 +187,7 @@ async fn heal_index(
     }
     let request = CopyRequest {
         uid: index.uid.to_string(),
-        applied: index.tip.map(Into::into),
+        applied: index.position.map(Into::into),
         min_revision,
     };
     let (mut failures, mut late) = (Vec::new(), HashSet::new());
@@ -195,7 +195,7 @@ async fn heal_index(
     // A member that knows the newest record of this server speaks before one that does not: it may contradict.
     let compared = members.iter().map(|member| (member, true));
     let others = members.iter().map(|member| (member, false));
-    let is_comparable = index.tip.is_some();
+    let is_comparable = index.position.is_some();
     for (member, must_compare) in compared.filter(|_| is_comparable).chain(others) {
         if late.contains(member) {
             continue;
@@ -252,11 +252,11 @@ async fn copy_from(
         CopyKind::Refused(why) => return Err(Failure::Other(why)),
         CopyKind::Snapshot(_) | CopyKind::Operations(_) => return Err(out_of_order()),
     };
-    let tip = start.tip.as_ref().and_then(|place| place.tip());
-    let tip = tip.ok_or_else(out_of_order)?;
-    let needed = index.tip.map_or(0, |tip| tip.revision + 1);
-    if tip.revision < needed.max(request.min_revision) {
-        let revision = tip.revision;
+    let position = start.position.as_ref().and_then(|place| place.position());
+    let position = position.ok_or_else(out_of_order)?;
+    let needed = index.position.map_or(0, |position| position.revision + 1);
+    if position.revision < needed.max(request.min_revision) {
+        let revision = position.revision;
         return Err(Failure::Other(format!(
             "its copy is of revision {revision}"
         )));
@@ -265,9 +265,9 @@ async fn copy_from(
         let why = "it does not know the newest record of this server";
         return Err(Failure::Other(why.into()));
     }
-    let in_journal = move |registry: &Registry, uid| registry.is_in_journal(uid, tip);
+    let in_journal = move |registry: &Registry, uid| registry.is_in_journal(uid, position);
     if !blocking(registry, in_journal, index.uid).await? {
-        let revision = tip.revision;
+        let revision = position.revision;
         return Err(Failure::Other(format!(
             "the journal does not have its record of revision {revision}"
         )));
@@ -275,7 +275,7 @@ async fn copy_from(
     let mut draft = Draft {
         service: service.clone(),
         uid: index.uid,
-        tip,
+        position,
         reader: Reader::new(),
         restore: None,
         sessions: Sessions::default(),
@@ -290,7 +290,7 @@ async fn copy_from(
         tokio::task::spawn_blocking(move || draft.host()).await?
     };
     match rest.await {
-        Ok(()) => Ok((tip.revision, start.is_compared)),
+        Ok(()) => Ok((position.revision, start.is_compared)),
         Err(Failure::Other(why)) => Err(Failure::Late(why)),
         Err(failure) => Err(failure),
     }
@@ -322,7 +322,7 @@ fn out_of_order() -> Failure {
 struct Draft {
     service: Service,
     uid: Uid,
-    tip: Tip,
+    position: RecordPosition,
     reader: Reader,
     /// Set by the header.
     restore: Option<Restore>,
@@ -362,13 +362,13 @@ impl Draft {
     }
 
     fn begin(&mut self, header: &Header) -> Result<(), Failure> {
-        if header.uid != self.uid.to_string() || header.revision != self.tip.revision {
+        if header.uid != self.uid.to_string() || header.revision != self.position.revision {
             return Err(Failure::Other("its copy is that of another index".into()));
         }
         let origin = Origin {
             revision: header.revision,
             next_id: header.next_id,
-            digest: self.tip.digest,
+            digest: self.position.digest,
         };
         let restore = self.service.registry()?.replace(self.uid, origin)?;
         if *restore.space() != header.space {

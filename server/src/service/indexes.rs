@@ -120,7 +120,7 @@ impl Service {
                 existing,
                 requested,
             },
-            RegistryError::Full { setting, max } => too_many_indexes(setting, max),
+            RegistryError::TooManyIndexes { setting, max } => too_many_indexes(setting, max),
             error => registry_error(&request.name, error),
         })?;
         Ok(v1::CreateIndexResponse {

@@ -11,10 +11,10 @@ use wayfold_proto::v1;
 use self::evaluation::Evaluation;
 use super::{
     Call, Error, Limits, Service,
-    answer::Room,
+    answer::AnswerBudget,
     call::TimeSlicer,
     check::{self, Rows, Violations},
-    mutation::{Claim, Start, refused},
+    mutation::{IdempotencyKey, Start, refused},
     neighbor_spec::NeighborSpec,
     payloads::{Payloads, UnreadPayloads},
     prefetch::Prefetch,
@@ -54,7 +54,7 @@ impl Service {
             return answer;
         }
         let mut pace = call.pace(DOING);
-        let claim = Claim::of("Insert", &request.operation_id, &request, &mut pace).await?;
+        let key = IdempotencyKey::of("Insert", &request.operation_id, &request, &mut pace).await?;
         let insertion = Insertion::check(request, &hosted, self.limits(), &mut pace).await?;
 
         let mut base = hosted.published();
@@ -68,7 +68,7 @@ impl Service {
         loop {
             let mut writer = match held.take() {
                 Some(writer) => writer,
-                None => match self.begin(call, &hosted, claim.as_ref()).await? {
+                None => match self.begin(call, &hosted, key.as_ref()).await? {
                     Start::Remembered(response) => return Ok(response),
                     Start::Writing(writer) => writer,
                 },
@@ -99,8 +99,8 @@ impl Service {
                 };
                 let after = writer.revision() + u64::from(!effects.is_empty());
                 response.revision = Some(revision(&hosted, after));
-                let claim = claim.as_ref();
-                let committed = self.commit(call, &hosted, writer, effects, claim, &response);
+                let key = key.as_ref();
+                let committed = self.commit(call, &hosted, writer, effects, key, &response);
                 if committed.await? == CommitOutcome::Done {
                     return Ok(response);
                 }
@@ -120,7 +120,7 @@ impl Service {
             // The answer has all of these payloads, and maybe more; but a row may still replace what it is compared
             // with.
             if is_compared {
-                Room::new(self.limits()).take(read)?;
+                AnswerBudget::new(self.limits()).take(read)?;
             }
         }
     }

@@ -9,7 +9,7 @@ use futures_util::{future::BoxFuture, stream::BoxStream};
 use thiserror::Error;
 use wayfold_proto::v1;
 
-use crate::log::{Operation, Tip, Uid};
+use crate::log::{Operation, RecordPosition, Uid};
 
 /// The path of the service.
 pub(crate) const SERVICE: &str = "wayfold.member.v1.MemberService";
@@ -22,7 +22,7 @@ pub(crate) const STORED: &str = "/wayfold.member.v1.MemberService/Stored";
 
 /// A record's place in the log of its index.
 #[derive(Clone, PartialEq, prost::Message)]
-pub struct RecordPosition {
+pub struct WirePosition {
     /// Its revision.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
@@ -31,19 +31,19 @@ pub struct RecordPosition {
     pub digest: Bytes,
 }
 
-impl From<Tip> for RecordPosition {
-    fn from(tip: Tip) -> Self {
+impl From<RecordPosition> for WirePosition {
+    fn from(position: RecordPosition) -> Self {
         Self {
-            revision: tip.revision,
-            digest: Bytes::copy_from_slice(&tip.digest),
+            revision: position.revision,
+            digest: Bytes::copy_from_slice(&position.digest),
         }
     }
 }
 
-impl RecordPosition {
+impl WirePosition {
     /// The record; None if the digest is none.
-    pub(crate) fn tip(&self) -> Option<Tip> {
-        Some(Tip {
+    pub(crate) fn position(&self) -> Option<RecordPosition> {
+        Some(RecordPosition {
             revision: self.revision,
             digest: self.digest[..].try_into().ok()?,
         })
@@ -58,7 +58,7 @@ pub struct CopyRequest {
     pub uid: String,
     /// The newest record that the asking member has applied; absent if it cannot read its points.
     #[prost(message, optional, tag = "2")]
-    pub applied: Option<RecordPosition>,
+    pub applied: Option<WirePosition>,
     /// The least revision that the copy may have.
     #[prost(uint64, tag = "3")]
     pub min_revision: u64,
@@ -97,7 +97,7 @@ pub enum CopyKind {
 pub struct CopyStart {
     /// The newest record in the copy.
     #[prost(message, optional, tag = "1")]
-    pub tip: Option<RecordPosition>,
+    pub position: Option<WirePosition>,
     /// The number of operations that follow.
     #[prost(uint64, tag = "2")]
     pub operations: u64,
@@ -186,10 +186,10 @@ pub struct StoredIndex {
     pub oldest: Option<u64>,
     /// The newest record that it has applied.
     #[prost(message, optional, tag = "5")]
-    pub applied: Option<RecordPosition>,
+    pub applied: Option<WirePosition>,
     /// The record of the revision that was asked for; absent if the member does not keep it.
     #[prost(message, optional, tag = "6")]
-    pub requested: Option<RecordPosition>,
+    pub requested: Option<WirePosition>,
 }
 
 /// The parts of a copy as they arrive.

@@ -21,8 +21,8 @@ use crate::{
 /// Bytes of a request digested between two pauses.
 const DIGEST_STEP_BYTES: usize = 64 * 1024;
 
-/// A call's claim to take effect once.
-pub(super) struct Claim {
+/// The key by which a call and its retries take effect once.
+pub(super) struct IdempotencyKey {
     name: Name,
     fingerprint: Digest,
 }
@@ -34,8 +34,8 @@ enum Name {
     Batch(u64, u64, Range<u64>),
 }
 
-impl Claim {
-    /// The claim of a request with this operation id; none if that is empty. The fingerprint covers the whole
+impl IdempotencyKey {
+    /// The key of a request with this operation id; none if that is empty. The fingerprint covers the whole
     /// request, its operation id included.
     pub(super) async fn of(
         verb: &str,
@@ -52,7 +52,7 @@ impl Claim {
         }))
     }
 
-    /// The claim of a batch of a session. The fingerprint leaves out the name and the uid of the index: a restored
+    /// The key of a batch of a session. The fingerprint leaves out the name and the uid of the index: a restored
     /// index has others, and recognises the retry.
     pub(super) async fn of_batch(
         request: &mut v1::WriteRequest,
@@ -74,7 +74,7 @@ impl Claim {
         }
     }
 
-    /// Adds the claim to the effects of its mutation.
+    /// Adds the key to the effects of its mutation.
     fn mark(&self, effects: &mut Effects, response: Bytes) {
         let fingerprint = self.fingerprint;
         match &self.name {
@@ -124,7 +124,7 @@ impl Service {
         &self,
         call: &Call,
         hosted: &Arc<Hosted>,
-        claim: Option<&Claim>,
+        key: Option<&IdempotencyKey>,
     ) -> Result<Start<R>, Error> {
         self.may_write(call, hosted).await?;
         let mut is_caught_up = false;
@@ -136,7 +136,7 @@ impl Service {
                 )
                 .await?
                 .map_err(|error| registry_error(hosted.name(), error))?;
-            let recalled = match recalled(hosted, &writer, claim) {
+            let recalled = match recalled(hosted, &writer, key) {
                 // The records that this server lacks, or those that the journal has not accepted, may make it right.
                 Err(Error::SessionRefused { .. }) if !is_caught_up => {
                     is_caught_up = true;
@@ -169,7 +169,7 @@ impl Service {
         &self,
         call: &Call,
         hosted: &Arc<Hosted>,
-        claim: Option<&Claim>,
+        key: Option<&IdempotencyKey>,
         stored: &mut ReadAhead<Arc<StoredPoint>>,
         ids: &[u64],
     ) -> Result<Start<R>, Error> {
@@ -178,7 +178,7 @@ impl Service {
         let mut reads = 0;
         loop {
             stored.read(call, DOING, hosted, &base, ids).await?;
-            let writer = match self.begin(call, hosted, claim).await? {
+            let writer = match self.begin(call, hosted, key).await? {
                 Start::Writing(writer) => writer,
                 remembered @ Start::Remembered(_) => return Ok(remembered),
             };
@@ -204,7 +204,7 @@ impl Service {
         hosted: &Arc<Hosted>,
         writer: WriteGuard,
         mut effects: Effects,
-        claim: Option<&Claim>,
+        key: Option<&IdempotencyKey>,
         response: &impl Message,
     ) -> Result<CommitOutcome, Error> {
         call.check("before anything was changed")?;
@@ -228,8 +228,8 @@ impl Service {
             count: self.limits().max_operations,
             bytes: self.limits().max_operation_bytes,
         };
-        if let Some(claim) = claim {
-            claim.mark(&mut effects, response.encode_to_vec().into());
+        if let Some(key) = key {
+            key.mark(&mut effects, response.encode_to_vec().into());
         }
         if effects.is_empty() {
             let remember = || {
@@ -264,12 +264,12 @@ impl Service {
 fn recalled<R: Message + Default>(
     hosted: &Hosted,
     writer: &WriteGuard,
-    claim: Option<&Claim>,
+    key: Option<&IdempotencyKey>,
 ) -> Result<Option<R>, Error> {
-    let Some(claim) = claim else {
+    let Some(key) = key else {
         return Ok(None);
     };
-    let (fingerprint, response) = match &claim.name {
+    let (fingerprint, response) = match &key.name {
         Name::Operation(id) => match hosted.recall(writer, id) {
             Some(operation) => (operation.fingerprint, operation.response.clone()),
             None => return Ok(None),
@@ -289,8 +289,8 @@ fn recalled<R: Message + Default>(
             }
         },
     };
-    if fingerprint != claim.fingerprint {
-        return Err(match &claim.name {
+    if fingerprint != key.fingerprint {
+        return Err(match &key.name {
             Name::Operation(id) => Error::OperationMismatch {
                 operation_id: id.clone(),
             },

@@ -4,7 +4,7 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    answer::{NeighborColumns, Room, search},
+    answer::{AnswerBudget, NeighborColumns, search},
     check::{self, Violations},
     neighbor_spec::NeighborSpec,
     read_view::{ReadView, revision, revision_number},
@@ -141,7 +141,7 @@ impl Service {
             index: hosted.name(),
             published: &published,
         };
-        let found = NeighborColumns::new(include, space.coordinates(), Room::new(limits));
+        let found = NeighborColumns::new(include, space.coordinates(), AnswerBudget::new(limits));
         let neighbors = search(&view, &states, completed, found, &mut pace).await?;
         Ok((neighbors, revision(&hosted, published.revision)))
     }

@@ -5,7 +5,7 @@ use wayfold_proto::v1;
 use super::{
     Call, Error, Service,
     check::{self, Violations},
-    mutation::{Claim, Start},
+    mutation::{IdempotencyKey, Start},
     read_view::revision,
 };
 use crate::{identity::Role, log::Effects, registry::CommitOutcome};
@@ -22,7 +22,7 @@ impl Service {
             return answer;
         }
         let mut pace = call.pace("while looking up the points; nothing was changed");
-        let claim = Claim::of("Remove", &request.operation_id, &request, &mut pace).await?;
+        let key = IdempotencyKey::of("Remove", &request.operation_id, &request, &mut pace).await?;
         check::id_count(&request.ids, self.limits())?;
         let mut violations = Violations::default();
         check::ids(&request.ids, &mut pace, &mut violations).await?;
@@ -30,7 +30,7 @@ impl Service {
         violations.finish()?;
 
         loop {
-            let mut writer = match self.begin(call, &hosted, claim.as_ref()).await? {
+            let mut writer = match self.begin(call, &hosted, key.as_ref()).await? {
                 Start::Remembered(response) => return Ok(response),
                 Start::Writing(writer) => writer,
             };
@@ -49,7 +49,7 @@ impl Service {
                 missing_count: request.ids.len() as u64 - removed,
                 revision: Some(revision(&hosted, after)),
             };
-            let committed = self.commit(call, &hosted, writer, effects, claim.as_ref(), &response);
+            let committed = self.commit(call, &hosted, writer, effects, key.as_ref(), &response);
             if committed.await? == CommitOutcome::Done {
                 return Ok(response);
             }

@@ -282,7 +282,7 @@ fn refused(reason: &'static str, description: String) -> Error {
 fn not_restored(name: &str, error: RegistryError) -> Error {
     match error {
         RegistryError::Taken => Error::NameTaken { name: name.into() },
-        RegistryError::Full { setting, max } => too_many_indexes(setting, max),
+        RegistryError::TooManyIndexes { setting, max } => too_many_indexes(setting, max),
         error => registry_error(name, error),
     }
 }

@@ -12,7 +12,7 @@ use wayfold_proto::{END_OF_IDS, v1};
 use super::{
     Call, Error, Limits, Service,
     check::{self, Violations},
-    mutation::{Claim, Start},
+    mutation::{IdempotencyKey, Start},
     read_view::revision,
 };
 use crate::{
@@ -37,10 +37,11 @@ impl Service {
         check::operation_id(&request.operation_id, &mut violations);
         violations.finish()?;
         let mut pace = call.pace("before anything was changed");
-        let claim = Claim::of("OpenSession", &request.operation_id, &request, &mut pace).await?;
-        let claim = claim.as_ref();
+        let key =
+            IdempotencyKey::of("OpenSession", &request.operation_id, &request, &mut pace).await?;
+        let key = key.as_ref();
         loop {
-            let writer = match self.begin(call, &hosted, claim).await? {
+            let writer = match self.begin(call, &hosted, key).await? {
                 Start::Remembered(response) => return Ok(response),
                 Start::Writing(writer) => writer,
             };
@@ -62,7 +63,7 @@ impl Service {
                 reserved,
                 ended,
             })));
-            let committed = self.commit(call, &hosted, writer, effects, claim, &response);
+            let committed = self.commit(call, &hosted, writer, effects, key, &response);
             if committed.await? == CommitOutcome::Done {
                 return Ok(response);
             }

@@ -56,14 +56,14 @@ struct Bounds {
 
 /// The stored revisions of a member that bound the trim.
 #[derive(Clone, Copy)]
-struct Store {
+struct MemberStore {
     revision: u64,
     is_durable: bool,
     /// The oldest revision in its window.
     oldest: Option<u64>,
 }
 
-impl From<StoredRevision> for Store {
+impl From<StoredRevision> for MemberStore {
     fn from(stored: StoredRevision) -> Self {
         Self {
             revision: stored.revision,
@@ -219,9 +219,9 @@ fn note_holder(hosted: &Hosted, bounds: Bounds, held: u64, holders: &mut HashMap
 }
 
 /// The revisions that a member stores. An index whose uid does not parse counts as missing.
-fn read(answer: StoredResponse) -> HashMap<Uid, Store> {
+fn read(answer: StoredResponse) -> HashMap<Uid, MemberStore> {
     let read = answer.indexes.into_iter().filter_map(|index| {
-        let stored = Store {
+        let stored = MemberStore {
             revision: index.revision,
             is_durable: index.is_durable,
             oldest: index.oldest,
@@ -233,13 +233,13 @@ fn read(answer: StoredResponse) -> HashMap<Uid, Store> {
 
 /// The part of an index's journal that each of the members stores, two of them durably, and that no window has. A member
 /// without an answer stores nothing.
-fn bounds(stores: &[(String, Option<HashMap<Uid, Store>>)], uid: Uid) -> Bounds {
-    let stored: Vec<(&String, Option<&Store>)> = stores
+fn bounds(stores: &[(String, Option<HashMap<Uid, MemberStore>>)], uid: Uid) -> Bounds {
+    let stored: Vec<(&String, Option<&MemberStore>)> = stores
         .iter()
         .map(|(member, store)| (member, store.as_ref().and_then(|store| store.get(&uid))))
         .collect();
     let known = || stored.iter().filter_map(|(_, stored)| *stored);
-    let before = |stored: &Store| stored.oldest.map(|oldest| oldest.saturating_sub(1));
+    let before = |stored: &MemberStore| stored.oldest.map(|oldest| oldest.saturating_sub(1));
     // A member whose window is empty asks for no record.
     let newest = known().map(|stored| stored.revision).max();
     let outside = known().filter_map(before).min().or(newest).unwrap_or(0);
@@ -278,8 +278,8 @@ fn bounds(stores: &[(String, Option<HashMap<Uid, Store>>)], uid: Uid) -> Bounds 
 mod tests {
     use super::*;
 
-    fn stored(revision: u64, is_durable: bool, oldest: Option<u64>) -> Option<Store> {
-        Some(Store {
+    fn stored(revision: u64, is_durable: bool, oldest: Option<u64>) -> Option<MemberStore> {
+        Some(MemberStore {
             revision,
             is_durable,
             oldest,
@@ -287,7 +287,7 @@ mod tests {
     }
 
     /// The bounds by what the members "0", "1" … store.
-    fn of(members: &[Option<Store>]) -> (Option<u64>, u64, Option<String>) {
+    fn of(members: &[Option<MemberStore>]) -> (Option<u64>, u64, Option<String>) {
         let uid = Uid::unique();
         let stores = members.iter().enumerate().map(|(number, member)| {
             let store = member.map(|stored| HashMap::from([(uid, stored)]));

@@ -10,7 +10,7 @@ use super::{
     Call, Error, Limits, Service,
     call::TimeSlicer,
     check::{self, Violations},
-    mutation::{Claim, Start, refused},
+    mutation::{IdempotencyKey, Start, refused},
     read_view::{revision, revision_number},
     stored::ReadAhead,
 };
@@ -34,13 +34,13 @@ impl Service {
             return answer;
         }
         let mut pace = call.pace(DOING);
-        let claim = Claim::of("Update", &request.operation_id, &request, &mut pace).await?;
+        let key = IdempotencyKey::of("Update", &request.operation_id, &request, &mut pace).await?;
         let if_revision = check_update(&request, &hosted, self.limits(), &mut pace).await?;
 
         let mut stored = ReadAhead::new(false, Arc::clone);
         loop {
             let writer = match self
-                .begin_with(call, &hosted, claim.as_ref(), &mut stored, &request.ids)
+                .begin_with(call, &hosted, key.as_ref(), &mut stored, &request.ids)
                 .await?
             {
                 Start::Remembered(response) => return Ok(response),
@@ -61,7 +61,7 @@ impl Service {
                 unchanged_count: request.ids.len() as u64 - updated,
                 revision: Some(revision(&hosted, after)),
             };
-            let committed = self.commit(call, &hosted, writer, effects, claim.as_ref(), &response);
+            let committed = self.commit(call, &hosted, writer, effects, key.as_ref(), &response);
             if committed.await? == CommitOutcome::Done {
                 return Ok(response);
             }

@@ -16,7 +16,7 @@ use super::{
     Call, Error, Limits, Service,
     call::TimeSlicer,
     check::{self, Rows, Violations},
-    mutation::{Claim, Start, refused},
+    mutation::{IdempotencyKey, Start, refused},
     read_view::revision,
     session::{block, reserve},
     stored::ReadAhead,
@@ -80,14 +80,14 @@ impl Service {
         }
         let _counted = hosted.begin_batch();
         let mut pace = call.pace(DOING);
-        let mut claim = Claim::of_batch(&mut request, &mut pace).await?;
+        let mut key = IdempotencyKey::of_batch(&mut request, &mut pace).await?;
         let reserve_count = request.reserve_count;
         let steps = Steps::check(request, &hosted, self.limits(), &mut pace).await?;
 
         let mut stored = ReadAhead::new(false, Arc::clone);
         let updated = steps.updated();
         loop {
-            let begun = self.begin_with(call, &hosted, Some(&claim), &mut stored, &updated);
+            let begun = self.begin_with(call, &hosted, Some(&key), &mut stored, &updated);
             let mut writer = match begun.await? {
                 Start::Remembered(response) => return Ok(response),
                 Start::Writing(writer) => writer,
@@ -107,8 +107,8 @@ impl Service {
                 missing_count: missing,
                 revision: Some(revision(&hosted, writer.revision() + 1)),
             };
-            claim.reserve(reserved);
-            let committed = self.commit(call, &hosted, writer, effects, Some(&claim), &response);
+            key.reserve(reserved);
+            let committed = self.commit(call, &hosted, writer, effects, Some(&key), &response);
             if committed.await? == CommitOutcome::Done {
                 return Ok(response);
             }

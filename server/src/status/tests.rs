@@ -9,7 +9,7 @@ use tonic_types::pb;
 use super::*;
 use crate::{
     service::Unavailability,
-    watermark::{Full, Resource},
+    watermark::{Resource, WatermarkExceeded},
 };
 
 /// A message of google.rpc among the details of a status.
@@ -20,8 +20,8 @@ fn decoded<M: Message + Default>(status: &Status, name: &str) -> M {
     M::decode(&*found.value).unwrap()
 }
 
-fn full(resource: Resource) -> Full {
-    Full {
+fn full(resource: Resource) -> WatermarkExceeded {
+    WatermarkExceeded {
         resource,
         used: 90,
         high: 85,

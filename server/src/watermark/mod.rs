@@ -89,7 +89,7 @@ pub struct Level {
     "{used} of {limit} bytes of {resource} would be used, and growth is refused above {high} until {low} ({})",
     resource.setting()
 )]
-pub struct Full {
+pub struct WatermarkExceeded {
     /// The resource.
     pub resource: Resource,
     /// The used bytes, with those that were refused.
@@ -144,7 +144,7 @@ impl Watermark {
     }
 
     /// Takes in about `bytes` more, or refuses them. A resource that cannot be measured refuses nothing.
-    pub fn admit(&self, bytes: u64) -> Result<(), Full> {
+    pub fn admit(&self, bytes: u64) -> Result<(), WatermarkExceeded> {
         let mut state = self.state.lock();
         let Some(level) = self.level(&mut state) else {
             return Ok(());
@@ -159,7 +159,7 @@ impl Watermark {
 
     /// Fails if a start that takes `bytes` more comes too near to the limit. It may pass the high watermark by half of
     /// what is above: all that was taken in below it has to fit again. It measures every time.
-    pub fn fits_at_start(&self, bytes: u64) -> Result<(), Full> {
+    pub fn fits_at_start(&self, bytes: u64) -> Result<(), WatermarkExceeded> {
         let Ok(mut level) = (self.probe)() else {
             return Ok(());
         };
@@ -222,8 +222,8 @@ impl Watermark {
         Some(level)
     }
 
-    fn full(&self, level: &Level, used: u64) -> Full {
-        Full {
+    fn full(&self, level: &Level, used: u64) -> WatermarkExceeded {
+        WatermarkExceeded {
             resource: self.resource,
             used,
             high: level.high,
@@ -248,7 +248,7 @@ impl Watermarks {
     }
 
     /// Takes in about `bytes` more of a call, or refuses and counts it.
-    pub fn admit(&self, bytes: u64) -> Result<(), Full> {
+    pub fn admit(&self, bytes: u64) -> Result<(), WatermarkExceeded> {
         self.all().try_for_each(|it| {
             let admitted = it.admit(bytes);
             if admitted.is_err() {
@@ -259,7 +259,7 @@ impl Watermarks {
     }
 
     /// Fails if a call that grows the server would be refused now.
-    pub(crate) fn check(&self) -> Result<(), Full> {
+    pub(crate) fn check(&self) -> Result<(), WatermarkExceeded> {
         self.all().try_for_each(|it| it.admit(0))
     }
 

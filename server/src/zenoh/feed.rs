@@ -51,7 +51,7 @@ struct Announcement {
 }
 
 /// True while any index has a subscriber to one form.
-struct Interest {
+struct SubscriberWatch {
     followed: watch::Receiver<bool>,
     _listener: MatchingListener<()>,
     _publisher: Publisher<'static>,
@@ -70,7 +70,7 @@ impl Announcer {
     }
 
     async fn announce(&self, mut catalog: CatalogWatch) -> Result<(), String> {
-        let [protobuf, json] = FEEDS.map(|(_, name)| self.interest(name));
+        let [protobuf, json] = FEEDS.map(|(_, name)| self.watch_subscribers(name));
         let (mut protobuf, mut json) = (protobuf.await?, json.await?);
         let mut indices = BTreeMap::new();
         let mut announced = BTreeMap::new();
@@ -91,7 +91,7 @@ impl Announcer {
     }
 
     /// Follows the presence of subscribers.
-    async fn interest(&self, name: &str) -> Result<Interest, String> {
+    async fn watch_subscribers(&self, name: &str) -> Result<SubscriberWatch, String> {
         let key = self.key("*", name)?;
         let publisher = self.session.declare_publisher(key).await;
         let publisher = publisher.map_err(|error| error.to_string())?;
@@ -102,7 +102,7 @@ impl Announcer {
                 tell.send_replace(status.matching());
             })
             .await;
-        Ok(Interest {
+        Ok(SubscriberWatch {
             followed,
             _listener: listener.map_err(|error| error.to_string())?,
             _publisher: publisher,

@@ -52,8 +52,8 @@ fn fill(directory: &Path) {
                 row: &[0.5],
             };
             effects.store(point, Outcome::Inserted, Bytes::from(vec![7; bytes]));
-            let tip = log.view(uid).unwrap().tip();
-            log.submit(uid, Arc::new(Record::after(tip, effects)))
+            let position = log.view(uid).unwrap().position();
+            log.submit(uid, Arc::new(Record::after(position, effects)))
                 .unwrap();
         }
     }

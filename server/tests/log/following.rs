@@ -10,10 +10,10 @@ const RECORDS: u64 = 60;
 
 /// Submits records up to this revision without applying them, and asks for a trim of everything after each.
 fn submit_and_trim(log: &dyn Engine, uid: Uid, last: u64) {
-    let mut tip = log.view(uid).unwrap().tip();
-    for revision in tip.revision + 1..=last {
-        let record = Record::after(tip, effects(revision, &[revision], &[]));
-        tip = record.tip();
+    let mut position = log.view(uid).unwrap().position();
+    for revision in position.revision + 1..=last {
+        let record = Record::after(position, effects(revision, &[revision], &[]));
+        position = record.position();
         accepted(log.submit(uid, Arc::new(record)).unwrap());
         log.trim(uid, &retention(0)).unwrap();
     }
@@ -22,18 +22,18 @@ fn submit_and_trim(log: &dyn Engine, uid: Uid, last: u64) {
 /// Takes what the stream yields up to the revision `last`, applies it and trims everything that may be trimmed.
 fn apply_and_trim(log: &dyn Engine, uid: Uid, after: u64, last: u64) {
     let mut records = log.follow(uid, after);
-    let mut tip = None;
+    let mut position = None;
     let mut revision = after;
     while revision < last {
         let batch = next(&mut records).unwrap();
         for record in &batch {
             assert_eq!(record.revision(), revision + 1);
-            assert!(tip.is_none_or(|tip| record.follows(tip)));
-            tip = Some(record.tip());
+            assert!(position.is_none_or(|position| record.follows(position)));
+            position = Some(record.position());
             revision = record.revision();
         }
         let view = log.apply(uid, &batch).unwrap();
-        assert_eq!(Some(view.tip()), tip);
+        assert_eq!(Some(view.position()), position);
         assert_eq!(view.get(revision).unwrap().unwrap().modified, revision);
         log.trim(uid, &retention(0)).unwrap();
     }

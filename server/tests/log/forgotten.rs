@@ -6,7 +6,8 @@ use bytes::Bytes;
 use tokio::runtime::Builder;
 use wayfold_index::PointRef;
 use wayfold_server::log::{
-    Catalogue, Effects, LogError, MemoryLog, Origin, Outcome, Receipt, Record, Tip, connect_nats,
+    Catalogue, Effects, LogError, MemoryLog, Origin, Outcome, Receipt, Record, RecordPosition,
+    connect_nats,
 };
 
 use crate::{entry, nats::NatsServer, next, retention};
@@ -27,7 +28,7 @@ fn whole_packs_are_forgotten_in_nats() {
             .0
     };
     local.create(entry).unwrap();
-    let mut tip = Tip {
+    let mut position = RecordPosition {
         revision: 0,
         digest: Origin::START.digest,
     };
@@ -43,8 +44,8 @@ fn whole_packs_are_forgotten_in_nats() {
         // Every third takes several messages.
         let bytes = if revision % 3 == 0 { 3000 } else { 10 };
         effects.store(point, Outcome::Inserted, Bytes::from(vec![1; bytes]));
-        let record = Arc::new(Record::after(tip, effects));
-        tip = record.tip();
+        let record = Arc::new(Record::after(position, effects));
+        position = record.position();
         let Receipt::Awaited(receipt) = log.journal.submit(uid, Arc::clone(&record)).unwrap()
         else {
             panic!("a journal elsewhere accepts nothing at once");
@@ -70,12 +71,12 @@ fn whole_packs_are_forgotten_in_nats() {
         assert_eq!(oldest(), up_to);
         let _entered = runtime.enter();
         let followed = next(&mut log.journal.follow(uid, up_to)).unwrap();
-        assert_eq!(followed[0].tip(), records[up_to as usize].tip());
+        assert_eq!(followed[0].position(), records[up_to as usize].position());
     }
     log.journal.forget(uid, RECORDS).unwrap();
     assert_eq!(oldest(), RECORDS - 1);
     // The next record follows it.
-    let record = Arc::new(Record::after(tip, Effects::new(1)));
+    let record = Arc::new(Record::after(position, Effects::new(1)));
     let Receipt::Awaited(receipt) = log.journal.submit(uid, record).unwrap() else {
         panic!("a journal elsewhere accepts nothing at once");
     };

@@ -38,7 +38,7 @@ use wayfold_index::PointRef;
 use wayfold_proto::v1::PayloadEncoding;
 use wayfold_server::log::{
     Catalogue, Effects, Entry, Journal, LogError, MemoryLog, Outcome, PointStore, Receipt, Record,
-    RecordStream, Retention, StoredPoint, Tip, Uid, View,
+    RecordPosition, RecordStream, Retention, StoredPoint, Uid, View,
 };
 
 use test_log::TestLog;
@@ -55,11 +55,11 @@ fn submit(
     expected: u64,
     effects: Effects,
 ) -> Result<Arc<Record>, LogError> {
-    let tip = Tip {
+    let position = RecordPosition {
         revision: expected,
-        ..log.view(uid)?.tip()
+        ..log.view(uid)?.position()
     };
-    let record = Arc::new(Record::after(tip, effects));
+    let record = Arc::new(Record::after(position, effects));
     accepted(log.submit(uid, Arc::clone(&record))?);
     Ok(record)
 }

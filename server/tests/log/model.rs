@@ -60,7 +60,7 @@ impl Model {
         }
     }
 
-    /// The tip and the sum of the index at its origin.
+    /// The position and the sum of the index at its origin.
     pub(crate) fn origin(&self) -> (Origin, &Sum) {
         (self.origin, &self.sums[0])
     }

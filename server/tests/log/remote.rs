@@ -19,7 +19,7 @@ use parking_lot::Mutex;
 use tokio::runtime::{Builder, Runtime};
 use wayfold_server::log::{
     Catalogue, Entry, Journal, LogError, MemoryLog, Operation, Origin, PointStore, Receipt, Record,
-    RecordStream, Restoring, Retention, Tip, Uid, View, Window, connect_nats,
+    RecordPosition, RecordStream, Restoring, Retention, Uid, View, Window, connect_nats,
 };
 
 use crate::{nats::NatsServer, next};
@@ -209,12 +209,12 @@ impl PointStore for RemoteLog {
     }
 
     fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        let tip = Tip {
+        let position = RecordPosition {
             revision: origin.revision,
             digest: origin.digest,
         };
         if let Machine::Stream(stream) = &self.machine {
-            stream.origins.lock().insert(entry.uid, tip);
+            stream.origins.lock().insert(entry.uid, position);
         }
         self.local.restore(entry, origin)
     }

@@ -5,7 +5,7 @@ use std::{fs, slice, sync::Arc};
 use bytes::Bytes;
 use wayfold_server::log::{
     Catalogue, Durability, Effects, Entry, LogError, Operation, Origin, PointStore, Record,
-    Session, Sessions, StoredPoint, Tip,
+    RecordPosition, Session, Sessions, StoredPoint,
 };
 
 use crate::{
@@ -71,11 +71,14 @@ fn replace(log: &(impl Engine + ?Sized), entry: &Entry, origin: Origin) -> Resul
 /// Asserts that the index is the copy.
 fn check_replaced(log: &(impl Engine + ?Sized), entry: &Entry) {
     let view = log.view(entry.uid).unwrap();
-    let tip = Tip {
+    let position = RecordPosition {
         revision: ORIGIN.revision,
         digest: ORIGIN.digest,
     };
-    assert_eq!((view.tip(), view.next_id()), (tip, ORIGIN.next_id));
+    assert_eq!(
+        (view.position(), view.next_id()),
+        (position, ORIGIN.next_id)
+    );
     let points = all_points(&*view);
     assert_eq!(points.len(), 40);
     assert!(points.iter().all(|(id, found)| **found == point(*id)));
@@ -118,12 +121,12 @@ fn a_replaced_index_is_the_copy_and_goes_on_from_it() {
         let log = kept.log();
         check_replaced(log, &arm);
         // Only the record after that of the copy follows.
-        let tip = log.view(arm.uid).unwrap().tip();
+        let position = log.view(arm.uid).unwrap().position();
         let foreign = Record::new(91, [7; 32], 0, Effects::new(1));
         assert!(log.apply(arm.uid, &[Arc::new(foreign)]).is_err());
-        let next = Arc::new(Record::after(tip, with_operation(91, "new")));
+        let next = Arc::new(Record::after(position, with_operation(91, "new")));
         let view = log.apply(arm.uid, slice::from_ref(&next)).unwrap();
-        assert_eq!(view.tip(), next.tip());
+        assert_eq!(view.position(), next.position());
         let ids: Vec<_> = log.operations(arm.uid).unwrap();
         let ids: Vec<_> = ids.iter().map(|operation| &*operation.id).collect();
         assert_eq!(ids, ["first", "second", "new"]);

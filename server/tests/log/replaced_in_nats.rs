@@ -4,20 +4,29 @@ use std::sync::Arc;
 
 use tokio::runtime::{Builder, Runtime};
 use wayfold_server::log::{
-    Journal, Log, LogError, MemoryLog, Origin, Receipt, Record, RecordStream, Tip, Uid,
+    Journal, Log, LogError, MemoryLog, Origin, Receipt, Record, RecordPosition, RecordStream, Uid,
     connect_nats,
 };
 
 use crate::{effects, nats::NatsServer, next};
 
-const START: Tip = Tip {
+const START: RecordPosition = RecordPosition {
     revision: 0,
     digest: Origin::START.digest,
 };
 
-/// Submits the record after `tip`, which stores a point with this id.
-fn publish(runtime: &Runtime, journal: &dyn Journal, uid: Uid, tip: Tip, id: u64) -> Arc<Record> {
-    let record = Arc::new(Record::after(tip, effects(tip.revision + 1, &[id], &[])));
+/// Submits the record after `position`, which stores a point with this id.
+fn publish(
+    runtime: &Runtime,
+    journal: &dyn Journal,
+    uid: Uid,
+    position: RecordPosition,
+    id: u64,
+) -> Arc<Record> {
+    let record = Arc::new(Record::after(
+        position,
+        effects(position.revision + 1, &[id], &[]),
+    ));
     let Receipt::Awaited(receipt) = journal.submit(uid, Arc::clone(&record)).unwrap() else {
         panic!("a journal elsewhere accepts nothing at once");
     };
@@ -26,7 +35,7 @@ fn publish(runtime: &Runtime, journal: &dyn Journal, uid: Uid, tip: Tip, id: u64
 }
 
 /// The stream of a server that has applied `applied`.
-fn followed(runtime: &Runtime, log: &Log, uid: Uid, applied: Tip) -> RecordStream {
+fn followed(runtime: &Runtime, log: &Log, uid: Uid, applied: RecordPosition) -> RecordStream {
     let _entered = runtime.enter();
     log.journal.follow_applied(uid, applied)
 }
@@ -42,13 +51,13 @@ fn a_follower_compares_the_newest_record_in_nats() {
         connected.unwrap().0
     };
     let journal = &*log.journal;
-    let mut tip = START;
+    let mut position = START;
     for id in 0..3 {
-        tip = publish(&runtime, journal, uid, tip, id).tip();
+        position = publish(&runtime, journal, uid, position, id).position();
     }
-    let other = Tip {
+    let other = RecordPosition {
         digest: [7; 32],
-        ..tip
+        ..position
     };
     let refused = next(&mut followed(&runtime, &log, uid, other)).unwrap_err();
     let LogError::Damaged { revision, what, .. } = refused else {
@@ -60,8 +69,8 @@ fn a_follower_compares_the_newest_record_in_nats() {
     );
 
     // One that has applied the newest record gets the next one.
-    let mut equal = followed(&runtime, &log, uid, tip);
-    let fourth = publish(&runtime, journal, uid, tip, 3);
+    let mut equal = followed(&runtime, &log, uid, position);
+    let fourth = publish(&runtime, journal, uid, position, 3);
     assert_eq!(next(&mut equal).unwrap(), [fourth]);
     // The fourth names the third, so one that has applied another third notices it by that.
     let behind = next(&mut followed(&runtime, &log, uid, other)).unwrap();

@@ -4,13 +4,13 @@ use std::{sync::Arc, thread, time::UNIX_EPOCH};
 
 use tokio::runtime::{Builder, Runtime};
 use wayfold_server::log::{
-    Catalogue, Entry, Journal, Log, LogError, MemoryLog, Origin, PointStore, Record, Retention,
-    Sessions, Tip, Uid, connect_nats,
+    Catalogue, Entry, Journal, Log, LogError, MemoryLog, Origin, PointStore, Record,
+    RecordPosition, Retention, Sessions, Uid, connect_nats,
 };
 
 use crate::{effects, entry, nats::NatsServer};
 
-const ORIGIN: Tip = Tip {
+const ORIGIN: RecordPosition = RecordPosition {
     revision: 7,
     digest: [5; 32],
 };
@@ -100,9 +100,9 @@ fn a_journal_that_nats_has_lost_whole_begins_again_once_in_nats() {
     let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
     let mut records = vec![first(1)];
     for id in 2..=RECORDS {
-        let tip = records[records.len() - 1].tip();
-        let effects = effects(tip.revision + 1, &[id], &[]);
-        records.push(Arc::new(Record::after(tip, effects)));
+        let position = records[records.len() - 1].position();
+        let effects = effects(position.revision + 1, &[id], &[]);
+        records.push(Arc::new(Record::after(position, effects)));
     }
     let newest = ORIGIN.revision + RECORDS;
     let logs: Vec<Log> = [RECORDS, 1]

@@ -305,11 +305,14 @@ fn check_applied(kept: &TestLog, model: &Model) {
     copying.finish(sum.sessions(), vec![]).unwrap();
     for (at, records) in model.records.chunks(3).enumerate() {
         let view = log.apply(entry.uid, records).unwrap();
-        assert_eq!(view.tip(), records.last().unwrap().tip());
+        assert_eq!(view.position(), records.last().unwrap().position());
         let applied = model.sum_after(3 * at + records.len());
         check_view(&*view, applied);
         // Applied records are not applied again, and none is skipped.
-        assert_eq!(log.apply(entry.uid, records).unwrap().tip(), view.tip());
+        assert_eq!(
+            log.apply(entry.uid, records).unwrap().position(),
+            view.position()
+        );
         check_view(&*log.view(entry.uid).unwrap(), applied);
         let unlinked = Record::new(view.revision() + 1, [7; 32], 0, Effects::new(1));
         let refused = log.apply(entry.uid, &[Arc::new(unlinked)]).err();

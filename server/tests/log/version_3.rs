@@ -91,7 +91,7 @@ fn check_old(log: &FjallLog) {
     assert!(
         records
             .windows(2)
-            .all(|pair| pair[1].follows(pair[0].tip()))
+            .all(|pair| pair[1].follows(pair[0].position()))
     );
     assert_eq!(records[0].effects().stored().ids(), [0, 1, 2]);
     assert_eq!(records[2].effects().payload(0), Bytes::from("retract"));

@@ -124,7 +124,7 @@ fn check_arm(log: &FjallLog) {
     let records = log.read(uid, None, usize::MAX).unwrap();
     let revisions: Vec<u64> = records.iter().map(|record| record.revision()).collect();
     assert_eq!(revisions, [4, 5, 6]);
-    assert!(records[1].follows(records[0].tip()) && records[2].follows(records[1].tip()));
+    assert!(records[1].follows(records[0].position()) && records[2].follows(records[1].position()));
     assert!(records.iter().all(|record| record.is_intact()));
     assert_eq!(records[1].effects().removed(), [1]);
     assert_eq!(records[2].effects().batch().unwrap().ended, [4]);

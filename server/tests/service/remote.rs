@@ -82,10 +82,10 @@ async fn points_at(service: &Service, uid: Uid, number: u64) -> v1::Points {
 /// Asserts that the records form one chain and that all servers store the points of the records. Returns these points.
 pub(crate) async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]) -> v1::Points {
     let records = stream.records(entry.uid);
-    let (mut tip, mut expected) = (START, BTreeMap::new());
+    let (mut position, mut expected) = (START, BTreeMap::new());
     for record in &records {
-        assert!(record.follows(tip) && record.is_intact());
-        tip = record.tip();
+        assert!(record.follows(position) && record.is_intact());
+        position = record.position();
         for id in record.effects().removed() {
             expected.remove(id).unwrap();
         }
@@ -93,10 +93,10 @@ pub(crate) async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]
             expected.insert(point.id, point.row[0]);
         }
     }
-    let found = points_at(servers[0], entry.uid, tip.revision).await;
+    let found = points_at(servers[0], entry.uid, position.revision).await;
     // A feed has every record, also one whose only effect was to fence another.
     let mut fed = 0;
-    while fed < tip.revision {
+    while fed < position.revision {
         let request = v1::WatchRequest {
             index_name: entry.name.clone(),
             after_revision: revision(&entry.uid.to_string(), fed),
@@ -113,7 +113,7 @@ pub(crate) async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]
     let stored: BTreeMap<u64, f64> = found.ids.iter().copied().zip(rows).collect();
     assert_eq!(stored, expected);
     for server in servers {
-        assert_eq!(points_at(server, entry.uid, tip.revision).await, found);
+        assert_eq!(points_at(server, entry.uid, position.revision).await, found);
     }
     found
 }

@@ -344,8 +344,8 @@ async fn a_store_that_meets_damage_while_it_is_written_is_read_and_asks_for_a_re
             };
             effects.store(point, Outcome::Inserted, payload(&id));
             let uid = entries[0].uid;
-            let tip = log.view(uid).unwrap().tip();
-            let record = Arc::new(Record::after(tip, effects));
+            let position = log.view(uid).unwrap().position();
+            let record = Arc::new(Record::after(position, effects));
             log.submit(uid, Arc::clone(&record)).unwrap();
             drop(log.apply(uid, &[record]).unwrap());
         }

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use sha2::{Digest, Sha256};
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{LogError, MemoryLog, PointStore, Record, Sessions, StoredPoint, Tip, Uid, View},
+    log::{
+        LogError, MemoryLog, PointStore, Record, RecordPosition, Sessions, StoredPoint, Uid, View,
+    },
     service::{Code, Service},
 };
 
@@ -142,8 +144,8 @@ struct FaultyLog(MemoryLog, ReadFault);
 struct FaultyView(Arc<dyn View>, ReadFault);
 
 impl View for FaultyView {
-    fn tip(&self) -> Tip {
-        self.0.tip()
+    fn position(&self) -> RecordPosition {
+        self.0.position()
     }
 
     fn next_id(&self) -> u64 {

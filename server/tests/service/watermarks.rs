@@ -14,7 +14,7 @@ use wayfold_server::{
     log::{Log, MemoryLog},
     registry::Registry,
     service::{Code, Error, Limits, Service},
-    watermark::{Full, Level, Resource, Watermark, Watermarks},
+    watermark::{Level, Resource, Watermark, WatermarkExceeded, Watermarks},
 };
 
 use crate::support::*;
@@ -66,7 +66,7 @@ fn over(log: impl Into<Log>, watermarks: Watermarks) -> (Arc<Registry>, Service)
 }
 
 /// Asserts that a call is refused, and returns what the refusal says.
-fn full<T: std::fmt::Debug>(answer: Result<T, Error>) -> Full {
+fn full<T: std::fmt::Debug>(answer: Result<T, Error>) -> WatermarkExceeded {
     let error = answer.unwrap_err();
     assert_eq!(error.code(), Code::ResourceExhausted);
     match error {

@@ -234,7 +234,7 @@ impl Index {
             frozen: OnceLock::new(),
             number: self.number,
             uid: self.entry.uid,
-            tip: state.head.tip(),
+            position: state.head.position(),
             next_id: state.head.next_id,
             sessions: state.sessions.clone(),
         });

@@ -21,7 +21,7 @@ use std::ops::RangeInclusive;
 
 use xxhash_rust::xxh3::xxh3_64;
 
-use crate::log::{Digest, Entry, Origin, Tip, Uid, cursor::Cursor};
+use crate::log::{Digest, Entry, Origin, RecordPosition, Uid, cursor::Cursor};
 
 /// The number of an index in keys.
 pub(super) type Number = u32;
@@ -216,8 +216,8 @@ impl Head {
     }
 
     /// The newest record.
-    pub(super) fn tip(&self) -> Tip {
-        Tip {
+    pub(super) fn position(&self) -> RecordPosition {
+        RecordPosition {
             revision: self.revision,
             digest: self.digest,
         }

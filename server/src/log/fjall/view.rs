@@ -9,7 +9,7 @@ use super::{
     point,
     store::{Handles, Store, unreadable},
 };
-use crate::log::{LogError, Sessions, StoredPoint, Tip, Uid, View};
+use crate::log::{LogError, RecordPosition, Sessions, StoredPoint, Uid, View};
 
 /// The points of one revision. While this is the newest revision, the view reads the current store and holds no
 /// snapshot: a snapshot makes fjall keep all data that is overwritten in any index.
@@ -19,7 +19,7 @@ pub(super) struct PointsView {
     pub(super) frozen: OnceLock<Snapshot>,
     pub(super) number: Number,
     pub(super) uid: Uid,
-    pub(super) tip: Tip,
+    pub(super) position: RecordPosition,
     pub(super) next_id: u64,
     pub(super) sessions: Sessions,
 }
@@ -39,8 +39,8 @@ impl PointsView {
 }
 
 impl View for PointsView {
-    fn tip(&self) -> Tip {
-        self.tip
+    fn position(&self) -> RecordPosition {
+        self.position
     }
 
     fn next_id(&self) -> u64 {

@@ -8,8 +8,8 @@ use tokio::sync::watch;
 
 use super::{versions::Versions, view::PinnedView};
 use crate::log::{
-    LogError, Operation, Origin, Record, RecordStream, Retention, Sessions, StoredPoint, Tip, Uid,
-    View, Window,
+    LogError, Operation, Origin, Record, RecordPosition, RecordStream, Retention, Sessions,
+    StoredPoint, Uid, View, Window,
     retention::{Allowance, BoundedQueue},
 };
 
@@ -44,7 +44,7 @@ struct Journal {
 /// The newest record, and the sums of all records beside the points.
 #[derive(Clone)]
 pub(super) struct Head {
-    pub(super) tip: Tip,
+    pub(super) position: RecordPosition,
     pub(super) next_id: u64,
     pub(super) sessions: Sessions,
 }
@@ -66,7 +66,7 @@ impl Store {
             uid,
             journal: Mutex::new(Journal {
                 head: Head {
-                    tip: Tip {
+                    position: RecordPosition {
                         revision: origin.revision,
                         digest: origin.digest,
                     },
@@ -88,7 +88,7 @@ impl Store {
         if journal.is_replaced {
             return Err(LogError::Closed);
         }
-        if !record.follows(journal.head.tip) {
+        if !record.follows(journal.head.position) {
             return Err(self.fenced(record.revision() - 1, &journal));
         }
         self.write(&record, &mut journal);
@@ -116,20 +116,20 @@ impl Store {
             return Ok(Arc::clone(self).pin());
         };
         while let Some((record, head)) = journal.unapplied.pop_front() {
-            if head.tip.revision == last.revision() {
+            if head.position.revision == last.revision() {
                 return Ok(Arc::new(self.pinned(head)));
             }
-            if head.tip.revision > last.revision() {
+            if head.position.revision > last.revision() {
                 journal.unapplied.push_front((record, head));
                 break;
             }
-            self.versions.write().unpin(head.tip.revision);
+            self.versions.write().unpin(head.position.revision);
         }
         for record in records {
-            if record.revision() <= journal.head.tip.revision {
+            if record.revision() <= journal.head.position.revision {
                 continue;
             }
-            if !record.follows(journal.head.tip) {
+            if !record.follows(journal.head.position) {
                 return Err(LogError::Damaged {
                     uid: self.uid,
                     revision: record.revision(),
@@ -138,7 +138,7 @@ impl Store {
             }
             self.write(record, &mut journal);
         }
-        if journal.head.tip.revision != last.revision() {
+        if journal.head.position.revision != last.revision() {
             return Err(self.fenced(last.revision(), &journal));
         }
         self.versions.write().pin(last.revision());
@@ -152,7 +152,7 @@ impl Store {
         LogError::Fenced {
             uid: self.uid,
             expected,
-            head: journal.head.tip.revision,
+            head: journal.head.position.revision,
         }
     }
 
@@ -160,7 +160,7 @@ impl Store {
     fn write(&self, record: &Arc<Record>, journal: &mut Journal) {
         let head = &mut journal.head;
         self.store(record, head.next_id);
-        head.tip = record.tip();
+        head.position = record.position();
         head.next_id = head.next_id.max(record.effects().next_id());
         head.sessions.apply(record);
         let bytes = record.effects().bytes();
@@ -194,7 +194,7 @@ impl Store {
     /// newer.
     pub(super) fn give_way(&self, copied: u64) -> Result<(), LogError> {
         let mut journal = self.journal.lock();
-        if copied <= journal.head.tip.revision {
+        if copied <= journal.head.position.revision {
             return Err(self.fenced(copied, &journal));
         }
         journal.is_replaced = true;
@@ -292,7 +292,7 @@ impl Store {
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError> {
         let journal = self.journal.lock();
-        let oldest = journal.head.tip.revision - journal.records.iter().len() as u64;
+        let oldest = journal.head.position.revision - journal.records.iter().len() as u64;
         let after = after.unwrap_or(oldest);
         if after < oldest {
             return Err(LogError::Trimmed {
@@ -331,7 +331,7 @@ impl Store {
     pub(super) fn pin(self: Arc<Self>) -> Arc<dyn View> {
         let journal = self.journal.lock();
         let head = journal.head.clone();
-        self.versions.write().pin(head.tip.revision);
+        self.versions.write().pin(head.position.revision);
         drop(journal);
         Arc::new(self.pinned(head))
     }

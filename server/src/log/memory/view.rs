@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::store::{Head, Store};
-use crate::log::{LogError, Sessions, StoredPoint, Tip, View};
+use crate::log::{LogError, RecordPosition, Sessions, StoredPoint, View};
 
 /// A view. The versions it sees stay while it is held.
 pub(super) struct PinnedView {
@@ -12,8 +12,8 @@ pub(super) struct PinnedView {
 }
 
 impl View for PinnedView {
-    fn tip(&self) -> Tip {
-        self.head.tip
+    fn position(&self) -> RecordPosition {
+        self.head.position
     }
 
     fn next_id(&self) -> u64 {
@@ -29,19 +29,22 @@ impl View for PinnedView {
             .store
             .versions
             .read()
-            .get(id, self.head.tip.revision)
+            .get(id, self.head.position.revision)
             .cloned())
     }
 
     fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<Arc<StoredPoint>>, LogError> {
         let versions = self.store.versions.read();
-        Ok(versions.page(after, limit, self.head.tip.revision))
+        Ok(versions.page(after, limit, self.head.position.revision))
     }
 }
 
 impl Drop for PinnedView {
     fn drop(&mut self) {
-        self.store.versions.write().unpin(self.head.tip.revision);
+        self.store
+            .versions
+            .write()
+            .unpin(self.head.position.revision);
         self.store.collect();
     }
 }

@@ -9,7 +9,7 @@ use std::{str::FromStr, sync::Arc};
 
 use async_nats::{HeaderMap, jetstream::message::StreamMessage};
 
-use crate::log::{LogError, Origin, Record, Tip, Uid, cursor::Cursor};
+use crate::log::{LogError, Origin, Record, RecordPosition, Uid, cursor::Cursor};
 
 const FIRST: &str = "Wayfold-First";
 const LAST: &str = "Wayfold-Last";
@@ -27,7 +27,7 @@ pub(super) struct Position {
     /// The first revision in it.
     pub(super) first: u64,
     /// The last record in it.
-    pub(super) last: Tip,
+    pub(super) last: RecordPosition,
 }
 
 impl Position {
@@ -35,7 +35,7 @@ impl Position {
     pub(super) const START: Self = Self {
         sequence: 0,
         first: 0,
-        last: Tip {
+        last: RecordPosition {
             revision: Origin::START.revision,
             digest: Origin::START.digest,
         },
@@ -47,7 +47,7 @@ impl Position {
             Some(Self {
                 sequence: message.sequence,
                 first: number(&message.headers, FIRST)?,
-                last: Tip {
+                last: RecordPosition {
                     revision: number(&message.headers, LAST)?,
                     digest: digest(message.headers.get(DIGEST)?.as_str())?,
                 },
@@ -170,7 +170,7 @@ mod tests {
 
     fn records() -> Vec<Record> {
         let first = Record::new(4, [3; 32], 5, Effects::new(2));
-        let second = Record::after(first.tip(), Effects::new(2));
+        let second = Record::after(first.position(), Effects::new(2));
         vec![first, second]
     }
 
@@ -246,7 +246,7 @@ mod tests {
         let expected = Position {
             sequence: 9,
             first: 4,
-            last: records[1].tip(),
+            last: records[1].position(),
         };
         assert_eq!(Position::of(uid, &message), Ok(expected));
         for digest in ["", "zz", "é", &"é".repeat(32), &"0".repeat(63)] {

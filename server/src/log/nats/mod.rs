@@ -30,8 +30,8 @@ use self::{
     publisher::{Answer, Publisher, Submission},
 };
 use super::{
-    Catalogue, Journal, Log, LogError, PointStore, Receipt, Record, RecordStream, Retention, Tip,
-    Uid, Window,
+    Catalogue, Journal, Log, LogError, PointStore, Receipt, Record, RecordPosition, RecordStream,
+    Retention, Uid, Window,
 };
 
 /// The time between two attempts of a follower to read a stream.
@@ -190,7 +190,7 @@ impl Journal for NatsJournal {
         follow::follow(Arc::clone(&self.connection), uid, (after, None))
     }
 
-    fn follow_applied(&self, uid: Uid, applied: Tip) -> RecordStream {
+    fn follow_applied(&self, uid: Uid, applied: RecordPosition) -> RecordStream {
         let after = (applied.revision, Some(applied.digest));
         follow::follow(Arc::clone(&self.connection), uid, after)
     }
@@ -228,8 +228,8 @@ impl Journal for NatsJournal {
     /// its emptiness.
     fn repair(&self, uid: Uid) -> Result<u64, LogError> {
         let newest = self.runtime.block_on(self.connection.last(uid))?;
-        let mut tip = newest.last;
-        let (mut after, mut begins, mut repaired) = (tip.revision, false, 0);
+        let mut position = newest.last;
+        let (mut after, mut begins, mut repaired) = (position.revision, false, 0);
         if newest == Position::START
             && let Some(oldest) = self.local.oldest_kept(uid)?
         {
@@ -237,13 +237,17 @@ impl Journal for NatsJournal {
         }
         loop {
             let records = self.local.read(uid, Some(after), REPAIR_BYTES)?;
-            let Some(last) = records.last().map(|last| last.tip()) else {
+            let Some(last) = records.last().map(|last| last.position()) else {
                 return Ok(repaired);
             };
-            if !begins && records.first().is_some_and(|first| !first.follows(tip)) {
+            if !begins
+                && records
+                    .first()
+                    .is_some_and(|first| !first.follows(position))
+            {
                 return Err(LogError::Contradicted {
                     uid,
-                    revision: tip.revision,
+                    revision: position.revision,
                     member: "another server".into(),
                 });
             }
@@ -259,7 +263,7 @@ impl Journal for NatsJournal {
                 self.runtime.block_on(receipt)?;
                 repaired += 1;
             }
-            (tip, after) = (last, last.revision);
+            (position, after) = (last, last.revision);
         }
     }
 

@@ -127,7 +127,7 @@ impl Task {
                 bytes += message::packed_bytes(next.stored.len());
                 let follows = batch
                     .last()
-                    .is_some_and(|last| next.record.follows(last.record.tip()));
+                    .is_some_and(|last| next.record.follows(last.record.position()));
                 if bytes > self.connection.max_payload || !follows {
                     left_over = Some(next);
                     break;
@@ -179,7 +179,7 @@ impl Task {
                     self.newest = Some(Position {
                         sequence: acknowledgement.sequence,
                         first: first.revision(),
-                        last: last.tip(),
+                        last: last.position(),
                     });
                     return Ok(());
                 }
@@ -190,7 +190,7 @@ impl Task {
                 // The newest message may be this one, if an earlier acknowledgement was lost.
                 PublishErrorKind::WrongLastSequence => {
                     let newest = self.read_newest().await?;
-                    return match newest.last == last.tip() {
+                    return match newest.last == last.position() {
                         true => Ok(()),
                         false => Err(Refusal::Fenced {
                             head: newest.last.revision,

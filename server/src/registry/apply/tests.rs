@@ -136,7 +136,7 @@ fn effects(id: &str) -> Effects {
 }
 
 /// A record of another server, which the journal brings.
-fn others(before: Tip) -> Arc<Record> {
+fn others(before: RecordPosition) -> Arc<Record> {
     Arc::new(Record::after(before, effects("other")))
 }
 
@@ -147,12 +147,12 @@ async fn an_acknowledged_record_does_not_wait_until_the_journal_brings_it() {
         server.commit().await;
     }
     let own = server.journal.submitted.lock().clone();
-    let next = others(own[2].tip());
+    let next = others(own[2].position());
     // The own ones come a second time, alone and before others.
     server.brings(&own[..1]);
     server.brings(&[&own[1..], slice::from_ref(&next)].concat());
     server.hosted.reached(4).await.unwrap();
-    assert_eq!(server.hosted.published().view.tip(), next.tip());
+    assert_eq!(server.hosted.published().view.position(), next.position());
     server.commit().await;
     assert_eq!(server.hosted.published().revision, 5);
 }
@@ -165,11 +165,11 @@ async fn another_record_in_the_place_of_an_acknowledged_one_is_damage() {
             server.commit().await;
         }
         let own = server.journal.submitted.lock().clone();
-        let start = Tip {
+        let start = RecordPosition {
             revision: 0,
             digest: Record::NO_PREVIOUS,
         };
-        let before = own[..place].last().map_or(start, |last| last.tip());
+        let before = own[..place].last().map_or(start, |last| last.position());
         server.brings(&[&own[..place], &[others(before)]].concat());
         server.is_replaced(place as u64 + 1).await;
     }
@@ -182,7 +182,7 @@ async fn it_is_damage_if_only_the_newest_record_is_cached() {
         server.commit().await;
     }
     let own = server.journal.submitted.lock().clone();
-    server.brings(&[&own[..2], &[others(own[1].tip())]].concat());
+    server.brings(&[&own[..2], &[others(own[1].position())]].concat());
     server.is_replaced(3).await;
 }
 
@@ -200,7 +200,7 @@ async fn applied_records_may_be_forgotten_before_the_journal_brings_them() {
     }));
     let follows_again = followed.wait_for(|after| *after == Some(3));
     timeout(SETTLE_TIME, follows_again).await.unwrap().unwrap();
-    let next = others(server.hosted.published().view.tip());
+    let next = others(server.hosted.published().view.position());
     server.brings(slice::from_ref(&next));
     server.hosted.reached(4).await.unwrap();
     server.commit().await;

@@ -18,21 +18,21 @@ impl Hosted {
             return false;
         }
         let published = self.published();
-        let tip = published.view.tip();
-        let stored = view.tip();
-        let is_resumed = if stored.revision == tip.revision {
+        let position = published.view.position();
+        let stored = view.position();
+        let is_resumed = if stored.revision == position.revision {
             self.publish(&Arc::new(Published {
                 snapshot: published.snapshot.clone(),
-                revision: tip.revision,
+                revision: position.revision,
                 view: Arc::clone(view),
             }));
-            stored == tip
-        } else if stored.revision > tip.revision {
+            stored == position
+        } else if stored.revision > position.revision {
             let journal = &self.host.log.journal;
-            let records = journal.read(self.uid, Some(tip.revision), usize::MAX);
+            let records = journal.read(self.uid, Some(position.revision), usize::MAX);
             records.is_ok_and(|records| {
                 let applied = self.apply_now(applied, &records, |_| Ok(Arc::clone(view)));
-                applied.is_ok() && self.published().view.tip() == stored
+                applied.is_ok() && self.published().view.position() == stored
             })
         } else {
             false

@@ -126,8 +126,8 @@ async fn an_index_ahead_of_a_journal_that_cannot_be_repaired_stays_stopped() {
     journal.head.store(APPLIED, SeqCst);
     registry.resume_unsettled(&hosted).await;
     assert!(hosted.follows());
-    let tip = journal.local.view(hosted.uid()).unwrap().tip();
-    let next = Record::after(tip, Effects::new(1));
+    let position = journal.local.view(hosted.uid()).unwrap().position();
+    let next = Record::after(position, Effects::new(1));
     journal.submit(hosted.uid(), Arc::new(next)).unwrap();
     hosted.reached(APPLIED + 1).await.unwrap();
 }

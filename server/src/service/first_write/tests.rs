@@ -83,15 +83,15 @@ impl Peers for OtherMembers {
         };
         async move {
             let uid: Uid = request.uids[0].parse().unwrap();
-            let tip = PointStore::view(&*points, uid).unwrap().tip();
+            let position = PointStore::view(&*points, uid).unwrap().position();
             let kept = points.kept(uid, request.revisions[0]).unwrap();
             let index = StoredIndex {
                 uid: request.uids[0].clone(),
-                revision: tip.revision,
+                revision: position.revision,
                 is_durable: false,
                 oldest: None,
-                applied: Some(tip.into()),
-                requested: kept.map(|kept| kept.tip().into()),
+                applied: Some(position.into()),
+                requested: kept.map(|kept| kept.position().into()),
             };
             Ok(StoredResponse {
                 indexes: vec![index],
@@ -125,14 +125,18 @@ fn engine(entry: &Entry, records: &[Arc<Record>]) -> Arc<MemoryLog> {
 fn more(records: &[Arc<Record>], run: u8, count: u64) -> Vec<Arc<Record>> {
     let mut all = records.to_vec();
     for _ in 0..count {
-        let tip = all.last().map_or(
-            Tip {
+        let position = all.last().map_or(
+            RecordPosition {
                 revision: 0,
                 digest: Record::NO_PREVIOUS,
             },
-            |last| last.tip(),
+            |last| last.position(),
         );
-        all.push(Arc::new(Record::made_by([run; 16], tip, Effects::new(1))));
+        all.push(Arc::new(Record::made_by(
+            [run; 16],
+            position,
+            Effects::new(1),
+        )));
     }
     all
 }

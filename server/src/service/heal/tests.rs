@@ -26,22 +26,22 @@ const RECORDS: u64 = 20;
 
 /// Submits and applies the next record: it stores a point with a payload and has an operation.
 fn submit(engine: &MemoryLog, uid: Uid) -> Arc<Record> {
-    let tip = engine.view(uid).unwrap().tip();
+    let position = engine.view(uid).unwrap().position();
     let mut effects = Effects::new(1);
     let point = PointRef {
-        id: tip.revision,
+        id: position.revision,
         tag: 0,
-        revision: tip.revision + 1,
+        revision: position.revision + 1,
         row: &[0.5],
     };
     effects.store(point, Outcome::Inserted, vec![7; 30_000].into());
     effects.set_operation(Some(Arc::new(Operation {
-        id: format!("operation {}", tip.revision + 1),
+        id: format!("operation {}", position.revision + 1),
         fingerprint: [1; 32],
         response: Default::default(),
     })));
     let run = *Uid::unique().as_bytes();
-    let record = Arc::new(Record::made_by(run, tip, effects));
+    let record = Arc::new(Record::made_by(run, position, effects));
     engine.submit(uid, Arc::clone(&record)).unwrap();
     engine.apply(uid, &[Arc::clone(&record)]).unwrap();
     record
@@ -212,7 +212,7 @@ async fn a_copy_that_is_cut_short_changes_nothing() {
         .unwrap()
         .unwrap();
     let expected = expected.published();
-    assert_eq!(found.view.tip(), expected.view.tip());
+    assert_eq!(found.view.position(), expected.view.position());
     assert_eq!(found.view.next_id(), expected.view.next_id());
     let page = |view: &dyn crate::log::View| view.page(None, usize::MAX).unwrap();
     assert_eq!(page(&*found.view), page(&*expected.view));

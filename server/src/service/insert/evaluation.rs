@@ -10,7 +10,7 @@ use crate::{
     registry::{Hosted, Writer},
     service::{
         Error, Limits,
-        answer::{NeighborColumns, Room},
+        answer::{AnswerBudget, NeighborColumns},
         payloads::{Payloads, UnreadPayloads},
         prefetch::{Prefetch, PrefetchedRow},
         staging::Staging,
@@ -46,8 +46,8 @@ impl<'a> Evaluation<'a> {
         payloads: &'a Payloads,
     ) -> Result<Self, Error> {
         let space = hosted.space();
-        let mut room = Room::new(limits);
-        room.take(insertion.rows.len() * (1 + 8))?;
+        let mut budget = AnswerBudget::new(limits);
+        budget.take(insertion.rows.len() * (1 + 8))?;
         Ok(Self {
             insertion,
             index: hosted.name(),
@@ -58,7 +58,7 @@ impl<'a> Evaluation<'a> {
             unread: UnreadPayloads::default(),
             found: insertion
                 .neighbors
-                .map(|(_, include)| NeighborColumns::new(include, space.coordinates(), room)),
+                .map(|(_, include)| NeighborColumns::new(include, space.coordinates(), budget)),
             response: v1::InsertResponse::default(),
             conflicts: Vec::new(),
             reserved: Vec::new(),

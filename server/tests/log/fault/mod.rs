@@ -15,8 +15,8 @@ use parking_lot::Mutex;
 use rand::RngExt;
 use tokio::sync::watch;
 use wayfold_server::log::{
-    self, Catalogue, Entry, LogError, Operation, Origin, PointStore, Receipt, Record, RecordStream,
-    Restoring, Retention, Sessions, StoredPoint, Tip, Uid, View, Window,
+    self, Catalogue, Entry, LogError, Operation, Origin, PointStore, Receipt, Record,
+    RecordPosition, RecordStream, Restoring, Retention, Sessions, StoredPoint, Uid, View, Window,
 };
 
 use gate::Gate;
@@ -245,7 +245,7 @@ impl PointStore for FaultLog {
         Ok(Arc::new(PinnedView {
             log: self.clone(),
             opened: journal.opened,
-            tip: Tip {
+            position: RecordPosition {
                 revision: index.head,
                 digest: index.digest,
             },

@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use wayfold_server::log::{LogError, Record, Sessions, StoredPoint, Tip, View};
+use wayfold_server::log::{LogError, Record, RecordPosition, Sessions, StoredPoint, View};
 
 use super::{
     FaultLog,
@@ -14,7 +14,7 @@ impl FaultLog {
         PinnedView {
             log: self.clone(),
             opened: journal.opened,
-            tip: record.tip(),
+            position: record.position(),
             sum,
         }
     }
@@ -24,7 +24,7 @@ impl FaultLog {
 pub(super) struct PinnedView {
     pub(super) log: FaultLog,
     pub(super) opened: u64,
-    pub(super) tip: Tip,
+    pub(super) position: RecordPosition,
     pub(super) sum: Arc<Sum>,
 }
 
@@ -39,8 +39,8 @@ impl PinnedView {
 }
 
 impl View for PinnedView {
-    fn tip(&self) -> Tip {
-        self.tip
+    fn position(&self) -> RecordPosition {
+        self.position
     }
 
     fn next_id(&self) -> u64 {

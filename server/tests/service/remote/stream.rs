@@ -14,7 +14,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::sync::{Semaphore, SemaphorePermit, mpsc, oneshot, watch};
 use wayfold_server::log::{
-    Effects, Journal, LogError, Origin, Receipt, Record, RecordStream, Retention, Tip, Uid, Window,
+    Effects, Journal, LogError, Origin, Receipt, Record, RecordPosition, RecordStream, Retention,
+    Uid, Window,
 };
 
 /// The fault of one request.
@@ -41,7 +42,7 @@ pub(crate) struct Stream {
     requests: AtomicUsize,
     late: Mutex<Option<(Uid, Arc<Record>)>>,
     /// The origins of restored indices, and the newest trimmed revision of each trimmed index.
-    pub(super) origins: Mutex<BTreeMap<Uid, Tip>>,
+    pub(super) origins: Mutex<BTreeMap<Uid, RecordPosition>>,
     pub(super) trimmed: Mutex<BTreeMap<Uid, u64>>,
     /// True while no request reaches it.
     pub(super) is_cut: AtomicBool,
@@ -124,16 +125,16 @@ impl Stream {
         outcome
     }
 
-    pub(crate) fn newest(&self, uid: Uid) -> Tip {
+    pub(crate) fn newest(&self, uid: Uid) -> RecordPosition {
         self.newest_of(&self.messages.lock(), uid)
     }
 
-    fn newest_of(&self, messages: &[(Uid, Arc<Record>)], uid: Uid) -> Tip {
+    fn newest_of(&self, messages: &[(Uid, Arc<Record>)], uid: Uid) -> RecordPosition {
         let newest = messages.iter().rfind(|(of, _)| *of == uid);
-        newest.map_or_else(|| self.origin(uid), |(_, newest)| newest.tip())
+        newest.map_or_else(|| self.origin(uid), |(_, newest)| newest.position())
     }
 
-    fn origin(&self, uid: Uid) -> Tip {
+    fn origin(&self, uid: Uid) -> RecordPosition {
         self.origins.lock().get(&uid).copied().unwrap_or(START)
     }
 
@@ -167,7 +168,7 @@ impl Stream {
     }
 }
 
-pub(super) const START: Tip = Tip {
+pub(super) const START: RecordPosition = RecordPosition {
     revision: Origin::START.revision,
     digest: Origin::START.digest,
 };

@@ -3,7 +3,7 @@
 use std::{sync::Arc, time::Duration};
 
 use wayfold_server::{
-    log::{Catalogue, Effects, Journal, MemoryLog, Origin, Record, Tip},
+    log::{Catalogue, Effects, Journal, MemoryLog, Origin, Record, RecordPosition},
     service::Limits,
 };
 
@@ -16,15 +16,15 @@ fn aged(log: &MemoryLog, by: Duration) -> Arc<MemoryLog> {
     let aged = Arc::new(MemoryLog::new());
     for entry in log.indexes().unwrap() {
         aged.create(entry.clone()).unwrap();
-        let mut tip = Tip {
+        let mut position = RecordPosition {
             revision: Origin::START.revision,
             digest: Origin::START.digest,
         };
         for record in log.read(entry.uid, None, usize::MAX).unwrap() {
             let time_ms = record.time_ms() - by.as_millis() as u64;
             let effects = Effects::clone(record.effects());
-            let record = Record::new(record.revision(), tip.digest, time_ms, effects);
-            tip = record.tip();
+            let record = Record::new(record.revision(), position.digest, time_ms, effects);
+            position = record.position();
             let submitted = aged.submit(entry.uid, Arc::new(record));
             assert!(submitted.is_ok());
         }

@@ -25,7 +25,7 @@ impl Index {
         written: impl FnOnce(Mark),
     ) -> Result<(), LogError> {
         let mut state = self.open()?;
-        if !record.follows(state.head.tip()) {
+        if !record.follows(state.head.position()) {
             return Err(self.fenced(record.revision() - 1, &state.head));
         }
         let handles = store.handles()?;
@@ -55,7 +55,7 @@ impl Index {
             if record.revision() <= state.head.revision {
                 continue;
             }
-            if !record.follows(state.head.tip()) {
+            if !record.follows(state.head.position()) {
                 return Err(LogError::Damaged {
                     uid: self.entry.uid,
                     revision: record.revision(),

@@ -43,8 +43,8 @@ fn found(damage: impl FnOnce(&Handles, &[Arc<Record>])) -> Option<String> {
     };
     let index = Index::new(0, entry, State::new(Origin::START, Sum::default()));
     let append = |head| {
-        let tip = index.pin(&store).unwrap().tip();
-        let record = Arc::new(Record::after(tip, effects(head)));
+        let position = index.pin(&store).unwrap().position();
+        let record = Arc::new(Record::after(position, effects(head)));
         index.submit(&store, Arc::clone(&record), |_| ()).unwrap();
         record
     };

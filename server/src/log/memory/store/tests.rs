@@ -21,8 +21,8 @@ fn storing(ids: std::ops::Range<u64>, revision: u64) -> Effects {
 }
 
 fn append(store: &Arc<Store>, effects: Effects) {
-    let tip = store.journal.lock().head.tip;
-    let record = Arc::new(Record::after(tip, effects));
+    let position = store.journal.lock().head.position;
+    let record = Arc::new(Record::after(position, effects));
     store.submit(Arc::clone(&record)).unwrap();
     drop(store.apply(&[record]).unwrap());
 }

@@ -10,7 +10,7 @@ use crate::Neighbor;
 const MIN_BETWEEN_SELECTIONS: usize = 64;
 
 /// The candidates for the `k` nearest.
-pub(crate) struct Many {
+pub(crate) struct MeasuredCandidates {
     k: usize,
     /// A point at a greater distance is no answer.
     max_distance: f64,
@@ -19,7 +19,7 @@ pub(crate) struct Many {
     full: usize,
 }
 
-impl Many {
+impl MeasuredCandidates {
     /// No candidates yet for the `k` nearest points up to `radius`; `k` is at least 1.
     pub(crate) fn new(k: usize, radius: f64) -> Self {
         debug_assert_ne!(k, 0);
@@ -98,16 +98,16 @@ mod tests {
             let mut sorted: Vec<Neighbor> = all.iter().copied().filter(|one| one.distance <= radius).collect();
             sorted.sort();
             sorted.truncate(k);
-            let (mut many, mut max_distance) = (Many::new(k, radius), radius);
+            let (mut measured, mut max_distance) = (MeasuredCandidates::new(k, radius), radius);
             for &neighbor in &all {
-                if let Some(lower) = many.offer(neighbor) {
+                if let Some(lower) = measured.offer(neighbor) {
                     prop_assert!(lower < max_distance);
                     max_distance = lower;
                 }
-                prop_assert!(many.len() <= k);
+                prop_assert!(measured.len() <= k);
             }
             prop_assert!(sorted.iter().all(|one| one.distance <= max_distance));
-            prop_assert_eq!(many.take_sorted(), sorted);
+            prop_assert_eq!(measured.take_sorted(), sorted);
         }
     }
 }

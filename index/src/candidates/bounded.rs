@@ -25,7 +25,7 @@ pub(crate) struct Candidate<'a> {
 const MAX_UNDECIDED: usize = 256;
 
 /// The candidates for the `k` nearest, for a small `k`.
-pub(crate) struct Few<'a> {
+pub(crate) struct BoundedCandidates<'a> {
     k: usize,
     /// A point with a greater key is no answer.
     limit: f64,
@@ -34,7 +34,7 @@ pub(crate) struct Few<'a> {
     undecided: Vec<Candidate<'a>>,
 }
 
-impl<'a> Few<'a> {
+impl<'a> BoundedCandidates<'a> {
     /// No candidates yet for the `k` nearest points with a key up to `limit`.
     pub(crate) fn new(k: usize, limit: f64) -> Self {
         Self {
@@ -118,7 +118,7 @@ mod tests {
             k in prop_oneof![0..4usize, 63..65usize],
             limit in prop_oneof![Just(f64::INFINITY), (0..40u8).prop_map(f64::from)],
         ) {
-            let mut candidates = Few::new(k, limit);
+            let mut candidates = BoundedCandidates::new(k, limit);
             let mut bounds = Vec::new();
             for (id, &(key, further)) in points.iter().enumerate() {
                 let (key, upper_bound) = (f64::from(key), f64::from(key + further));
