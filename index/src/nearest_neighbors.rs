@@ -82,27 +82,27 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
     /// Finds the neighbours of `row` and puts them into `found` in place of its content.
     ///
     /// # Errors
-    /// The row is not canonical, a number of the question is out of its range, the time of the search passed, or the
+    /// The row is not canonical, a number of the search is out of its range, the time of the search passed, or the
     /// index cannot be read.
     fn search(
         &self,
         row: &[f64],
-        question: &ScaledSearch<'_>,
+        search: &ScaledSearch<'_>,
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Self::Error>;
 
-    /// Finds the neighbours of many rows, which stand one after the other: an answer each. There is one question for all
+    /// Finds the neighbours of many rows, which stand one after the other: an answer each. There is one search for all
     /// rows, or one for each.
     ///
     /// # Errors
-    /// Those of [`NearestNeighbors::search`] for any row, or the index takes only one question a call.
+    /// Those of [`NearestNeighbors::search`] for any row, or the index takes only one search a call.
     fn search_many(
         &self,
         rows: &[f64],
-        questions: &[ScaledSearch<'_>],
+        searches: &[ScaledSearch<'_>],
     ) -> Result<Vec<Vec<Neighbor>>, Self::Error>;
 
-    /// Stores a point. With a question, puts what it has found among the points before it into `found`. Returns the
+    /// Stores a point. With a search, puts what it has found among the points before it into `found`. Returns the
     /// point's id.
     ///
     /// # Errors
@@ -110,7 +110,7 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
     fn insert(
         &self,
         point: &NewPoint<'_>,
-        question: Option<&ScaledSearch<'_>>,
+        search: Option<&ScaledSearch<'_>>,
         found: &mut Vec<Neighbor>,
     ) -> Result<(u64, ReadRevision), Self::Error>;
 

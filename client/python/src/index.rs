@@ -308,7 +308,7 @@ impl Index {
             .map(ConnectionStatus::from))
     }
 
-    /// The answers about own points that were inserted with a question.
+    /// The answers about own points that were inserted with a search.
     fn meanwhile(&self, py: Python<'_>) -> PyResult<MeanwhileAnswers> {
         self.check_process(py)?;
         MeanwhileAnswers::of(py, py.detach(|| self.index.meanwhile()))

@@ -224,7 +224,7 @@ pub(crate) struct Meanwhile {
     is_superset: bool,
 }
 
-/// The answers to the questions of inserts, as far as the server has stored the points.
+/// The answers to the searches of inserts, as far as the server has stored the points.
 #[pyclass(frozen, get_all, module = "wayfold")]
 #[derive(Debug)]
 pub(crate) struct MeanwhileAnswers {

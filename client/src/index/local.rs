@@ -159,17 +159,17 @@ impl LocalPoints {
     }
 
     /// A copy of the points, frozen, for a search that would keep writers waiting.
-    pub(super) fn snapshot_for(&self, question: &ScaledSearch<'_>) -> Option<ForestSnapshot> {
-        let is_long = question.search.k > MAX_LOCKED_K || question.search.until.is_some();
+    pub(super) fn snapshot_for(&self, scaled: &ScaledSearch<'_>) -> Option<ForestSnapshot> {
+        let is_long = scaled.search.k > MAX_LOCKED_K || scaled.search.until.is_some();
         is_long.then(|| self.forest.snapshot())
     }
 
     pub(super) fn search(
         &self,
         row: &[f64],
-        question: &ScaledSearch<'_>,
+        scaled: &ScaledSearch<'_>,
     ) -> Result<Vec<Neighbor>, Error> {
-        let search = question.among(self.forest.len(), self.forest.space().dimension());
+        let search = scaled.among(self.forest.len(), self.forest.space().dimension());
         Ok(self.forest.search(row, &search)?.neighbors)
     }
 
@@ -208,9 +208,9 @@ pub(super) struct NewRow<'a> {
 pub(super) fn search_snapshot(
     snapshot: &ForestSnapshot,
     row: &[f64],
-    question: &ScaledSearch<'_>,
+    scaled: &ScaledSearch<'_>,
 ) -> Result<Vec<Neighbor>, Error> {
-    let search = question.among(snapshot.len(), snapshot.space().dimension());
+    let search = scaled.among(snapshot.len(), snapshot.space().dimension());
     Ok(snapshot.search(row, &search)?.neighbors)
 }
 

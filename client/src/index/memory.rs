@@ -126,16 +126,16 @@ impl NearestNeighbors for Memory {
     fn search(
         &self,
         row: &[f64],
-        question: &ScaledSearch<'_>,
+        scaled: &ScaledSearch<'_>,
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Error> {
         let state = self.read()?;
         let read_revision = state.points.read_revision();
-        *found = match state.points.snapshot_for(question) {
-            None => state.points.search(row, question)?,
+        *found = match state.points.snapshot_for(scaled) {
+            None => state.points.search(row, scaled)?,
             Some(snapshot) => {
                 drop(state);
-                search_snapshot(&snapshot, row, question)?
+                search_snapshot(&snapshot, row, scaled)?
             }
         };
         Ok(read_revision)
@@ -144,20 +144,20 @@ impl NearestNeighbors for Memory {
     fn search_many(
         &self,
         rows: &[f64],
-        questions: &[ScaledSearch<'_>],
+        searches: &[ScaledSearch<'_>],
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
         let snapshot = self.read()?.points.forest.snapshot();
         let rows = rows.chunks_exact(self.space.coordinates());
-        let questions = questions.iter().cycle();
-        rows.zip(questions)
-            .map(|(row, question)| search_snapshot(&snapshot, row, question))
+        let searches = searches.iter().cycle();
+        rows.zip(searches)
+            .map(|(row, scaled)| search_snapshot(&snapshot, row, scaled))
             .collect()
     }
 
     fn insert(
         &self,
         point: &NewPoint<'_>,
-        question: Option<&ScaledSearch<'_>>,
+        scaled: Option<&ScaledSearch<'_>>,
         found: &mut Vec<Neighbor>,
     ) -> Result<(u64, ReadRevision), Error> {
         check_id(point)?;
@@ -168,8 +168,8 @@ impl NearestNeighbors for Memory {
             return Err(Error::IdTaken { id });
         }
         found.clear();
-        if let Some(question) = question {
-            *found = state.points.search(point.row, question)?;
+        if let Some(scaled) = scaled {
+            *found = state.points.search(point.row, scaled)?;
         }
         let id = match point.id {
             Some(id) => {

@@ -134,7 +134,7 @@ impl Index {
         Ok(inserted?.0)
     }
 
-    /// Stores a state with a tag, a payload or an id, and answers a question about the points before it at once.
+    /// Stores a state with a tag, a payload or an id, and answers a search of the points before it at once.
     ///
     /// # Errors
     /// Those of [`Index::insert`] and of [`Index::search`]. [`Error::IdTaken`]: a point has the id.
@@ -143,11 +143,11 @@ impl Index {
         state: S,
         options: InsertOptions<'_>,
     ) -> Result<InsertedPoint, Error> {
-        let question = options.search.as_ref().map(Search::question).transpose()?;
+        let scaled = options.search.as_ref().map(Search::scaled).transpose()?;
         let mut neighbors = Vec::new();
         let (id, read_revision) = self.with_row(state, |row| {
             self.form
-                .insert(&options.point(row), question.as_ref(), &mut neighbors)
+                .insert(&options.point(row), scaled.as_ref(), &mut neighbors)
         })?;
         Ok(InsertedPoint {
             id,
@@ -266,7 +266,7 @@ impl Index {
     /// number of the search is out of its range. [`Error::SearchTimeout`].
     pub fn search<S: State>(&self, state: S, search: &Search) -> Result<SearchResult, Error> {
         let mut neighbors = Vec::new();
-        let read_revision = self.ask(state, &search.question()?, &mut neighbors)?;
+        let read_revision = self.ask(state, &search.scaled()?, &mut neighbors)?;
         Ok(SearchResult {
             neighbors,
             read_revision,
@@ -283,7 +283,7 @@ impl Index {
         search: &Search,
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Error> {
-        self.ask(state, &search.question()?, found)
+        self.ask(state, &search.scaled()?, found)
     }
 
     /// Answers a search of many states, which see the same points. A remote index divides more than 1,000 states
@@ -296,8 +296,8 @@ impl Index {
         states: impl IntoIterator<Item = S>,
         search: &Search,
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
-        let question = search.question()?;
-        self.with_rows(states, |rows| self.form.search_many(rows, &[question]))
+        let scaled = search.scaled()?;
+        self.with_rows(states, |rows| self.form.search_many(rows, &[scaled]))
     }
 
     /// Answers a search for each of many states, which see the same points. A remote index takes only one search.
@@ -310,18 +310,18 @@ impl Index {
         states: impl IntoIterator<Item = S>,
         searches: &[Search],
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
-        let questions: Vec<_> = searches
+        let scaled: Vec<_> = searches
             .iter()
-            .map(Search::question)
+            .map(Search::scaled)
             .collect::<Result<_, _>>()?;
         self.with_rows(states, |rows| {
             let count = rows.len() / self.space().coordinates();
-            match questions.len() == count {
+            match scaled.len() == count {
                 true if count == 0 => Ok(Vec::new()),
-                true => self.form.search_many(rows, &questions),
+                true => self.form.search_many(rows, &scaled),
                 false => Err(Error::Argument {
                     field: "searches",
-                    problem: format!("{} of them for {count} states", questions.len()),
+                    problem: format!("{} of them for {count} states", scaled.len()),
                 }),
             }
         })
@@ -375,9 +375,9 @@ impl Index {
     fn ask(
         &self,
         state: impl State,
-        question: &ScaledSearch<'_>,
+        scaled: &ScaledSearch<'_>,
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Error> {
-        self.with_row(state, |row| self.form.search(row, question, found))
+        self.with_row(state, |row| self.form.search(row, scaled, found))
     }
 }

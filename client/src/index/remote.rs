@@ -32,8 +32,8 @@ pub(super) struct Remote {
 }
 
 impl Remote {
-    fn filter(&self, question: &ScaledSearch<'_>) -> Filter {
-        let filter = question.search.filter;
+    fn filter(&self, scaled: &ScaledSearch<'_>) -> Filter {
+        let filter = scaled.search.filter;
         let tagged = Filter::default().tag(filter.tag_mask, filter.tag_value);
         match filter.since_revision {
             0 => tagged,
@@ -41,17 +41,17 @@ impl Remote {
         }
     }
 
-    /// The answers to a question about rows, one after the other.
-    fn ask(&self, rows: &[f64], question: &ScaledSearch<'_>) -> Result<Neighbors, Error> {
-        let left = question.search.until;
+    /// The answers to a search about rows, one after the other.
+    fn ask(&self, rows: &[f64], scaled: &ScaledSearch<'_>) -> Result<Neighbors, Error> {
+        let left = scaled.search.until;
         let left = left.map(|until| until.saturating_duration_since(Instant::now()));
         let index = match left {
             Some(left) => self.index.with_timeout(left),
             None => self.index.clone(),
         };
         let rows: Vec<Vec<f64>> = self.rows(rows).collect();
-        let (filter, epsilon) = (self.filter(question), question.search.epsilon);
-        let Bounds { k, radius } = bounds(question);
+        let (filter, epsilon) = (self.filter(scaled), scaled.search.epsilon);
+        let Bounds { k, radius } = bounds(scaled);
         let answered = wait_for(async move {
             let Some(k) = k else {
                 let radius = radius.unwrap_or(Radius::Fixed(f64::INFINITY));
@@ -105,9 +105,9 @@ fn found<T>(answer: Result<T, Error>) -> Result<Option<T>, Error> {
     }
 }
 
-/// The number of neighbours and the radius of a question, as they travel.
-fn bounds(question: &ScaledSearch<'_>) -> Bounds {
-    let (search, scaling) = (&question.search, question.scaling);
+/// The number of neighbours and the radius of a search, as they travel.
+fn bounds(scaled: &ScaledSearch<'_>) -> Bounds {
+    let (search, scaling) = (&scaled.search, scaled.scaling);
     let fixed_k = (search.k < usize::MAX).then(|| u32::try_from(search.k).unwrap_or(u32::MAX));
     let fixed_radius = (search.radius < f64::INFINITY).then_some(search.radius);
     let scaled_radius = scaling.radius_factor.map(|factor| {
@@ -139,10 +139,10 @@ impl NearestNeighbors for Remote {
     fn search(
         &self,
         row: &[f64],
-        question: &ScaledSearch<'_>,
+        scaled: &ScaledSearch<'_>,
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Error> {
-        let answer = self.ask(row, question)?;
+        let answer = self.ask(row, scaled)?;
         found.clear();
         found.extend(answer.row(0).iter());
         Ok(ReadRevision(answer.revision().number))
@@ -151,22 +151,22 @@ impl NearestNeighbors for Remote {
     fn search_many(
         &self,
         rows: &[f64],
-        questions: &[ScaledSearch<'_>],
+        searches: &[ScaledSearch<'_>],
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
-        let [question] = questions else {
+        let [scaled] = searches else {
             return Err(Error::Argument {
                 field: "searches",
                 problem: "a remote index answers one search a call; use search_many".to_owned(),
             });
         };
-        let answer = self.ask(rows, question)?;
+        let answer = self.ask(rows, scaled)?;
         Ok(answer.rows().map(|row| row.iter().collect()).collect())
     }
 
     fn insert(
         &self,
         point: &NewPoint<'_>,
-        question: Option<&ScaledSearch<'_>>,
+        scaled: Option<&ScaledSearch<'_>>,
         found: &mut Vec<Neighbor>,
     ) -> Result<(u64, ReadRevision), Error> {
         check_id(point)?;
@@ -177,10 +177,10 @@ impl NearestNeighbors for Remote {
         if !point.payload.is_empty() {
             insert = insert.payloads([point.payload.to_vec()]);
         }
-        if let Some(question) = question {
-            let Bounds { k, radius } = bounds(question);
+        if let Some(scaled) = scaled {
+            let Bounds { k, radius } = bounds(scaled);
             let radius = radius.or(k.is_none().then_some(Radius::Fixed(f64::INFINITY)));
-            let spec = NeighborSpec::of(k, radius).filter(self.filter(question));
+            let spec = NeighborSpec::of(k, radius).filter(self.filter(scaled));
             insert = insert.neighbors(spec);
         }
         let taken = |id| Error::IdTaken { id };

@@ -87,7 +87,7 @@ impl Search {
     }
 
     /// The search in the terms of the index.
-    pub(crate) fn question(&self) -> Result<ScaledSearch<'static>, Error> {
+    pub(crate) fn scaled(&self) -> Result<ScaledSearch<'static>, Error> {
         let mut search = wayfold_index::Search::nearest_k(match self.bounds.k {
             Some(K::Fixed(0)) => return Err(argument("k", "0; it is at least 1")),
             Some(K::Fixed(k)) => k as usize,
@@ -130,7 +130,7 @@ impl Search {
     }
 }
 
-/// The question for the nearest `k`, without any factor.
+/// The search for the nearest `k`, without any factor.
 pub(super) fn nearest_k(k: usize) -> ScaledSearch<'static> {
     ScaledSearch {
         search: wayfold_index::Search::nearest_k(k),

@@ -80,7 +80,7 @@ impl Index {
         self.shared.as_ref().map(|shared| shared.status())
     }
 
-    /// The answers about own points that were inserted with a question: the neighbours that others stored before them
+    /// The answers about own points that were inserted with a search: the neighbours that others stored before them
     /// in the index's order and that the insert could not see. Each point is answered once, when the feed has named it,
     /// also without such neighbours. In the other forms an insert sees all.
     pub fn meanwhile(&self) -> MeanwhileAnswers {

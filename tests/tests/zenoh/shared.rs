@@ -2,7 +2,7 @@
 //! them, and of single messages.
 
 #[path = "../e2e/shared/history.rs"]
-#[expect(dead_code, reason = "the suite over gRPC asks questions too")]
+#[expect(dead_code, reason = "the suite over gRPC inserts with searches too")]
 mod history;
 mod kills;
 mod outage;

@@ -154,7 +154,7 @@ class Meanwhile:
     def is_superset(self) -> bool: ...
 
 class MeanwhileAnswers:
-    """The answers to the questions of inserts, as far as the server has stored the points."""
+    """The answers to the searches of inserts, as far as the server has stored the points."""
 
     @property
     def answers(self) -> list[Meanwhile]: ...
@@ -277,7 +277,7 @@ class Index:
     def status(self) -> ConnectionStatus | None:
         """The state of a shared index's connection; None for the other forms."""
     def meanwhile(self) -> MeanwhileAnswers:
-        """The answers about own points that were inserted with a question."""
+        """The answers about own points that were inserted with a search."""
     def wait_meanwhile(self, timeout: float) -> MeanwhileAnswers:
         """Acts like `meanwhile`, but waits for an answer, at most `timeout` seconds, if one is to come."""
     def take_unsent(self) -> list[UnsentWrite]:

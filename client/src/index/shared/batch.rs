@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use wayfold_proto::v1::{self, StepKind};
 
-use super::meanwhile::OpenQuestion;
+use super::meanwhile::OpenSearch;
 
 /// One write.
 #[derive(Clone, Debug, PartialEq)]
@@ -83,8 +83,8 @@ pub(super) struct Batch {
     pub(super) revision: Option<u64>,
     /// The first and the last of its ids that the index assigned.
     assigned: Option<(u64, u64)>,
-    /// The questions of its inserts.
-    pub(super) questions: Vec<OpenQuestion>,
+    /// The searches of its inserts.
+    pub(super) searches: Vec<OpenSearch>,
     /// The session that sent it.
     pub(super) session: u64,
     /// The ids that it reserves: a repeated request is the same.

@@ -245,12 +245,12 @@ impl Core {
         self.published.lock().0.uid() == index.uid()
     }
 
-    /// Computes the answers to questions, and keeps them for the caller. Called without a lock.
-    pub(super) fn answer(&self, questions: Vec<Answerable>) {
-        for answerable in questions {
+    /// Computes the answers to searches, and keeps them for the caller. Called without a lock.
+    pub(super) fn answer(&self, searches: Vec<Answerable>) {
+        for answerable in searches {
             let compute = || {
                 for answer in answerable.answers(&self.space) {
-                    self.writer.lock().open_questions.add(answer);
+                    self.writer.lock().open_searches.add(answer);
                 }
             };
             match answerable.is_long() {
@@ -261,18 +261,18 @@ impl Core {
         }
     }
 
-    /// Takes the answers to questions; waits for one if none is here and one is under way.
+    /// Takes the answers to searches; waits for one if none is here and one is under way.
     pub(super) fn wait_meanwhile(&self, timeout: Duration) -> MeanwhileAnswers {
         let until = deadline(timeout);
         let mut writer = self.writer.lock();
-        while writer.open_questions.are_awaited() && !self.has_ended() {
+        while writer.open_searches.are_awaited() && !self.has_ended() {
             self.wake(&mut writer);
             self.urgent.notify_one();
             if self.progress.wait_until(&mut writer, until).timed_out() {
                 break;
             }
         }
-        writer.open_questions.take()
+        writer.open_searches.take()
     }
 
     /// Gives back the writes that the server did not take, after which writing begins again.

@@ -9,7 +9,7 @@ use crate::index::local::LocalPoints;
 /// The most bytes of the answers that wait for the caller.
 const MAX_BYTES: usize = 16 << 20;
 
-/// The most points of others that wait for open questions, 32 bytes each.
+/// The most points of others that wait for open searches, 32 bytes each.
 const MAX_ARRIVALS: usize = 1 << 20;
 
 /// The most neighbours of an answer that no distance bounds. One that is missed has as many nearer ones, which came while
@@ -33,13 +33,13 @@ pub struct Meanwhile {
     pub is_superset: bool,
 }
 
-/// The answers to the questions of inserts, as far as the server has stored the points.
+/// The answers to the searches of inserts, as far as the server has stored the points.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct MeanwhileAnswers {
-    /// One for each question.
+    /// One for each search.
     pub answers: Vec<Meanwhile>,
-    /// The number of questions without an answer yet: the feed has not named their points.
+    /// The number of searches without an answer yet: the feed has not named their points.
     pub open: usize,
     /// True if answers were dropped since the last call, because no one took them.
     pub has_dropped: bool,
@@ -51,9 +51,9 @@ impl Meanwhile {
     }
 }
 
-/// The question of an insert that the server has not stored yet.
+/// The search of an insert that the server has not stored yet.
 #[derive(Clone, Debug)]
-pub(super) struct OpenQuestion {
+pub(super) struct OpenSearch {
     id: u64,
     /// The position of the insert in its batch.
     pub(super) step: usize,
@@ -62,7 +62,7 @@ pub(super) struct OpenQuestion {
     k: usize,
     /// A neighbour that the answer could not see is no farther than this, unless a point of the answer has left.
     bound: f64,
-    /// The radius of the question, which bounds all neighbours.
+    /// The radius of the search, which bounds all neighbours.
     radius: f64,
     /// The neighbours that the insert found, if the last of them is the bound.
     found: Vec<Neighbor>,
@@ -74,7 +74,7 @@ pub(super) struct OpenQuestion {
     is_reloaded: bool,
 }
 
-impl OpenQuestion {
+impl OpenSearch {
     /// The search with which the point `id` was inserted by a step of its batch, and what it found: change number `at`
     /// of the copy stored the point.
     pub(super) fn new(
@@ -83,9 +83,9 @@ impl OpenQuestion {
         search: &Search<'_>,
         found: &[Neighbor],
         at: u64,
-    ) -> OpenQuestion {
+    ) -> OpenSearch {
         let farthest = found.last().filter(|_| found.len() >= search.k);
-        OpenQuestion {
+        OpenSearch {
             id,
             step,
             row: row.to_vec(),
@@ -118,9 +118,9 @@ struct Arrival {
 
 /// Questions under way, what others stored meanwhile, and answers for the caller.
 #[derive(Debug, Default)]
-pub(super) struct OpenQuestions {
+pub(super) struct OpenSearches {
     open: usize,
-    /// The points that others stored since the oldest open question.
+    /// The points that others stored since the oldest open search.
     stored: VecDeque<Arrival>,
     /// The last change by which another writer removed or moved a point.
     departure: u64,
@@ -136,7 +136,7 @@ type Change = (u64, Option<u64>);
 /// Questions whose points the server has stored, with everything that their answers need.
 #[derive(Debug)]
 pub(super) struct Answerable {
-    questions: Vec<OpenQuestion>,
+    searches: Vec<OpenSearch>,
     /// The changes of each point, the oldest first, and the point.
     arrived: Vec<(Vec<Change>, Point)>,
     /// The last change by which another writer removed or moved a point.
@@ -144,8 +144,8 @@ pub(super) struct Answerable {
     snapshot: Option<ForestSnapshot>,
 }
 
-impl OpenQuestions {
-    /// A question is under way.
+impl OpenSearches {
+    /// A search is under way.
     pub(super) fn open(&mut self) {
         self.open += 1;
     }
@@ -158,7 +158,7 @@ impl OpenQuestions {
         }
     }
 
-    /// True if a question is under way.
+    /// True if a search is under way.
     pub(super) fn are_open(&self) -> bool {
         self.open > 0
     }
@@ -175,7 +175,7 @@ impl OpenQuestions {
         self.departure = at;
     }
 
-    /// True if the points that others stored take too much memory: answer the open questions from all points
+    /// True if the points that others stored take too much memory: answer the open searches from all points
     /// then.
     pub(super) fn is_full(&self) -> bool {
         self.stored.len() > MAX_ARRIVALS
@@ -186,15 +186,15 @@ impl OpenQuestions {
         self.stored.clear();
     }
 
-    /// The server has stored the points of these questions: `points` are those up to them, and own points. `oldest` is
-    /// the oldest of the questions that stay open.
+    /// The server has stored the points of these searches: `points` are those up to them, and own points. `oldest` is
+    /// the oldest of the searches that stay open.
     pub(super) fn answerable(
         &mut self,
-        questions: Vec<OpenQuestion>,
-        oldest: Option<&OpenQuestion>,
+        searches: Vec<OpenSearch>,
+        oldest: Option<&OpenSearch>,
         points: &LocalPoints,
     ) -> Option<Answerable> {
-        let first = questions.first()?.at;
+        let first = searches.first()?.at;
         let after = self.stored.partition_point(|arrival| arrival.at <= first);
         let mut changes: HashMap<u64, Vec<Change>> = HashMap::new();
         for arrival in self.stored.range(after..) {
@@ -208,11 +208,11 @@ impl OpenQuestions {
         let answerable = Answerable {
             arrived: arrived.collect(),
             departure: self.departure,
-            snapshot: questions
+            snapshot: searches
                 .iter()
-                .any(|question| question.is_reloaded)
+                .any(|open| open.is_reloaded)
                 .then(|| points.forest.snapshot()),
-            questions,
+            searches,
         };
         if let Some(oldest) = oldest {
             let kept = self
@@ -223,7 +223,7 @@ impl OpenQuestions {
         Some(answerable)
     }
 
-    /// A question has this answer, and is closed.
+    /// A search has this answer, and is closed.
     pub(super) fn add(&mut self, answer: Meanwhile) {
         self.close(1);
         self.bytes += answer.bytes();
@@ -255,28 +255,28 @@ impl OpenQuestions {
 impl Answerable {
     /// True if the answers take too long for a thread that other tasks wait for.
     pub(super) fn is_long(&self) -> bool {
-        self.snapshot.is_some() || self.questions.len() * self.arrived.len() > MAX_INLINE_DISTANCES
+        self.snapshot.is_some() || self.searches.len() * self.arrived.len() > MAX_INLINE_DISTANCES
     }
 
-    /// The answers, in the order of the questions.
+    /// The answers, in the order of the searches.
     pub(super) fn answers(&self, space: &Space) -> impl Iterator<Item = Meanwhile> {
-        self.questions.iter().map(|question| Meanwhile {
-            id: question.id,
-            points_before: question.points_before,
-            neighbors: match question.is_reloaded {
-                false => self.arrived(question, space),
-                true => self.superset(question, space),
+        self.searches.iter().map(|open| Meanwhile {
+            id: open.id,
+            points_before: open.points_before,
+            neighbors: match open.is_reloaded {
+                false => self.arrived(open, space),
+                true => self.superset(open, space),
             },
-            is_superset: question.is_reloaded,
+            is_superset: open.is_reloaded,
         })
     }
 
-    /// The points that arrived after the question's, within its bound.
-    fn arrived(&self, question: &OpenQuestion, space: &Space) -> Vec<Neighbor> {
-        let filter = question.filter;
+    /// The points that arrived after the search's own, within its bound.
+    fn arrived(&self, open: &OpenSearch, space: &Space) -> Vec<Neighbor> {
+        let filter = open.filter;
         let passes = |tag: u64| tag & filter.tag_mask == filter.tag_value;
         let unseen = self.arrived.iter().filter(|(changes, point)| {
-            let later = changes.iter().filter(|(at, _)| *at > question.at);
+            let later = changes.iter().filter(|(at, _)| *at > open.at);
             let Some((_, old_tag)) = later.clone().next() else {
                 return false;
             };
@@ -284,43 +284,43 @@ impl Answerable {
             passes(point.tag) && (is_new || !old_tag.is_some_and(passes))
         });
         let neighbors = unseen.map(|(_, point)| Neighbor {
-            distance: space.distance(&question.row, &point.row),
+            distance: space.distance(&open.row, &point.row),
             id: point.id,
         });
-        let bound = match self.departure > question.at {
-            true => question.radius,
-            false => question.bound,
+        let bound = match self.departure > open.at {
+            true => open.radius,
+            false => open.bound,
         };
         let near = neighbors.filter(|neighbor| neighbor.distance <= bound);
         let mut neighbors: Vec<Neighbor> = near.collect();
         neighbors.sort_unstable();
-        neighbors.truncate(question.k);
+        neighbors.truncate(open.k);
         neighbors
     }
 
     /// All points within the bound or, if a point of the insert's answer has left or moved, the [`MAX_SUPERSET`] nearest
     /// within the radius.
-    fn superset(&self, question: &OpenQuestion, space: &Space) -> Vec<Neighbor> {
+    fn superset(&self, open: &OpenSearch, space: &Space) -> Vec<Neighbor> {
         let Some(points) = &self.snapshot else {
             return Vec::new();
         };
         let stays = |found: &Neighbor| {
             points.get(found.id).is_some_and(|point| {
-                point.tag & question.filter.tag_mask == question.filter.tag_value
-                    && space.distance(&question.row, &point.row) == found.distance
+                point.tag & open.filter.tag_mask == open.filter.tag_value
+                    && space.distance(&open.row, &point.row) == found.distance
             })
         };
-        let mut search = match question.found.iter().all(stays) {
-            true => Search::nearest_r(question.bound),
+        let mut search = match open.found.iter().all(stays) {
+            true => Search::nearest_r(open.bound),
             false => Search {
-                radius: question.radius,
+                radius: open.radius,
                 ..Search::nearest_k(MAX_SUPERSET)
             },
         };
-        search.filter = question.filter;
-        let answer = points.search(&question.row, &search);
+        search.filter = open.filter;
+        let answer = points.search(&open.row, &search);
         let mut neighbors = answer.map_or_else(|_| Vec::new(), |answer| answer.neighbors);
-        neighbors.retain(|neighbor| neighbor.id != question.id);
+        neighbors.retain(|neighbor| neighbor.id != open.id);
         neighbors
     }
 }
@@ -350,10 +350,10 @@ mod tests {
             }
             let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
             forest.apply(1, &points, &[]).unwrap();
-            let mut question = OpenQuestion::new((0, 0), &[0.0], &search, &found, 1);
-            question.reloaded();
+            let mut open = OpenSearch::new((0, 0), &[0.0], &search, &found, 1);
+            open.reloaded();
             let answerable = Answerable {
-                questions: vec![question],
+                searches: vec![open],
                 arrived: Vec::new(),
                 departure: 0,
                 snapshot: Some(forest.snapshot()),

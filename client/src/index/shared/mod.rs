@@ -2,7 +2,7 @@
 //!
 //! `core` is what callers and the two tasks share: the points of the copy, and the `writer`. The writer holds the
 //! pending writes in batches (`batch`), the ids to give (`ids`), what is published under ids with pending writes
-//! (`rebased`) and the questions whose answers are not complete (`meanwhile`). `sender` sends the batches, `subscriber`
+//! (`rebased`) and the searches whose answers are not complete (`meanwhile`). `sender` sends the batches, `subscriber`
 //! applies what the server publishes; both call the server through `link`, over gRPC or Zenoh. `served_index` is what
 //! they know of the server's index.
 
@@ -80,7 +80,7 @@ impl SharedIndex {
         if self.core.is_forked() {
             return MeanwhileAnswers::default();
         }
-        self.core.writer.lock().open_questions.take()
+        self.core.writer.lock().open_searches.take()
     }
 
     pub(super) fn wait_meanwhile(&self, timeout: Duration) -> MeanwhileAnswers {
@@ -159,17 +159,17 @@ impl NearestNeighbors for SharedIndex {
     fn search(
         &self,
         row: &[f64],
-        question: &ScaledSearch<'_>,
+        scaled: &ScaledSearch<'_>,
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Error> {
         self.core.check_readable()?;
         let points = self.core.points.read();
         let read_revision = points.read_revision();
-        *found = match points.snapshot_for(question) {
-            None => points.search(row, question)?,
+        *found = match points.snapshot_for(scaled) {
+            None => points.search(row, scaled)?,
             Some(snapshot) => {
                 drop(points);
-                search_snapshot(&snapshot, row, question)?
+                search_snapshot(&snapshot, row, scaled)?
             }
         };
         Ok(read_revision)
@@ -178,21 +178,21 @@ impl NearestNeighbors for SharedIndex {
     fn search_many(
         &self,
         rows: &[f64],
-        questions: &[ScaledSearch<'_>],
+        searches: &[ScaledSearch<'_>],
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
         self.core.check_readable()?;
         let snapshot = self.core.points.read().forest.snapshot();
         let rows = rows.chunks_exact(self.core.space.coordinates());
-        let questions = questions.iter().cycle();
-        rows.zip(questions)
-            .map(|(row, question)| search_snapshot(&snapshot, row, question))
+        let searches = searches.iter().cycle();
+        rows.zip(searches)
+            .map(|(row, scaled)| search_snapshot(&snapshot, row, scaled))
             .collect()
     }
 
     fn insert(
         &self,
         point: &NewPoint<'_>,
-        question: Option<&ScaledSearch<'_>>,
+        scaled: Option<&ScaledSearch<'_>>,
         found: &mut Vec<Neighbor>,
     ) -> Result<(u64, ReadRevision), Error> {
         check_id(point)?;
@@ -214,10 +214,10 @@ impl NearestNeighbors for SharedIndex {
             {
                 return Err(Error::IdTaken { id });
             }
-            if let Some(question) = question {
-                let scaled = question.among(points.forest.len(), self.core.space.dimension());
-                *found = points.forest.search(point.row, &scaled)?.neighbors;
-                search = Some(scaled);
+            if let Some(scaled) = scaled {
+                let among = scaled.among(points.forest.len(), self.core.space.dimension());
+                *found = points.forest.search(point.row, &among)?.neighbors;
+                search = Some(among);
             }
         }
         let id = match point.id {

@@ -218,7 +218,7 @@ impl Subscriber {
     }
 }
 
-/// Applies a mutation to the copy. Returns the questions that it answers.
+/// Applies a mutation to the copy. Returns the searches that it answers.
 fn apply(
     mutation: &Mutation,
     left_out: u64,

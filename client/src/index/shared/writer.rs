@@ -15,7 +15,7 @@ use wayfold_proto::v1;
 use super::{
     batch::{Batch, Step, UnsentWrite},
     ids::ReservedIds,
-    meanwhile::{OpenQuestion, OpenQuestions},
+    meanwhile::{OpenSearch, OpenSearches},
     rebased::RebasedPoint,
 };
 use crate::{Error, index::local::LocalPoints};
@@ -49,7 +49,7 @@ pub(super) struct Writer {
     pub(super) written: u64,
     /// The number of writes that the server has acknowledged, or that were given back.
     pub(super) settled: u64,
-    pub(super) open_questions: OpenQuestions,
+    pub(super) open_searches: OpenSearches,
     /// The reason for which the server takes no more writes, until the caller has taken back those that it did not
     /// take.
     pub(super) refused: Option<Arc<Error>>,
@@ -79,7 +79,7 @@ impl Writer {
             requested_ids: 0,
             written: 0,
             settled: 0,
-            open_questions: OpenQuestions::default(),
+            open_searches: OpenSearches::default(),
             refused: None,
             refusals: 0,
             unsent: Vec::new(),
@@ -144,9 +144,9 @@ impl Writer {
     ) {
         if let Some(batch) = self.queue.back_mut() {
             let step = batch.len() - 1;
-            let question = OpenQuestion::new((id, step), row, search, found, at);
-            batch.questions.push(question);
-            self.open_questions.open();
+            let open = OpenSearch::new((id, step), row, search, found, at);
+            batch.searches.push(open);
+            self.open_searches.open();
         }
     }
 

@@ -321,12 +321,12 @@ fn answers_that_no_one_takes_are_dropped() {
         neighbors: Vec::new(),
         is_superset: false,
     };
-    (0..1_000_000).for_each(|id| writer.open_questions.add(answer(id)));
-    let taken = writer.open_questions.take();
+    (0..1_000_000).for_each(|id| writer.open_searches.add(answer(id)));
+    let taken = writer.open_searches.take();
     assert!(taken.has_dropped);
     assert!(taken.answers.len() * size_of::<Meanwhile>() <= 16 << 20);
     assert_eq!(taken.answers.last().map(|it| it.id), Some(999_999));
-    assert!(!writer.open_questions.take().has_dropped);
+    assert!(!writer.open_searches.take().has_dropped);
 }
 
 #[test]

@@ -55,7 +55,7 @@ pub(super) fn wait_for_all(marker: &Index, state: &[f64], copies: &[&Index]) {
     }
 }
 
-/// Waits until no question is open, and returns the answers that came after the inserts.
+/// Waits until no search is open, and returns the answers that came after the inserts.
 pub(super) fn take_answers(index: &Index) -> Vec<Meanwhile> {
     let mut answers = Vec::new();
     loop {

@@ -149,22 +149,22 @@ async fn no_edge_is_missed_over_a_reload() {
     let (away, there) = (&outage.away, &outage.there);
     let before = there.insert(at(103.0, 100.0)).unwrap();
     let reached = outage.begin(false).await;
-    let mut questions = Vec::new();
+    let mut inserts = Vec::new();
     for search in [Search::within(5.0), Search::k(1), Search::k(3).radius(4.0)] {
         let options = InsertOptions::new().neighbors(search);
         // Each is alone with its neighbours.
-        let x = 100.0 + 100.0 * questions.len() as f64;
+        let x = 100.0 + 100.0 * inserts.len() as f64;
         let inserted = away.insert_with(at(x, 100.0), options).unwrap();
         let near = there.insert(at(x, 101.0)).unwrap();
-        questions.push((inserted, near));
+        inserts.push((inserted, near));
     }
-    assert_eq!(questions[0].0.neighbors.neighbors[0].id, before);
+    assert_eq!(inserts[0].0.neighbors.neighbors[0].id, before);
     there.flush().unwrap();
     outage.pass_window(reached, 3).await;
     outage.end();
     let answers = take_answers(away);
     assert!(answers.iter().all(|answer| answer.is_superset));
-    for (inserted, near) in questions {
+    for (inserted, near) in inserts {
         let of_it = answers.iter().filter(|answer| answer.id == inserted.id);
         let ids: BTreeSet<u64> = of_it
             .flat_map(|answer| answer.neighbors.iter().map(|neighbor| neighbor.id))

@@ -81,16 +81,16 @@ impl Writer {
         if batch.revision.is_none() {
             self.settled += batch.len() as u64;
         }
-        let mut questions = std::mem::take(&mut batch.questions);
-        if self.rebased.is_empty() && questions.is_empty() {
+        let mut searches = std::mem::take(&mut batch.searches);
+        if self.rebased.is_empty() && searches.is_empty() {
             // The steps are inserts under ids of this session.
             self.published_points += if is_newer { 0 } else { batch.len() };
             return Ok(None);
         }
-        let mut unplaced = questions.iter_mut().peekable();
+        let mut unplaced = searches.iter_mut().peekable();
         for (at, (id, _)) in batch.steps(self.width).enumerate() {
-            if let Some(question) = unplaced.next_if(|question| question.step == at) {
-                question.points_before = self.published_points;
+            if let Some(open) = unplaced.next_if(|open| open.step == at) {
+                open.points_before = self.published_points;
             }
             let Some(rebased) = self.rebased.get_mut(&id) else {
                 self.published_points += usize::from(!is_newer);
@@ -107,8 +107,8 @@ impl Writer {
                 self.rebased.remove(&id);
             }
         }
-        let oldest = self.queue.iter().find_map(|batch| batch.questions.first());
-        Ok(self.open_questions.answerable(questions, oldest, points))
+        let oldest = self.queue.iter().find_map(|batch| batch.searches.first());
+        Ok(self.open_searches.answerable(searches, oldest, points))
     }
 
     /// Another writer has removed and stored points, as one record.
@@ -118,7 +118,7 @@ impl Writer {
         removed: &[u64],
         points: &mut LocalPoints,
     ) -> Result<(), Error> {
-        if self.rebased.is_empty() && !self.open_questions.are_open() {
+        if self.rebased.is_empty() && !self.open_searches.are_open() {
             return self.publish(stored, removed, points);
         }
         let at = points.read_revision().0 + 1;
@@ -126,9 +126,9 @@ impl Writer {
         for row in stored {
             let held = if row.is_new { None } else { points.get(row.id) };
             if row.is_new && points.forest.contains(row.id) {
-                self.open_questions.depart(at);
+                self.open_searches.depart(at);
             }
-            self.open_questions
+            self.open_searches
                 .push(at, row.id, held.map(|held| held.tag));
             match self.rebased.get_mut(&row.id) {
                 None => plain.push(row),
@@ -141,12 +141,12 @@ impl Writer {
             }
         }
         if !removed.is_empty() {
-            self.open_questions.depart(at);
+            self.open_searches.depart(at);
         }
-        if self.open_questions.is_full() {
-            self.open_questions.forget();
-            for question in self.queue.iter_mut().flat_map(|batch| &mut batch.questions) {
-                question.reloaded();
+        if self.open_searches.is_full() {
+            self.open_searches.forget();
+            for open in self.queue.iter_mut().flat_map(|batch| &mut batch.searches) {
+                open.reloaded();
             }
         }
         let mut plain_removed = Vec::new();
@@ -185,8 +185,8 @@ impl Writer {
     ) -> Result<Vec<Answerable>, Error> {
         self.rebased.clear();
         self.published_points = points.forest.len();
-        for question in self.queue.iter_mut().flat_map(|batch| &mut batch.questions) {
-            question.reloaded();
+        for open in self.queue.iter_mut().flat_map(|batch| &mut batch.searches) {
+            open.reloaded();
         }
         let answerable = self.confirm_up_to(revision, points)?;
         for batch in &self.queue {
@@ -224,7 +224,7 @@ impl Writer {
             .count();
         for batch in self.queue.split_off(taken) {
             self.bytes -= batch.bytes();
-            self.open_questions.close(batch.questions.len());
+            self.open_searches.close(batch.searches.len());
             self.settled += batch.len() as u64;
             for (id, _) in batch.steps(self.width) {
                 match self.rebased.get_mut(&id) {
@@ -248,7 +248,7 @@ impl Writer {
     pub(in crate::index::shared) fn forget_history(&mut self) {
         self.past_sessions.clear();
         for batch in self.queue.drain(..) {
-            self.open_questions.close(batch.questions.len());
+            self.open_searches.close(batch.searches.len());
         }
         self.rebased.clear();
         self.bytes = 0;
