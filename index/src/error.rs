@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::{KdTree, StateError};
+use crate::StateError;
 
 /// The error of a table of points.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -15,8 +15,8 @@ pub enum PointsError {
         /// The coordinates of the rows.
         found: usize,
     },
-    /// There are more than [`KdTree::MAX_POINTS`].
-    #[error("{0} points, where a tree holds at most {max}", max = KdTree::MAX_POINTS)]
+    /// There are more than [`Points::MAX_POINTS`](crate::Points::MAX_POINTS).
+    #[error("{0} points, where a structure holds at most {max}", max = u32::MAX)]
     TooMany(usize),
     /// A row is not a canonical state of the space.
     #[error("states[{row}].{error}")]

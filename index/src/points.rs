@@ -1,6 +1,6 @@
 //! Tables of points.
 
-use crate::{KdTree, PointsError, Space};
+use crate::{PointsError, Space};
 
 /// One stored point, borrowed from the structure that holds it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -71,6 +71,9 @@ pub struct Points {
 }
 
 impl Points {
+    /// The greatest number of points of a structure: slots are 32 bits wide.
+    pub const MAX_POINTS: usize = u32::MAX as usize;
+
     /// An empty table for rows of `coordinates` numbers.
     pub fn new(coordinates: usize) -> Self {
         Self::with_capacity(coordinates, 0)
@@ -205,7 +208,7 @@ impl Points {
         if expected != found {
             return Err(PointsError::Width { expected, found });
         }
-        if self.len() > KdTree::MAX_POINTS {
+        if self.len() > Self::MAX_POINTS {
             return Err(PointsError::TooMany(self.len()));
         }
         space

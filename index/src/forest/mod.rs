@@ -30,8 +30,7 @@ use std::{
 };
 
 use crate::{
-    Answer, ApplyError, KdTree, Point, Points, PointsError, Search, SearchError, Space,
-    kernel::KeyScale,
+    Answer, ApplyError, Point, Points, PointsError, Search, SearchError, Space, kernel::KeyScale,
 };
 use growing::Growing;
 use level::Level;
@@ -185,7 +184,7 @@ impl Forest {
     ///
     /// # Errors
     /// `revision` is not above the forest's, the rows are not canonical states of the space, two have the same id, or
-    /// there are more than [`KdTree::MAX_POINTS`]; nothing is changed then.
+    /// there are more than [`Points::MAX_POINTS`]; nothing is changed then.
     pub fn apply(
         &mut self,
         revision: u64,
@@ -205,7 +204,7 @@ impl Forest {
     ///
     /// # Errors
     /// The rows are not canonical states of the space, two have the same id, one has an id of the forest, or there are
-    /// more than [`KdTree::MAX_POINTS`]; nothing is changed then.
+    /// more than [`Points::MAX_POINTS`]; nothing is changed then.
     pub fn load(&mut self, points: &Points) -> Result<(), ApplyError> {
         points.check(&self.head.space)?;
         let mut ids = points.ids().iter();
@@ -303,13 +302,13 @@ impl Forest {
     /// levels may begin meanwhile. While writes pause, levels are merged until the levels other than the largest are
     /// together less than a sixteenth of it.
     pub fn begin_merge(&mut self) -> Option<Merge> {
-        self.begin_merge_up_to(KdTree::MAX_POINTS)
+        self.begin_merge_up_to(Points::MAX_POINTS)
     }
 
     /// Like [`Forest::begin_merge`], for merges that make levels of at most `max_rows` points: a merge needs memory for
     /// the new level while the old ones still exist.
     pub fn begin_merge_up_to(&mut self, max_rows: usize) -> Option<Merge> {
-        let max_rows = max_rows.min(KdTree::MAX_POINTS);
+        let max_rows = max_rows.min(Points::MAX_POINTS);
         let paused = self.paused_at == Some(self.head.revision);
         if paused && self.head.growing.rows() >= policy::MIN_ROWS {
             self.seal();
@@ -384,12 +383,12 @@ impl Forest {
 
     /// Runs every merge that is due, on this thread.
     pub fn settle(&mut self) {
-        self.settle_up_to(|| KdTree::MAX_POINTS);
+        self.settle_up_to(|| Points::MAX_POINTS);
     }
 
     /// Like [`Forest::settle`], for merges that make levels of at most `max_rows` points.
     pub fn settle_up_to(&mut self, max_rows: impl Fn() -> usize) {
-        let most = || max_rows().min(KdTree::MAX_POINTS);
+        let most = || max_rows().min(Points::MAX_POINTS);
         while let Some(due) = policy::next_merge(&self.shapes(), most()) {
             let merge = self.begin(&due);
             self.finish_merge(merge.run());

@@ -77,14 +77,11 @@ pub struct KdTree {
 }
 
 impl KdTree {
-    /// The greatest number of points in a tree: its slots are 32 bits wide.
-    pub const MAX_POINTS: usize = u32::MAX as usize;
-
     /// Builds the tree over canonical rows, in O(d · n · log n), with leaves of `leaf_rows` points.
     ///
     /// # Errors
     /// The rows are not canonical states of the space, two have the same id, or there are more than
-    /// [`KdTree::MAX_POINTS`].
+    /// [`Points::MAX_POINTS`].
     pub fn new(space: Space, points: Points, leaf_rows: usize) -> Result<Self, PointsError> {
         points.check(&space)?;
         Ok(Self::build(Arc::new(space), &points, leaf_rows))

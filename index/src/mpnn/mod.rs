@@ -97,7 +97,7 @@ impl Mpnn {
     ///
     /// # Errors
     /// The rows are not canonical states of the space, two have the same id, or there are more than
-    /// [`KdTree::MAX_POINTS`](crate::KdTree::MAX_POINTS).
+    /// [`Points::MAX_POINTS`].
     pub fn new(space: Space, points: Points, leaf_rows: usize) -> Result<Self, PointsError> {
         points.check(&space)?;
         let axes = axes(&space);

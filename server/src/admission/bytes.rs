@@ -53,12 +53,12 @@ impl ByteBudget {
     }
 
     /// Takes room for bytes that exist already, beyond the bound too.
-    pub(super) fn take_anyway(&self, bytes: usize) {
+    pub(super) fn force_take(&self, bytes: usize) {
         self.held.fetch_add(bytes, Relaxed);
     }
 
     /// Gives back room that was taken.
-    pub(super) fn give_back(&self, bytes: usize) {
+    pub(super) fn release(&self, bytes: usize) {
         self.held.fetch_sub(bytes, Relaxed);
     }
 

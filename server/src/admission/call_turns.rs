@@ -68,7 +68,7 @@ impl CallTurns {
     /// The same for a request of a stream that has begun.
     pub(super) fn of_stream(self) -> Self {
         Self {
-            stage: Stage::GoesOn,
+            stage: Stage::Resumed,
             ..self
         }
     }
@@ -111,7 +111,7 @@ impl CallTurns {
             // Others may have come since the last slice.
             let go_on = |next| match next {
                 TurnRequest::Granted(turn) => {
-                    self.flow.turns.give_way(turn, Duration::ZERO, self.stage)
+                    self.flow.turns.yield_turn(turn, Duration::ZERO, self.stage)
                 }
                 waits => waits,
             };
@@ -128,7 +128,7 @@ impl CallTurns {
             return Poll::Pending;
         };
         if self.stage == Stage::New && turn.is_long() {
-            self.stage = Stage::GoesOn;
+            self.stage = Stage::Resumed;
             self.next = Some(TurnRequest::Granted(turn));
             self.has_yielded = true;
             // The task is woken once the runtime has looked for bytes.
@@ -143,17 +143,17 @@ impl CallTurns {
         self.computed += took;
         self.requested_at = began + took;
         self.at_once += took;
-        self.stage = Stage::GoesOn;
+        self.stage = Stage::Resumed;
         if self.at_once >= MAX_AT_ONCE {
             self.at_once = Duration::ZERO;
-            self.stage = Stage::GoesBehind;
+            self.stage = Stage::Demoted;
         }
         // A task of its own polls its work with another waker.
         let goes_on = GOES_ON
             .take()
             .is_some_and(|waker| waker.will_wake(context.waker()));
         if polled.is_pending() && goes_on {
-            let next = self.flow.turns.give_way(turn, took, self.stage);
+            let next = self.flow.turns.yield_turn(turn, took, self.stage);
             self.has_yielded = matches!(next, TurnRequest::Granted(_));
             self.next = Some(next);
         } else {

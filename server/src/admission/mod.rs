@@ -266,7 +266,7 @@ impl HeldBytes {
         }
         if !own.take(bytes) {
             all.refuse();
-            all.give_back(bytes);
+            all.release(bytes);
             return false;
         }
         self.held.fetch_add(bytes, Relaxed);
@@ -274,17 +274,17 @@ impl HeldBytes {
     }
 
     /// Holds bytes that exist already, with room or without.
-    pub(crate) fn take_anyway(&self, bytes: usize) {
-        self.flow.all.take_anyway(bytes);
-        self.flow.own.take_anyway(bytes);
+    pub(crate) fn force_take(&self, bytes: usize) {
+        self.flow.all.force_take(bytes);
+        self.flow.own.force_take(bytes);
         self.held.fetch_add(bytes, Relaxed);
     }
 
     /// Gives back some of the bytes.
-    pub(crate) fn give_back(&self, bytes: usize) {
+    pub(crate) fn release(&self, bytes: usize) {
         self.held.fetch_sub(bytes, Relaxed);
-        self.flow.own.give_back(bytes);
-        self.flow.all.give_back(bytes);
+        self.flow.own.release(bytes);
+        self.flow.all.release(bytes);
     }
 
     /// False while the flow, or all flows together, hold more than they may: answers were not read.
@@ -300,6 +300,6 @@ impl HeldBytes {
 
 impl Drop for HeldBytes {
     fn drop(&mut self) {
-        self.give_back(self.held.load(Relaxed));
+        self.release(self.held.load(Relaxed));
     }
 }

@@ -156,7 +156,7 @@ impl Turns {
     }
 
     /// Charges the flow of `turn` for work that goes on. The turn is handed on if others wait.
-    pub(super) fn give_way(
+    pub(super) fn yield_turn(
         self: &Arc<Self>,
         mut turn: Turn,
         took: Duration,
@@ -207,7 +207,7 @@ impl Turns {
     }
 
     /// Charges `flow` for a turn, and hands it on, or keeps it for later if no call waits.
-    fn hand_on(self: &Arc<Self>, flow: FlowNumber, size: usize, took: Duration, now: Instant) {
+    fn release(self: &Arc<Self>, flow: FlowNumber, size: usize, took: Duration, now: Instant) {
         let mut state = self.state.lock();
         state.charge(flow, took);
         state.free += size;
@@ -265,7 +265,7 @@ impl Turn {
 impl Drop for Turn {
     fn drop(&mut self) {
         if let Some(turns) = self.turns.take() {
-            turns.hand_on(self.flow, self.size, self.took, Instant::now());
+            turns.release(self.flow, self.size, self.took, Instant::now());
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The live members. Each announces its address over NATS every half second, and counts as gone after two seconds of
 //! silence. A member hears its own announcements too. Without them it is cut off: it says so, owns no index for the others, and evaluates
 //! itself what reaches it. Nothing of this is stored. NATS decides between two owners; but a live member that is not known is
-//! not asked what it has applied, so a member that has just begun to hear waits before it trusts its list ([`Members::heard_all`]).
+//! not asked what it has applied, so a member that has just begun to hear waits before it trusts its list ([`Members::wait_for_members`]).
 
 use std::{
     cmp::Reverse,
@@ -147,7 +147,7 @@ impl Members {
     }
 
     /// Waits until all live members have been heard, since the start or since this one was cut off.
-    pub(super) async fn heard_all(&self) {
+    pub(super) async fn wait_for_members(&self) {
         let mut hears_all = self.hears_all.subscribe();
         // NATS may forbid the subject of the announcements: the members are strangers to each other then.
         let _ = timeout(MAX_HEARING_TIME, hears_all.wait_for(|it| *it)).await;

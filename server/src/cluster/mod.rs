@@ -160,8 +160,8 @@ impl Peers for Cluster {
         self.members.others(Uid::unique())
     }
 
-    fn heard_all(&self) -> BoxFuture<'_, ()> {
-        Box::pin(self.members.heard_all())
+    fn wait_for_members(&self) -> BoxFuture<'_, ()> {
+        Box::pin(self.members.wait_for_members())
     }
 
     fn stored<'a>(

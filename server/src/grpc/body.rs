@@ -70,7 +70,7 @@ impl CallResources {
     fn count(&self, frame: Frame<Bytes>) -> Frame<Bytes> {
         frame.map_data(|bytes| {
             let held = self.held.flow().hold();
-            held.take_anyway(bytes.len().next_power_of_two());
+            held.force_take(bytes.len().next_power_of_two());
             Bytes::from_owner(UnreadFrame {
                 bytes,
                 _held: held,

@@ -77,7 +77,7 @@ impl RequestBody {
         }
         let is_held = match self.is_stream {
             true => {
-                self.held.give_back(before.0);
+                self.held.release(before.0);
                 self.held.take(self.messages.unfinished)
             }
             false if self.messages.length > self.limits.max_message_bytes => {

@@ -162,7 +162,7 @@ pub(super) async fn answer(Of(api): Of<Arc<Api>>, request: HttpRequest) -> Respo
     match answered {
         Ok(answer) => {
             record.end(Ending::Ok);
-            held.take_anyway(answer.len());
+            held.force_take(answer.len());
             // The bytes are held until the answer is written.
             let body = Full::new(Bytes::from(answer)).map_frame(move |frame| {
                 let _ = &held;

@@ -74,7 +74,7 @@ impl StreamCall {
             return None;
         }
         let held = &self.admitted.held;
-        held.give_back(std::mem::take(&mut self.unread));
+        held.release(std::mem::take(&mut self.unread));
         let frames = match source.next(self).await {
             Ok(Some(frames)) => frames,
             Ok(None) => {
@@ -91,7 +91,7 @@ impl StreamCall {
         };
         let frames = frames.finish();
         self.unread = frames.len();
-        self.admitted.held.take_anyway(self.unread);
+        self.admitted.held.force_take(self.unread);
         Some(frames)
     }
 

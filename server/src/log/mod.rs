@@ -117,7 +117,7 @@ pub trait Journal: Send + Sync {
     ) -> Result<Vec<Arc<Record>>, LogError>;
 
     /// The record of this revision, of those that this server keeps itself; None if it does not keep it. Blocks.
-    fn kept(&self, uid: Uid, revision: u64) -> Result<Option<Arc<Record>>, LogError> {
+    fn retained(&self, uid: Uid, revision: u64) -> Result<Option<Arc<Record>>, LogError> {
         let Some(before) = revision.checked_sub(1) else {
             return Ok(None);
         };

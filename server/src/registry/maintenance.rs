@@ -17,7 +17,7 @@ use tracing::{debug, error, info, warn};
 use super::{Hosted, IndexState, Registry, RegistryError, replay};
 use crate::{
     log::{Entry, LogError},
-    watermark::give_back,
+    watermark::release_to_os,
 };
 
 /// The time between two rounds of maintenance.
@@ -97,7 +97,7 @@ impl Registry {
                 if registry.is_any_loadable() {
                     registry.load_rest();
                 }
-                give_back(false);
+                release_to_os(false);
             };
             // The join fails only if the task panicked; the panic hook has printed it.
             let _ = tokio::task::spawn_blocking(blocking).await;

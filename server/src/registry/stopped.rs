@@ -199,11 +199,11 @@ impl Hosted {
             return Ok(Some(Record::NO_PREVIOUS));
         }
         let journal = &self.host.log.journal;
-        if let Some(record) = journal.kept(self.uid(), revision)? {
+        if let Some(record) = journal.retained(self.uid(), revision)? {
             return Ok(Some(*record.digest()));
         }
         // The oldest record in the window names the one before it.
-        let next = journal.kept(self.uid(), revision + 1)?;
+        let next = journal.retained(self.uid(), revision + 1)?;
         Ok(next.map(|next| *next.previous()))
     }
 }

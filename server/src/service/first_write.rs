@@ -64,7 +64,7 @@ async fn compare_in_turn(
     let began = Instant::now();
     let first_write = hosted.first_write();
     let mut turn = first_write.turn.lock().await;
-    peers.heard_all().await;
+    peers.wait_for_members().await;
     // Read before the members are: one that joins meanwhile is asked by the next mutation.
     let changes = owners.changes();
     if first_write.compared.load(Relaxed) == changes {

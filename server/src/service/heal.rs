@@ -119,7 +119,7 @@ impl Service {
         ticks.tick().await;
         let mut attempts = HashMap::new();
         if self.has_stopped() {
-            peers.heard_all().await;
+            peers.wait_for_members().await;
             self.heal_stopped(&*peers, &mut attempts).await;
         }
         // The server may have given up waiting.

@@ -212,7 +212,7 @@ pub trait Peers: Send + Sync {
     fn all(&self) -> Vec<String>;
 
     /// Waits until the live members are known, a second or so after this server began to hear them.
-    fn heard_all(&self) -> BoxFuture<'_, ()>;
+    fn wait_for_members(&self) -> BoxFuture<'_, ()>;
 
     /// Asks a member which revisions of some indices it stores.
     fn stored<'a>(

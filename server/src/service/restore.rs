@@ -75,7 +75,7 @@ impl Service {
         let revision = hosted.published().revision;
         let is_durable = self.inner.durability == Some(Durability::Fsync);
         let copied = async {
-            peers.heard_all().await;
+            peers.wait_for_members().await;
             let mut checks = interval(COPY_INTERVAL);
             checks.set_missed_tick_behavior(MissedTickBehavior::Delay);
             loop {

@@ -42,7 +42,7 @@ struct Steps {
 }
 
 /// The net effect of a batch on the point under an id.
-enum Net {
+enum NetEffect {
     /// The put with this number stores it, with this tag and the payload with this number.
     Put {
         row: usize,
@@ -222,25 +222,29 @@ impl Steps {
             };
             // The tag that the point has before this step.
             let old_tag = match net {
-                Some(Net::Put { tag, .. } | Net::Updated { tag, .. }) => Some(*tag),
-                Some(Net::Removed) => None,
+                Some(NetEffect::Put { tag, .. } | NetEffect::Updated { tag, .. }) => Some(*tag),
+                Some(NetEffect::Removed) => None,
                 None => *held_tag,
             };
             match (kind, old_tag, &mut *net) {
-                (StepKind::Put, ..) => *net = Some(Net::Put { row, tag, payload }),
+                (StepKind::Put, ..) => *net = Some(NetEffect::Put { row, tag, payload }),
                 (_, None, _) | (StepKind::Unspecified, ..) => missing += 1,
-                (StepKind::Replace, Some(tag), _) => *net = Some(Net::Put { row, tag, payload }),
-                (StepKind::Remove, ..) => *net = Some(Net::Removed),
+                (StepKind::Replace, Some(tag), _) => {
+                    *net = Some(NetEffect::Put { row, tag, payload })
+                }
+                (StepKind::Remove, ..) => *net = Some(NetEffect::Removed),
                 (
                     StepKind::SetTag,
                     _,
-                    Some(Net::Put { tag: new, .. } | Net::Updated { tag: new, .. }),
+                    Some(NetEffect::Put { tag: new, .. } | NetEffect::Updated { tag: new, .. }),
                 ) => *new = tag,
-                (StepKind::SetTag, ..) => *net = Some(Net::Updated { tag, payload: None }),
-                (StepKind::SetPayload, _, Some(Net::Put { payload: new, .. })) => *new = payload,
+                (StepKind::SetTag, ..) => *net = Some(NetEffect::Updated { tag, payload: None }),
+                (StepKind::SetPayload, _, Some(NetEffect::Put { payload: new, .. })) => {
+                    *new = payload
+                }
                 (StepKind::SetPayload, Some(tag), _) => {
                     let payload = Some(payload);
-                    *net = Some(Net::Updated { tag, payload });
+                    *net = Some(NetEffect::Updated { tag, payload });
                 }
             }
             row += usize::from(has_state(kind));
@@ -251,7 +255,7 @@ impl Steps {
         for id in order {
             pace.step().await?;
             match nets.remove(&id) {
-                Some((held_tag, Some(Net::Put { row, tag, payload }))) => {
+                Some((held_tag, Some(NetEffect::Put { row, tag, payload }))) => {
                     let is_held = held_tag.is_some();
                     let owner = writer.sessions().owner(id);
                     if !is_held && owner.is_some_and(|owner| owner != self.session) {
@@ -269,7 +273,7 @@ impl Steps {
                     };
                     effects.store(point, outcome, self.payload(payload));
                 }
-                Some((_, Some(Net::Updated { tag, payload }))) => {
+                Some((_, Some(NetEffect::Updated { tag, payload }))) => {
                     let Some(held) = stored.get(id) else {
                         continue;
                     };
@@ -283,8 +287,8 @@ impl Steps {
                         effects.store(point, Outcome::Updated, payload);
                     }
                 }
-                Some((Some(_), Some(Net::Removed))) => effects.remove(id),
-                Some((None, Some(Net::Removed)) | (_, None)) | None => {}
+                Some((Some(_), Some(NetEffect::Removed))) => effects.remove(id),
+                Some((None, Some(NetEffect::Removed)) | (_, None)) | None => {}
             }
         }
         match reserved.is_empty() {

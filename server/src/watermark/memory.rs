@@ -31,7 +31,7 @@ pub fn memory(limit_bytes: u64, high_percent: u64, low_percent: u64) -> Option<A
     let level = move || {
         let mut used = self::used()?;
         if used > low {
-            give_back(true);
+            release_to_os(true);
             used = self::used()?;
         }
         Ok(Level {
@@ -83,7 +83,7 @@ fn used() -> io::Result<u64> {
 /// Gives freed memory that the allocator keeps back to the system: all of it with `force`, and without it the memory that
 /// was freed a second ago or earlier. The allocator itself looks for such memory only while threads allocate and end, so
 /// that of the last merges would stay.
-pub(crate) fn give_back(force: bool) {
+pub(crate) fn release_to_os(force: bool) {
     #[expect(
         unsafe_code,
         reason = "the allocator offers this function to C only; it takes a flag and may be called at any time"

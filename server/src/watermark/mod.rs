@@ -20,8 +20,8 @@ use thiserror::Error;
 use tracing::{info, warn};
 
 pub use disk::disk;
-pub(crate) use memory::give_back;
 pub use memory::memory;
+pub(crate) use memory::release_to_os;
 
 /// The time between two measurements.
 const INTERVAL: Duration = Duration::from_millis(100);

@@ -12,12 +12,12 @@ use tracing::warn;
 use zenoh::{Session, Wait, internal::runtime::Runtime};
 
 /// A session and its runtime, which it does not close: dropping this closes both.
-pub(super) struct OpenSession {
+pub(super) struct ZenohRuntime {
     pub(super) session: Session,
     pub(super) runtime: Runtime,
 }
 
-impl Drop for OpenSession {
+impl Drop for ZenohRuntime {
     fn drop(&mut self) {
         if self.runtime.is_closed() {
             return;

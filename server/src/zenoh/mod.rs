@@ -34,7 +34,7 @@ use crate::{config::ZenohConfig, faces::Shared};
 use feed::Announcer;
 use flows::Flows;
 use inline::Inline;
-use links::{Links, OpenSession};
+use links::{Links, ZenohRuntime};
 use peers::ServerWatch;
 use queries::Queries;
 
@@ -52,7 +52,7 @@ pub(crate) fn max_senders(config: &ZenohConfig) -> usize {
 
 /// The open face.
 pub(crate) struct ZenohFace {
-    open: OpenSession,
+    open: ZenohRuntime,
     /// None before a server of a cluster serves.
     queryable: Option<Queryable<()>>,
     queries: Arc<Queries>,

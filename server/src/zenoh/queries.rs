@@ -224,7 +224,7 @@ impl Queries {
             held: None,
             under_way,
         };
-        held.take_anyway(response.bytes());
+        held.force_take(response.bytes());
         Response {
             held: Some(held),
             ..response

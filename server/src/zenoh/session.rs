@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use thiserror::Error;
 use zenoh::{Config, config::EndPoint, internal::runtime::RuntimeBuilder, key_expr::OwnedKeyExpr};
 
-use super::links::OpenSession;
+use super::links::ZenohRuntime;
 use crate::{
     config::ZenohConfig,
     exposure::{ExposedAddress, is_local},
@@ -91,7 +91,7 @@ impl ZenohError {
 /// Opens the session; returns it with the endpoints that it connects to, if any.
 pub(super) async fn open(
     config: &ZenohConfig,
-) -> Result<(OpenSession, Option<String>), ZenohError> {
+) -> Result<(ZenohRuntime, Option<String>), ZenohError> {
     check_listen(&config.listen)?;
     let settings = settings(config)?;
     let connects_to = settings.get_json("connect/endpoints").ok();
@@ -111,7 +111,7 @@ pub(super) async fn open(
 }
 
 /// Does the work of `zenoh::open`, which hides the runtime.
-async fn start(settings: Config) -> Result<OpenSession, zenoh::Error> {
+async fn start(settings: Config) -> Result<ZenohRuntime, zenoh::Error> {
     let keys = |setting| -> Vec<OwnedKeyExpr> {
         let keys = settings.get_json(setting).unwrap_or_default();
         serde_json::from_str(&keys).unwrap_or_default()
@@ -123,7 +123,7 @@ async fn start(settings: Config) -> Result<OpenSession, zenoh::Error> {
         .aggregated_subscribers(subscribers)
         .aggregated_publishers(publishers)
         .await?;
-    let mut open = OpenSession { session, runtime };
+    let mut open = ZenohRuntime { session, runtime };
     open.runtime.start().await?;
     Ok(open)
 }

@@ -12,7 +12,7 @@ use zenoh::{
 
 use crate::{
     feed::{self, catch_up, insertion, next, subscribe},
-    replica::Replica,
+    follower::Follower,
     robot::{Robot, server_at, server_with},
 };
 
@@ -29,9 +29,9 @@ async fn until(tokens: &Tokens, kind: SampleKind) {
     while tokens.recv_async().await.unwrap().kind() != kind {}
 }
 
-async fn compare(replica: &Replica<'_>, stubs: &Stubs) {
+async fn compare(follower: &Follower<'_>, stubs: &Stubs) {
     let content = Content::read(stubs, "arm").await.unwrap();
-    assert_eq!(replica.content, content);
+    assert_eq!(follower.content, content);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -46,10 +46,10 @@ async fn a_server_that_is_killed_and_comes_back_is_found_again_with_its_past() {
     let tokens = tokens(&robot).await;
     until(&tokens, SampleKind::Put).await;
     let events = subscribe(&robot).await;
-    let mut replica = Replica::new(&robot, &uid);
+    let mut follower = Follower::new(&robot, &uid);
     for round in 1..4 {
-        catch_up(&mut replica, &events, &mut stubs).await;
-        compare(&replica, &stubs).await;
+        catch_up(&mut follower, &events, &mut stubs).await;
+        compare(&follower, &stubs).await;
         // The kill falls into the middle of a batch or of its publication.
         let request = v1::InsertRequest {
             tags: vec![round; 400],
@@ -69,8 +69,8 @@ async fn a_server_that_is_killed_and_comes_back_is_found_again_with_its_past() {
         stubs = Stubs::connect(server.uri()).await;
         assert_eq!(feed::uid(stubs.describe("arm").await), uid);
     }
-    catch_up(&mut replica, &events, &mut stubs).await;
-    compare(&replica, &stubs).await;
+    catch_up(&mut follower, &events, &mut stubs).await;
+    compare(&follower, &stubs).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -88,10 +88,10 @@ async fn a_router_that_is_killed_and_comes_back_is_no_loss() {
     let tokens = tokens(&robot).await;
     until(&tokens, SampleKind::Put).await;
     let events = subscribe(&robot).await;
-    let mut replica = Replica::new(&robot, &uid);
+    let mut follower = Follower::new(&robot, &uid);
     for round in 1..4 {
-        catch_up(&mut replica, &events, &mut stubs).await;
-        compare(&replica, &stubs).await;
+        catch_up(&mut follower, &events, &mut stubs).await;
+        compare(&follower, &stubs).await;
         // The insert may never be answered; then a retry takes effect once.
         let operation = format!("operation-{round}");
         let request =
@@ -115,6 +115,6 @@ async fn a_router_that_is_killed_and_comes_back_is_no_loss() {
             assert_eq!(reply.json(), again);
         }
     }
-    catch_up(&mut replica, &events, &mut stubs).await;
-    compare(&replica, &stubs).await;
+    catch_up(&mut follower, &events, &mut stubs).await;
+    compare(&follower, &stubs).await;
 }

@@ -14,7 +14,7 @@ use zenoh::{
 };
 
 use crate::{
-    replica::Replica,
+    follower::Follower,
     robot::{Robot, server},
 };
 
@@ -86,9 +86,9 @@ async fn events_are_what_a_watch_tells() {
     let uid = uid(stubs.create("arm", "R2").await);
     let robot = Robot::connect(&locator).await;
     let events = subscribe(&robot).await;
-    let mut replica = Replica::new(&robot, &uid);
-    // The first publication to a replica names the newest revision of the index.
-    replica.take(next(&events).await).await;
+    let mut follower = Follower::new(&robot, &uid);
+    // The first publication to a follower names the newest revision of the index.
+    follower.take(next(&events).await).await;
     let watched = v1::WatchRequest {
         index_name: "arm".into(),
         after_revision: revision(&uid, 0),
@@ -102,24 +102,27 @@ async fn events_are_what_a_watch_tells() {
     stubs
         .insert(insertion(&(5_000..5_020).collect::<Vec<_>>(), 40_000))
         .await;
-    catch_up(&mut replica, &events, &mut stubs).await;
-    assert_eq!(replica.content, Content::read(&stubs, "arm").await.unwrap());
+    catch_up(&mut follower, &events, &mut stubs).await;
+    assert_eq!(
+        follower.content,
+        Content::read(&stubs, "arm").await.unwrap()
+    );
     let mut received: Vec<v1::Mutation> = Vec::new();
-    while received.last().map(|last| number(&last.revision)) < Some(replica.content.revision) {
+    while received.last().map(|last| number(&last.revision)) < Some(follower.content.revision) {
         received.extend(watch.message().await.unwrap().unwrap().mutations);
     }
-    assert_eq!(whole(received), whole(replica.mutations));
+    assert_eq!(whole(received), whole(follower.mutations));
 }
 
-/// Takes publications until the replica has the newest revision. Any publication may be dropped, and only the next one
+/// Takes publications until the follower has the newest revision. Any publication may be dropped, and only the next one
 /// shows it, so the test always makes one more.
-pub(crate) async fn catch_up(replica: &mut Replica<'_>, events: &Events, stubs: &mut Stubs) {
+pub(crate) async fn catch_up(follower: &mut Follower<'_>, events: &Events, stubs: &mut Stubs) {
     loop {
         let made = stubs.insert(insertion(&[9_999], 1)).await;
         let made = number(&made.revision);
         while let Ok(Some(sample)) = events.try_recv() {
             let received = v1::WatchResponse::decode(&*sample.payload().to_bytes()).unwrap();
-            replica.take(received).await;
+            follower.take(received).await;
         }
         let removed = v1::RemoveRequest {
             index_name: "arm".into(),
@@ -127,8 +130,8 @@ pub(crate) async fn catch_up(replica: &mut Replica<'_>, events: &Events, stubs: 
             ..Default::default()
         };
         stubs.points.remove(removed).await.unwrap();
-        if replica.content.revision >= made {
-            replica.repair(made + 1).await;
+        if follower.content.revision >= made {
+            follower.repair(made + 1).await;
             return;
         }
     }
@@ -165,26 +168,29 @@ async fn a_gap_is_seen_and_repaired_from_the_log() {
     let (server, locator) = server();
     let mut stubs = Stubs::connect(server.uri()).await;
     let uid = uid(stubs.create("arm", "R2").await);
-    // These mutations precede the first replica.
+    // These mutations precede the first follower.
     mutate(&mut stubs, 0, 20).await;
     let robot = Robot::connect(&locator).await;
     let events = subscribe(&robot).await;
-    let mut replica = Replica::new(&robot, &uid);
-    replica.take(next(&events).await).await;
-    assert_eq!((replica.content.revision, replica.repairs), (20, 1));
+    let mut follower = Follower::new(&robot, &uid);
+    follower.take(next(&events).await).await;
+    assert_eq!((follower.content.revision, follower.repairs), (20, 1));
     for round in 0..20 {
         // The mutations are made one at a time, so that each has its own publication; every third is lost.
         mutate(&mut stubs, 20 + round, 1).await;
         let received = next(&events).await;
         if round % 3 > 0 {
-            replica.take(received).await;
+            follower.take(received).await;
         }
     }
     // The loss of the last publication shows only once another arrives.
     mutate(&mut stubs, 40, 1).await;
-    replica.take(next(&events).await).await;
-    assert_eq!(replica.content, Content::read(&stubs, "arm").await.unwrap());
-    assert!(replica.repairs >= 7, "{}", replica.repairs);
+    follower.take(next(&events).await).await;
+    assert_eq!(
+        follower.content,
+        Content::read(&stubs, "arm").await.unwrap()
+    );
+    assert!(follower.repairs >= 7, "{}", follower.repairs);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -194,8 +200,8 @@ async fn a_piece_that_is_missing_is_seen() {
     let uid = uid(stubs.create("arm", "R2").await);
     let robot = Robot::connect(&locator).await;
     let events = subscribe(&robot).await;
-    let mut replica = Replica::new(&robot, &uid);
-    replica.take(next(&events).await).await;
+    let mut follower = Follower::new(&robot, &uid);
+    follower.take(next(&events).await).await;
     // Each of the three pieces is lost once, and the next piece still belongs to the same mutation.
     for lost in 0..3 {
         let ids: Vec<_> = (lost * 100..lost * 100 + 60).collect();
@@ -209,7 +215,7 @@ async fn a_piece_that_is_missing_is_seen() {
                 .iter()
                 .any(|received| !received.continued);
             if publications != lost {
-                replica.take(received).await;
+                follower.take(received).await;
             }
             publications += 1;
             if is_last {
@@ -217,8 +223,11 @@ async fn a_piece_that_is_missing_is_seen() {
             }
         }
         assert!(publications > 3);
-        replica.repair(made).await;
-        assert_eq!(replica.content, Content::read(&stubs, "arm").await.unwrap());
+        follower.repair(made).await;
+        assert_eq!(
+            follower.content,
+            Content::read(&stubs, "arm").await.unwrap()
+        );
     }
 }
 
@@ -304,25 +313,28 @@ async fn tokens_tell_which_indices_are_served_and_uids_that_one_is_another() {
     assert_eq!(next_token().await, (SampleKind::Delete, token("leg")));
 
     let events = subscribe(&robot).await;
-    let mut replica = Replica::new(&robot, &old);
-    replica.take(next(&events).await).await;
+    let mut follower = Follower::new(&robot, &old);
+    follower.take(next(&events).await).await;
     mutate(&mut stubs, 0, 2).await;
-    while replica.content.revision < 2 {
-        replica.take(next(&events).await).await;
+    while follower.content.revision < 2 {
+        follower.take(next(&events).await).await;
     }
     stubs.delete("arm").await;
     let new = uid(stubs.create("arm", "R2").await);
     mutate(&mut stubs, 0, 3).await;
     assert_eq!(next_token().await, (SampleKind::Delete, token("arm")));
     assert_eq!(next_token().await, (SampleKind::Put, token("arm")));
-    // The replica knows another history; both the publication and the log report it.
+    // The follower knows another history; both the publication and the log report it.
     let received = next(&events).await;
     assert_eq!(received.revision.as_ref().unwrap().uid, new);
-    let reset = replica.log().await;
+    let reset = follower.log().await;
     assert_eq!(reset.reset(), ResetReason::UidChanged);
     assert_eq!(reset.revision.unwrap().uid, new);
-    let mut replica = Replica::new(&robot, &new);
-    replica.take(received).await;
-    replica.repair(3).await;
-    assert_eq!(replica.content, Content::read(&stubs, "arm").await.unwrap());
+    let mut follower = Follower::new(&robot, &new);
+    follower.take(received).await;
+    follower.repair(3).await;
+    assert_eq!(
+        follower.content,
+        Content::read(&stubs, "arm").await.unwrap()
+    );
 }

@@ -39,7 +39,7 @@ fn simulate(work: Duration, mut arrivals: Vec<Duration>) -> Outcomes {
             }
         } else if let Some((mut turn, at)) = computing.take() {
             let turns = turn.turns.take().unwrap();
-            turns.hand_on(turn.flow, turn.size, work, began + at);
+            turns.release(turn.flow, turn.size, work, began + at);
             waiting.retain_mut(|(since, granted)| match granted.try_recv() {
                 Ok(Ok(turn)) => {
                     outcomes.waits.push(at - *since);

@@ -68,9 +68,9 @@ pub(in crate::admission) enum Stage {
     /// It has not begun, and can be refused.
     New,
     /// It goes on before the other calls of its flow.
-    GoesOn,
+    Resumed,
     /// It goes on after them, as one of those that have computed for long.
-    GoesBehind,
+    Demoted,
 }
 
 impl Flow {
@@ -91,7 +91,7 @@ impl Flow {
     pub(super) fn next_stage(&self) -> Option<Stage> {
         let first = self.waiting.front().map(|waiting| waiting.stage);
         match first {
-            Some(Stage::GoesOn) => first,
+            Some(Stage::Resumed) => first,
             Some(_) if self.behind.is_empty() => first,
             Some(_) if !self.behind_is_due => first,
             _ => self.behind.front().map(|waiting| waiting.stage),
@@ -100,12 +100,12 @@ impl Flow {
 
     pub(super) fn pop(&mut self, stage: Stage) -> Option<Waiter> {
         match stage {
-            Stage::GoesOn => self.waiting.pop_front(),
+            Stage::Resumed => self.waiting.pop_front(),
             Stage::New => {
                 self.behind_is_due = true;
                 self.waiting.pop_front()
             }
-            Stage::GoesBehind => {
+            Stage::Demoted => {
                 self.behind_is_due = false;
                 self.behind.pop_front()
             }
@@ -147,12 +147,12 @@ impl State {
             granted,
         };
         match stage {
-            Stage::GoesOn => flow.waiting.push_front(waiting),
+            Stage::Resumed => flow.waiting.push_front(waiting),
             Stage::New => {
                 self.new += 1;
                 flow.waiting.push_back(waiting);
             }
-            Stage::GoesBehind => flow.behind.push_back(waiting),
+            Stage::Demoted => flow.behind.push_back(waiting),
         }
         receiver
     }

@@ -79,10 +79,10 @@ fn a_call_that_has_begun_goes_first_until_it_has_computed_for_long() {
     let flow = turns.open();
     let turn = take(&turns, flow);
     let mut waiting = vec![
-        wait(&turns, flow, GoesBehind, MS),
+        wait(&turns, flow, Demoted, MS),
         wait(&turns, flow, New, MS),
         wait(&turns, flow, New, MS),
-        wait(&turns, flow, GoesOn, MS),
+        wait(&turns, flow, Resumed, MS),
     ];
     let mut turn = Some(turn);
     for expected in [3, 1, 0, 2] {
@@ -96,12 +96,12 @@ fn a_call_that_has_begun_goes_first_until_it_has_computed_for_long() {
 fn work_that_goes_on_gives_way_only_if_others_wait() {
     let turns = Turns::new(1, TARGET, BURST);
     let (heavy, light) = (turns.open(), turns.open());
-    let turn = match turns.give_way(take(&turns, heavy), 5 * MS, GoesOn) {
+    let turn = match turns.yield_turn(take(&turns, heavy), 5 * MS, Resumed) {
         TurnRequest::Granted(turn) => turn,
         waits => panic!("{waits:?}"),
     };
     let mut first = wait(&turns, light, New, MS);
-    let mut going_on = match turns.give_way(turn, 5 * MS, GoesOn) {
+    let mut going_on = match turns.yield_turn(turn, 5 * MS, Resumed) {
         TurnRequest::Waits(waits) => waits,
         granted => panic!("{granted:?}"),
     };
@@ -119,7 +119,8 @@ fn a_turn_that_goes_on_without_work_leaves_the_mean_of_its_flow() {
     for _ in 0..20 {
         let turn = take(&turns, flow);
         assert!(turn.is_long());
-        let TurnRequest::Granted(turn) = turns.give_way(turn, Duration::ZERO, Stage::GoesOn) else {
+        let TurnRequest::Granted(turn) = turns.yield_turn(turn, Duration::ZERO, Stage::Resumed)
+        else {
             panic!("no other waits");
         };
         turn.end(work);
@@ -159,7 +160,7 @@ fn one_long_call_alone_is_no_queue() {
     let flow = turns.open();
     let turn = take(&turns, flow);
     turns.state.lock().was_empty -= 2 * TARGET;
-    let TurnRequest::Granted(turn) = turns.give_way(turn, 2 * TARGET, GoesOn) else {
+    let TurnRequest::Granted(turn) = turns.yield_turn(turn, 2 * TARGET, Resumed) else {
         panic!("nobody else waits");
     };
     let mut waits = wait(&turns, flow, New, TARGET / 2);
@@ -173,7 +174,7 @@ fn a_late_call_of_a_standing_queue_is_refused_and_so_are_those_that_would_be_lat
     let turns = Turns::new(1, TARGET, MS);
     let flow = turns.open();
     let turn = take(&turns, flow);
-    let mut begun = wait(&turns, flow, GoesOn, 2 * TARGET);
+    let mut begun = wait(&turns, flow, Resumed, 2 * TARGET);
     let mut late = wait(&turns, flow, New, 2 * TARGET);
     let mut in_time = wait(&turns, flow, New, TARGET * 3 / 4);
     let mut last = wait(&turns, flow, New, MS);

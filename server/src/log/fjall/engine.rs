@@ -196,7 +196,7 @@ impl Engine {
 
     pub(super) fn create(&self, entry: Entry) -> Result<(), LogError> {
         let mut next = self.next.lock();
-        self.untaken(entry.uid)?;
+        self.check_uid_is_free(entry.uid)?;
         let number = *next;
         let index = Index::new(number, entry, State::new(Origin::START, Sum::default()));
         *next += 1;
@@ -210,7 +210,7 @@ impl Engine {
         entry: Entry,
         origin: Origin,
     ) -> Result<RestoringIndex, LogError> {
-        self.untaken(entry.uid)?;
+        self.check_uid_is_free(entry.uid)?;
         self.begin(entry, origin, false)
     }
 
@@ -250,7 +250,7 @@ impl Engine {
         let old = self.index(uid)?;
         let mark = Mark {
             deleted: true,
-            ..old.give_way(copied)?
+            ..old.supersede(copied)?
         };
         let swapped = write(&old).and_then(|index| {
             self.written(&old, mark);
@@ -277,7 +277,7 @@ impl Engine {
         Ok(())
     }
 
-    fn untaken(&self, uid: Uid) -> Result<(), LogError> {
+    fn check_uid_is_free(&self, uid: Uid) -> Result<(), LogError> {
         match self.indexes.read().contains_key(&uid) {
             true => Err(LogError::UidTaken { uid }),
             false => Ok(()),
@@ -357,9 +357,9 @@ impl Engine {
     }
 
     /// The approximate number of bytes that the store has yet to move out of its journal.
-    pub(super) fn unmoved(&self) -> u64 {
+    pub(super) fn unflushed_bytes(&self) -> u64 {
         let handles = self.store.handles();
-        handles.map_or(0, |handles| handles.unmoved())
+        handles.map_or(0, |handles| handles.unflushed_bytes())
     }
 
     /// True if the next append may have to wait.

@@ -186,7 +186,7 @@ impl Index {
 
     /// Closes the index, because a copy at the revision `copied` takes its place, and returns the mark of its head. Refused
     /// if the index can be read and the copy is not newer.
-    pub(super) fn give_way(&self, copied: u64) -> Result<Mark, LogError> {
+    pub(super) fn supersede(&self, copied: u64) -> Result<Mark, LogError> {
         let mut state = self.state.lock();
         if state.closed.is_none() && copied <= state.head.revision {
             return Err(self.fenced(copied, &state.head));

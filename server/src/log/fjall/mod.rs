@@ -185,8 +185,10 @@ impl FjallLog {
             None => shut(error),
         };
         // Opening begins by moving these bytes to the tables, and fails at once if it cannot.
-        let unmoved = failed.map_or(0, Engine::unmoved);
-        self.directory.probe(STORE, unmoved).map_err(disk_error)
+        let unflushed_bytes = failed.map_or(0, Engine::unflushed_bytes);
+        self.directory
+            .probe(STORE, unflushed_bytes)
+            .map_err(disk_error)
     }
 
     /// Opens the store after `failure`. fjall does not report whether it met a damaged block, so the whole store is

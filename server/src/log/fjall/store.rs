@@ -97,13 +97,13 @@ impl Store {
 
 impl Handles {
     /// The approximate number of bytes that the store has yet to move out of its journal.
-    pub(super) fn unmoved(&self) -> u64 {
+    pub(super) fn unflushed_bytes(&self) -> u64 {
         self.database.write_buffer_size()
     }
 
     /// The bytes of its memory: its cache and its memtables.
     pub(super) fn memory(&self) -> u64 {
-        self.database.cache_size() + self.unmoved()
+        self.database.cache_size() + self.unflushed_bytes()
     }
 
     /// True if the next batch may have to wait for the store to catch up, or for the disk: fjall syncs the journal
@@ -115,7 +115,7 @@ impl Handles {
 
     /// An approximate upper bound on the disk space of a copy.
     pub(super) fn room_for_copy(&self) -> u64 {
-        let bytes = self.keyspace.disk_space() + self.unmoved();
+        let bytes = self.keyspace.disk_space() + self.unflushed_bytes();
         bytes + bytes.min(2 * JOURNAL_BYTES) + SMALL_FILES
     }
 
@@ -125,7 +125,7 @@ impl Handles {
         // fjall keeps the size that a store was made with, so that a smaller one is enforced here.
         let sealed = self.keyspace.sealed_memtable_count() as u64;
         if self.memtable_bytes < MEMTABLE_BYTES
-            && self.unmoved() > (sealed + 1) * self.memtable_bytes
+            && self.unflushed_bytes() > (sealed + 1) * self.memtable_bytes
         {
             self.keyspace.rotate_memtable().map_err(storage)?;
         }

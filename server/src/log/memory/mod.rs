@@ -189,7 +189,7 @@ impl Restoring for RestoringIndex {
         let Some(hosted) = indexes.get_mut(&uid) else {
             return Err(LogError::UnknownIndex { uid });
         };
-        hosted.store.give_way(origin.revision)?;
+        hosted.store.supersede(origin.revision)?;
         hosted.store = Arc::new(store);
         Ok(())
     }

@@ -192,7 +192,7 @@ impl Store {
 
     /// Takes no record any more, because a copy at the revision `copied` takes its place. Refused unless the copy is
     /// newer.
-    pub(super) fn give_way(&self, copied: u64) -> Result<(), LogError> {
+    pub(super) fn supersede(&self, copied: u64) -> Result<(), LogError> {
         let mut journal = self.journal.lock();
         if copied <= journal.head.position.revision {
             return Err(self.fenced(copied, &journal));

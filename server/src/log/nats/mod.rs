@@ -205,8 +205,8 @@ impl Journal for NatsJournal {
         self.runtime.block_on(read)
     }
 
-    fn kept(&self, uid: Uid, revision: u64) -> Result<Option<Arc<Record>>, LogError> {
-        self.local.kept(uid, revision)
+    fn retained(&self, uid: Uid, revision: u64) -> Result<Option<Arc<Record>>, LogError> {
+        self.local.retained(uid, revision)
     }
 
     fn oldest_kept(&self, uid: Uid) -> Result<Option<u64>, LogError> {

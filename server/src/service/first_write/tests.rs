@@ -65,7 +65,7 @@ impl Peers for OtherMembers {
         members.map(|number| number.to_string()).collect()
     }
 
-    fn heard_all(&self) -> BoxFuture<'_, ()> {
+    fn wait_for_members(&self) -> BoxFuture<'_, ()> {
         let mut are_heard = self.are_heard.subscribe();
         async move { drop(are_heard.wait_for(|it| *it).await) }.boxed()
     }
@@ -84,7 +84,7 @@ impl Peers for OtherMembers {
         async move {
             let uid: Uid = request.uids[0].parse().unwrap();
             let position = PointStore::view(&*points, uid).unwrap().position();
-            let kept = points.kept(uid, request.revisions[0]).unwrap();
+            let kept = points.retained(uid, request.revisions[0]).unwrap();
             let index = StoredIndex {
                 uid: request.uids[0].clone(),
                 revision: position.revision,

@@ -125,7 +125,7 @@ impl Peers for Peer {
         Vec::new()
     }
 
-    fn heard_all(&self) -> BoxFuture<'_, ()> {
+    fn wait_for_members(&self) -> BoxFuture<'_, ()> {
         ready(()).boxed()
     }
 
@@ -300,7 +300,7 @@ impl Peers for TwoMembers {
         Vec::new()
     }
 
-    fn heard_all(&self) -> BoxFuture<'_, ()> {
+    fn wait_for_members(&self) -> BoxFuture<'_, ()> {
         ready(()).boxed()
     }
 

@@ -12,7 +12,7 @@ use wayfold_tests::{Stubs, number};
 
 use super::{insertion, uid};
 use crate::{
-    replica::Replica,
+    follower::Follower,
     robot::{Robot, server_with},
 };
 
@@ -73,8 +73,8 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_receives_a_reset() 
     let robot = Robot::connect(&locator).await;
     let info = robot.json("arm/info", Value::Null).await.unwrap();
     assert_eq!(info["index"]["revision"]["number"], WRITES + 1);
-    let replica = Replica::new(&robot, &uid);
-    assert_eq!(replica.log().await.reset(), ResetReason::WindowPassed);
+    let follower = Follower::new(&robot, &uid);
+    assert_eq!(follower.log().await.reset(), ResetReason::WindowPassed);
 
     drop(open);
     // Once it reads again, new publications come through, and show that some were dropped.

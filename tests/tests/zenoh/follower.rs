@@ -9,8 +9,8 @@ use zenoh::bytes::Encoding;
 
 use crate::robot::Robot;
 
-/// The replica's knowledge of the index "arm".
-pub(crate) struct Replica<'a> {
+/// The follower's knowledge of the index "arm".
+pub(crate) struct Follower<'a> {
     robot: &'a Robot,
     pub(crate) content: Content,
     /// The mutations, each whole.
@@ -21,8 +21,8 @@ pub(crate) struct Replica<'a> {
     pub(crate) repairs: usize,
 }
 
-impl<'a> Replica<'a> {
-    /// A replica that knows the index from its beginning.
+impl<'a> Follower<'a> {
+    /// A follower that knows the index from its beginning.
     pub(crate) fn new(robot: &'a Robot, uid: &str) -> Self {
         let content = Content {
             uid: uid.to_owned(),
@@ -50,7 +50,7 @@ impl<'a> Replica<'a> {
         let first = response.mutations.first();
         match first.map(|first| (number(&first.revision), first.piece)) {
             Some(first) if first > expected => {
-                // The replica missed earlier pieces of this mutation, so it asks for all of it.
+                // The follower missed earlier pieces of this mutation, so it asks for all of it.
                 let before = first.0 - u64::from(first.1 == 0);
                 self.repair(before).await;
             }
