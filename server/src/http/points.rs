@@ -1,7 +1,7 @@
 //! `POST /api/v1/INDEX/points`: all points at one revision, and then each mutation, as frames of columns.
 //!
 //! A frame is two lengths (u32), a head (JSON) and a body, all little-endian; head and body are padded to multiples of
-//! eight bytes. docs/page.md describes the heads. Numbers of a body are columns: `ids`, `revisions` and `tags` (u64), then
+//! eight bytes. docs/http.md describes the heads. Numbers of a body are columns: `ids`, `revisions` and `tags` (u64), then
 //! the coordinates row by row (f32: for pictures, not for answers).
 
 use std::{sync::Arc, time::Duration};
