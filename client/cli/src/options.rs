@@ -53,7 +53,7 @@ pub(crate) fn revision(revision: &RevisionArg, index: &IndexHandle) -> Revision 
 /// The columns of an answer.
 #[derive(Debug, clap::Args)]
 pub(crate) struct IncludeArgs {
-    /// The columns to print of each point in addition to its id, separated by commas
+    /// The columns to read of each point in addition to its id, separated by commas
     ///
     /// Payloads are base64 in JSON and in CSV.
     #[arg(long, value_enum, value_name = "COLUMNS", value_delimiter = ',')]

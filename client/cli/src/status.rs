@@ -31,7 +31,7 @@ impl Status {
             Status::Usage => "the command line is wrong; nothing was sent",
             Status::Failed => {
                 "the command failed: the server refused a call, TLS refused a certificate, a file cannot\n     \
-                 be read or written, or a signal ended it"
+                 be read or written, or a signal ended load or the writing of a file"
             }
             Status::NoAnswer => {
                 "no server was reached, it did not answer in time, or it answered UNAVAILABLE"

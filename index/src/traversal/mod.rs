@@ -121,7 +121,7 @@ impl<'a> Traversal<'a> {
         self.search.filter.since_revision
     }
 
-    /// True if the search is exact and over all points, so that the leaves it visits predict those of the next search.
+    /// True if the search is exact and has no filter, so that the leaves it visits predict those of the next search.
     fn is_unrestricted(&self) -> bool {
         let search = self.search;
         search.epsilon == 0.0 && search.filter == Filter::default()

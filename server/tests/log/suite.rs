@@ -342,8 +342,7 @@ fn check_log(kept: TestLog, steps: Vec<Step>) {
     // The neighbouring index is unchanged, and views outlive their index.
     let log = run.kept.log();
     if let Err(why) = log.delete(run.ours.uid) {
-        run.failed(&why);
-        return;
+        return run.failed(&why);
     }
     assert_eq!(log.indexes().unwrap(), [run.other]);
     for (view, sum) in &run.views {

@@ -58,7 +58,7 @@ fn neighbor_payloads(k: u32) -> Option<v1::NeighborSpec> {
 type Reading = fn(Service, String) -> BoxFuture<'static, Result<(), Error>>;
 
 /// The calls that must not hold the writer while they read.
-const READING: [(&str, Reading); 10] = [
+const READING: [(&str, Reading); 11] = [
     ("Get", |service, _| {
         Box::pin(async move {
             let points = service.get(&CALL, getting(&[3, 7])).await?.points.unwrap();
@@ -180,6 +180,29 @@ const READING: [(&str, Reading); 10] = [
             };
             let answer = service.update(&CALL, request).await?;
             assert_eq!((answer.updated_count, answer.unchanged_count), (1, 1));
+            Ok(())
+        })
+    }),
+    ("Write", |service, uid| {
+        Box::pin(async move {
+            let session = v1::OpenSessionRequest {
+                index_name: "arm".into(),
+                uid: uid.clone(),
+                ..Default::default()
+            };
+            let session = service.open_session(&CALL, session).await?.session;
+            let request = v1::WriteRequest {
+                index_name: "arm".into(),
+                uid,
+                session,
+                batch: 1,
+                kinds: vec![v1::StepKind::SetTag.into(), v1::StepKind::SetPayload.into()],
+                ids: vec![3, 4],
+                tags: vec![7, 0],
+                payloads: vec!["new".into()],
+                ..Default::default()
+            };
+            assert_eq!(service.write(&CALL, request).await?.missing_count, 0);
             Ok(())
         })
     }),

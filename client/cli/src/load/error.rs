@@ -84,7 +84,7 @@ impl LoadError {
             LoadError::NothingToGet { .. } => ("FAILED_PRECONDITION", "NO_POINTS"),
             LoadError::Thread { .. } | LoadError::Worker => ("INTERNAL", "RUNTIME"),
             LoadError::Interrupted => ("CANCELLED", "INTERRUPTED"),
-            LoadError::NoAnswer { .. } => ("UNAVAILABLE", "NO_CALL_ANSWERED"),
+            LoadError::NoAnswer { .. } => ("UNKNOWN", "NO_CALL_ANSWERED"),
             LoadError::Left { .. } => ("UNKNOWN", "POINTS_LEFT"),
         }
     }
