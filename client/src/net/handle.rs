@@ -12,7 +12,7 @@ use crate::{
         client::within,
         connections::{Connection, PointStub},
         newest::Newest,
-        request::LONGEST_WAIT,
+        request::MAX_WAIT,
     },
 };
 
@@ -72,7 +72,7 @@ impl IndexHandle {
     /// A request that is divided among several calls has the timeout for each.
     pub fn with_timeout(&self, timeout: Duration) -> IndexHandle {
         IndexHandle {
-            timeout: timeout.min(LONGEST_WAIT),
+            timeout: timeout.min(MAX_WAIT),
             ..self.clone()
         }
     }

@@ -37,7 +37,7 @@ use tonic::Streaming;
 use crate::{Error, Filter, Include, IndexHandle};
 
 /// The longest timeout of a call, some decades: the time at which a longer one ends may have no number.
-pub(crate) const LONGEST_WAIT: Duration = Duration::from_secs(1 << 30);
+pub(crate) const MAX_WAIT: Duration = Duration::from_secs(1 << 30);
 
 /// The bytes of an id and a tag in a request.
 const ID_AND_TAG_BYTES: usize = 16;

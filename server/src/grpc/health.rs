@@ -172,7 +172,7 @@ mod tests {
         log::{Log, MemoryLog},
         registry::{Registry, RegistryOptions},
         service::Limits,
-        watermark::{Level, Resource, Watermark, Watermarks},
+        watermark::{Resource, Usage, Watermark, Watermarks},
     };
 
     fn request(service: &str) -> Request<HealthCheckRequest> {
@@ -243,7 +243,7 @@ mod tests {
         let used = Arc::new(AtomicU64::new(0));
         let probed = Arc::clone(&used);
         let memory = Watermark::new(Resource::Memory, move || {
-            Ok(Level {
+            Ok(Usage {
                 used: probed.load(SeqCst),
                 high: 85,
                 low: 80,

@@ -13,7 +13,7 @@ use crate::{
     faces::Shared,
     lifecycle::{Phase, PhaseWatch},
     registry::{IndexEntry, Part},
-    watermark::Level,
+    watermark::Usage,
 };
 
 /// See the module.
@@ -152,7 +152,7 @@ impl State {
         let watermarks = self.shared.service.watermarks();
         let mut figures = Vec::new();
         for (resource, level) in watermarks {
-            let Level {
+            let Usage {
                 used, high, limit, ..
             } = level;
             for (of, bytes) in [("used", used), ("high", high), ("limit", limit)] {

@@ -46,7 +46,7 @@ use wayfold_proto::v1::PayloadEncoding;
 
 use crate::{
     log::{Entry, Log, LogError, RunId, Uid},
-    watermark::{Level, Watermarks},
+    watermark::{Usage, Watermarks},
 };
 pub use commit::CommitOutcome;
 pub use error::RegistryError;
@@ -134,7 +134,7 @@ impl Registry {
     }
 
     /// The levels of memory and disk now, by name.
-    pub(crate) fn levels(&self) -> Vec<(&'static str, Level)> {
+    pub(crate) fn levels(&self) -> Vec<(&'static str, Usage)> {
         self.host.watermarks.levels()
     }
 

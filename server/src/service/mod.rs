@@ -72,7 +72,7 @@ use crate::{
     identity::Role,
     log::Durability,
     registry::{IndexEntry, Part, Registry},
-    watermark::Level,
+    watermark::Usage,
 };
 pub use call::{Call, Peer};
 pub use catalog_watch::CatalogWatch;
@@ -194,7 +194,7 @@ impl Service {
     }
 
     /// The levels of memory and disk, by name.
-    pub(crate) fn watermarks(&self) -> Vec<(&'static str, Level)> {
+    pub(crate) fn watermarks(&self) -> Vec<(&'static str, Usage)> {
         let registry = self.inner.registry.get();
         registry
             .map(|registry| registry.levels())

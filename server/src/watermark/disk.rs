@@ -2,7 +2,7 @@
 
 use std::{io, path::Path, sync::Arc};
 
-use super::{Level, Resource, Watermark};
+use super::{Resource, Usage, Watermark};
 
 /// A watermark that leaves `min_free_bytes` of the disk of `directory` free, but at most a tenth of it, and accepts
 /// growth again at a quarter more. None if `min_free_bytes` is 0.
@@ -11,7 +11,7 @@ pub fn disk(directory: &Path, min_free_bytes: u64) -> Option<Arc<Watermark>> {
     let level = move || {
         let (free, limit) = room(&directory)?;
         let min_free_bytes = min_free_bytes.min(limit / 10);
-        Ok(Level {
+        Ok(Usage {
             used: limit.saturating_sub(free),
             high: limit.saturating_sub(min_free_bytes),
             low: limit.saturating_sub(min_free_bytes.saturating_add(min_free_bytes / 4)),

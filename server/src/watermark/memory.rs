@@ -10,7 +10,7 @@ use std::{
 use mimalloc as _;
 use tracing::{debug, warn};
 
-use super::{Level, Resource, Watermark};
+use super::{Resource, Usage, Watermark};
 
 /// The root of the mounted control groups.
 const CGROUPS: &str = "/sys/fs/cgroup";
@@ -34,7 +34,7 @@ pub fn memory(limit_bytes: u64, high_percent: u64, low_percent: u64) -> Option<A
             release_to_os(true);
             used = self::used()?;
         }
-        Ok(Level {
+        Ok(Usage {
             used,
             high,
             low,

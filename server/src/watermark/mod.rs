@@ -72,7 +72,7 @@ impl fmt::Display for Resource {
 
 /// A measurement: the used bytes, and the watermarks that apply to them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Level {
+pub struct Usage {
     /// The used bytes.
     pub used: u64,
     /// The watermark above which growth is refused.
@@ -103,7 +103,7 @@ pub struct WatermarkExceeded {
 }
 
 /// Measures a resource.
-type Probe = dyn Fn() -> io::Result<Level> + Send + Sync;
+type Probe = dyn Fn() -> io::Result<Usage> + Send + Sync;
 
 /// A watermark of one resource.
 pub struct Watermark {
@@ -117,7 +117,7 @@ pub struct Watermark {
 
 #[derive(Default)]
 struct State {
-    measured: Option<(Instant, Level)>,
+    measured: Option<(Instant, Usage)>,
     /// The bytes taken in since the measurement.
     added: u64,
     is_closed: bool,
@@ -127,7 +127,7 @@ impl Watermark {
     /// A watermark of `resource`, which `probe` measures.
     pub fn new(
         resource: Resource,
-        probe: impl Fn() -> io::Result<Level> + Send + Sync + 'static,
+        probe: impl Fn() -> io::Result<Usage> + Send + Sync + 'static,
     ) -> Self {
         Self {
             resource,
@@ -179,7 +179,7 @@ impl Watermark {
     }
 
     /// The resource now; None if it cannot be measured.
-    pub(crate) fn now(&self) -> Option<Level> {
+    pub(crate) fn now(&self) -> Option<Usage> {
         (self.probe)().ok()
     }
 
@@ -189,7 +189,7 @@ impl Watermark {
     }
 
     /// The newest measurement, or a new one if it is due.
-    fn level(&self, state: &mut State) -> Option<Level> {
+    fn level(&self, state: &mut State) -> Option<Usage> {
         if let Some((at, level)) = state.measured
             && at.elapsed() < self.interval
             && state.added < MAX_UNMEASURED_BYTES
@@ -207,7 +207,7 @@ impl Watermark {
                 return None;
             }
         };
-        let Level {
+        let Usage {
             used, high, low, ..
         } = level;
         if !state.is_closed && used > high {
@@ -222,7 +222,7 @@ impl Watermark {
         Some(level)
     }
 
-    fn full(&self, level: &Level, used: u64) -> WatermarkExceeded {
+    fn full(&self, level: &Usage, used: u64) -> WatermarkExceeded {
         WatermarkExceeded {
             resource: self.resource,
             used,
@@ -264,7 +264,7 @@ impl Watermarks {
     }
 
     /// The measurements of the resources that can be measured, by name.
-    pub(crate) fn levels(&self) -> Vec<(&'static str, Level)> {
+    pub(crate) fn levels(&self) -> Vec<(&'static str, Usage)> {
         let named = |it: &Arc<Watermark>| Some((it.resource.name(), it.now()?));
         self.all().filter_map(named).collect()
     }

@@ -14,7 +14,7 @@ use wayfold_server::{
     log::{Log, MemoryLog},
     registry::Registry,
     service::{Code, Error, Limits, Service},
-    watermark::{Level, Resource, Watermark, WatermarkExceeded, Watermarks},
+    watermark::{Resource, Usage, Watermark, WatermarkExceeded, Watermarks},
 };
 
 use crate::support::*;
@@ -37,7 +37,7 @@ impl Used {
     fn watermark(&self, resource: Resource) -> Option<Arc<Watermark>> {
         let used = Arc::clone(&self.0);
         let level = move || {
-            Ok(Level {
+            Ok(Usage {
                 used: used.load(Relaxed),
                 high: HIGH,
                 low: LOW,

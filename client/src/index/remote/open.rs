@@ -7,7 +7,7 @@ use wayfold_index::Space;
 use super::Remote;
 use crate::{
     Client, Credentials, Error, Index, PayloadEncoding, index::runtime::wait_for,
-    net::request::LONGEST_WAIT,
+    net::request::MAX_WAIT,
 };
 
 /// Settings of a remote index: [`OpenRemote::open`] connects and returns it.
@@ -49,7 +49,7 @@ impl OpenRemote {
 
     /// The longest time of a call: 30 s unless set.
     pub fn timeout(mut self, timeout: Duration) -> OpenRemote {
-        self.timeout = timeout.min(LONGEST_WAIT);
+        self.timeout = timeout.min(MAX_WAIT);
         self
     }
 

@@ -24,7 +24,7 @@ use crate::{
         merger::{self, Merged},
         origin::Origin,
     },
-    net::request::LONGEST_WAIT,
+    net::request::MAX_WAIT,
 };
 
 /// The ids that are reserved at once, unless the server reserves fewer. The next ones are asked for when half are left.
@@ -370,7 +370,7 @@ impl Core {
 
 /// The end of a wait; of a very long one in some decades.
 fn deadline(timeout: Duration) -> Instant {
-    Instant::now() + timeout.min(LONGEST_WAIT)
+    Instant::now() + timeout.min(MAX_WAIT)
 }
 
 impl Merged for Core {

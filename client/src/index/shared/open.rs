@@ -18,7 +18,7 @@ use crate::{
         local::LocalPoints,
         runtime::{spawn, wait_for},
     },
-    net::request::{LONGEST_WAIT, fresh_operation_id},
+    net::request::{MAX_WAIT, fresh_operation_id},
 };
 
 /// Settings of a shared index: [`OpenShared::open`] reads all points and returns it.
@@ -88,7 +88,7 @@ impl OpenShared {
     /// The longest time that a call waits: for the connection, for room among the pending writes, for a flush. 30 s
     /// unless set.
     pub fn timeout(mut self, timeout: Duration) -> OpenShared {
-        self.timeout = timeout.min(LONGEST_WAIT);
+        self.timeout = timeout.min(MAX_WAIT);
         self
     }
 

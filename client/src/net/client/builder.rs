@@ -15,7 +15,7 @@ use crate::{
     error::root_cause,
     net::{
         connections::{Connection, Connections, MAX_SILENCE},
-        request::LONGEST_WAIT,
+        request::MAX_WAIT,
     },
 };
 
@@ -43,7 +43,7 @@ impl ClientBuilder {
     /// The longest time of a call, attempts and pauses included: 30 s unless set. The server also stops work on the
     /// call then.
     pub fn timeout(mut self, timeout: Duration) -> ClientBuilder {
-        self.timeout = timeout.min(LONGEST_WAIT);
+        self.timeout = timeout.min(MAX_WAIT);
         self
     }
 

@@ -14,7 +14,7 @@ use super::{
     follow,
     index::{Index, State},
     journal::{self, Journal},
-    layout::{Number, Stage, StagedEntry, Sum, entry_key},
+    layout::{EntryState, Number, StagedEntry, Sum, entry_key},
     manifest, manifest_copy, recovery,
     restoring::RestoringIndex,
     store::{Store, not_readable, shut, storage, unopened},
@@ -179,7 +179,7 @@ impl Engine {
     }
 
     /// Stores the entry of an index durably.
-    fn put(&self, index: &Arc<Index>, stage: Stage, mark: Mark) -> Result<(), LogError> {
+    fn put(&self, index: &Arc<Index>, stage: EntryState, mark: Mark) -> Result<(), LogError> {
         self.writable()?;
         let handles = self.store.handles()?;
         let entry = index.entry.clone();
@@ -200,7 +200,7 @@ impl Engine {
         let number = *next;
         let index = Index::new(number, entry, State::new(Origin::START, Sum::default()));
         *next += 1;
-        self.put(&index, Stage::Whole, index.head_mark())?;
+        self.put(&index, EntryState::Whole, index.head_mark())?;
         self.indexes.write().insert(index.entry.uid, index);
         Ok(())
     }
@@ -295,7 +295,7 @@ impl Engine {
             deleted: true,
             ..index.close(LogError::UnknownIndex { uid })
         };
-        if let Err(why) = self.put(&index, Stage::Deleted, mark) {
+        if let Err(why) = self.put(&index, EntryState::Deleted, mark) {
             index.close(why.clone());
             return Err(why);
         }

@@ -3,7 +3,7 @@
 //!
 //! | key | value |
 //! |---|---|
-//! | `e`, index | [`StagedEntry`]: its [`Stage`], its uid, its name, its content as text |
+//! | `e`, index | [`StagedEntry`]: its [`EntryState`], its uid, its name, its content as text |
 //! | `h`, index | [`Head`]: revision, next id, newest trimmed revision, newest digest, [`Sum`] of the points |
 //! | `p`, index, id | the point: see [`point`](super::point) |
 //! | `r`, index, revision | the record, as [`Record`](crate::log::Record) documents it |
@@ -113,12 +113,12 @@ fn checksum(key: &[u8], value: &[u8]) -> [u8; 8] {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct StagedEntry {
     pub(super) entry: Entry,
-    pub(super) stage: Stage,
+    pub(super) stage: EntryState,
 }
 
 /// The stage of an index.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Stage {
+pub(super) enum EntryState {
     /// It exists.
     Whole,
     /// It is deleted, and its remaining keys are being removed.
@@ -132,10 +132,10 @@ pub(super) enum Stage {
 impl StagedEntry {
     pub(super) fn encode(&self, number: Number) -> Vec<u8> {
         let mut value = vec![match self.stage {
-            Stage::Whole => 0,
-            Stage::Deleted => 1,
-            Stage::Copied => 2,
-            Stage::Unreadable => 3,
+            EntryState::Whole => 0,
+            EntryState::Deleted => 1,
+            EntryState::Copied => 2,
+            EntryState::Unreadable => 3,
         }];
         value.extend_from_slice(self.entry.uid.as_bytes());
         value.extend_from_slice(&(self.entry.name.len() as u64).to_le_bytes());
@@ -147,10 +147,10 @@ impl StagedEntry {
     pub(super) fn decode(number: Number, value: &[u8]) -> Option<Self> {
         let mut cursor = Cursor::new(unseal(&entry_key(number), value)?);
         let stage = match cursor.array()? {
-            [0] => Stage::Whole,
-            [1] => Stage::Deleted,
-            [2] => Stage::Copied,
-            [3] => Stage::Unreadable,
+            [0] => EntryState::Whole,
+            [1] => EntryState::Deleted,
+            [2] => EntryState::Copied,
+            [3] => EntryState::Unreadable,
             _ => return None,
         };
         let uid = Uid::from_bytes(cursor.array()?);
@@ -267,7 +267,7 @@ mod tests {
                 space: "sum(R3:0.1, SO3:0.15)".parse().unwrap(),
                 payload_encoding: PayloadEncoding::WeightedEdges,
             },
-            stage: Stage::Copied,
+            stage: EntryState::Copied,
         };
         assert_eq!(
             StagedEntry::decode(7, &named.encode(7)),

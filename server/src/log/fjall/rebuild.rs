@@ -23,8 +23,8 @@ use super::{
     directory::{Directory, sync_directories, sync_directory},
     journal::{self, Journal},
     layout::{
-        Head, Number, Stage, StagedEntry, block_key, entry_key, head_key, operation_key, point_key,
-        record_key, session_key,
+        EntryState, Head, Number, StagedEntry, block_key, entry_key, head_key, operation_key,
+        point_key, record_key, session_key,
     },
     manifest, manifest_copy,
     recovery::{self, read_one, stored_entries},
@@ -245,7 +245,7 @@ fn survey(store: &Handles, marks: &MarkTable) -> Result<Vec<Content>, LogError> 
                 let named = StagedEntry::decode(number, &entry);
                 let is_left = named
                     .as_ref()
-                    .is_none_or(|named| named.stage == Stage::Whole);
+                    .is_none_or(|named| named.stage == EntryState::Whole);
                 let damage = if is_left {
                     damage_in(all_of(store, number))?
                 } else {
@@ -255,7 +255,7 @@ fn survey(store: &Handles, marks: &MarkTable) -> Result<Vec<Content>, LogError> 
                 content.entry = Some(entry);
                 if let (Some(named), Some(damage)) = (named, damage) {
                     content.lost = Some((named.entry.name.clone(), damage));
-                    let stage = Stage::Unreadable;
+                    let stage = EntryState::Unreadable;
                     content.entry = Some(StagedEntry { stage, ..named }.encode(number).into());
                 }
             }

@@ -12,7 +12,8 @@ use super::{
     DAMAGED_STORE,
     index::{Index, State},
     layout::{
-        Head, Number, Stage, StagedEntry, Sum, entry_key, head_key, number_of_entry, record_key,
+        EntryState, Head, Number, StagedEntry, Sum, entry_key, head_key, number_of_entry,
+        record_key,
     },
     session,
     store::{Handles, damage, damaged_index, unopened, unreadable},
@@ -77,23 +78,25 @@ pub(super) fn recover(
         let (mark, was_deleted) = (left.get(&number).copied(), marks.is_deleted(number));
         match named.stage {
             // A lost index; it is reported below.
-            Stage::Copied if mark.is_some() => continue,
-            Stage::Whole | Stage::Unreadable if was_deleted => {
+            EntryState::Copied if mark.is_some() => continue,
+            EntryState::Whole | EntryState::Unreadable if was_deleted => {
                 warn!(
                     index = named.entry.name,
                     "the journal was cut short: a deleted index reappeared and is deleted again"
                 );
                 found.deleted.push(number);
             }
-            Stage::Deleted | Stage::Copied => found.deleted.push(number),
-            Stage::Whole => {
+            EntryState::Deleted | EntryState::Copied => found.deleted.push(number),
+            EntryState::Whole => {
                 let index = open(handles, number, named, mark, renamed)?;
                 found.unreadable |= matches!(index.closed(), Some(LogError::Unreadable { .. }));
                 found.indexes.push(index);
             }
-            Stage::Unreadable => found
-                .indexes
-                .push(unreadable_index(number, named.entry, mark)),
+            EntryState::Unreadable => {
+                found
+                    .indexes
+                    .push(unreadable_index(number, named.entry, mark))
+            }
         }
         left.remove(&number);
     }

@@ -11,7 +11,8 @@ use super::{
     engine::Engine,
     index::{Index, State},
     layout::{
-        Head, Number, Stage, StagedEntry, Sum, entry_key, head_key, operation_key, point_key, seal,
+        EntryState, Head, Number, StagedEntry, Sum, entry_key, head_key, operation_key, point_key,
+        seal,
     },
     point::PointForm,
     session,
@@ -99,7 +100,7 @@ impl RestoringIndex {
             if let Some(replaced) = end.replaced {
                 let named = StagedEntry {
                     entry: replaced.entry.clone(),
-                    stage: Stage::Deleted,
+                    stage: EntryState::Deleted,
                 };
                 let key = entry_key(replaced.number);
                 batch.insert(keyspace, key, named.encode(replaced.number));
@@ -108,8 +109,8 @@ impl RestoringIndex {
         let named = StagedEntry {
             entry: self.entry.clone(),
             stage: match end {
-                Some(_) => Stage::Whole,
-                None => Stage::Copied,
+                Some(_) => EntryState::Whole,
+                None => EntryState::Copied,
             },
         };
         batch.insert(keyspace, entry_key(number), named.encode(number));

@@ -17,8 +17,8 @@ const JOURNAL_BYTES: u64 = 128 * 1024 * 1024;
 
 /// From this many sealed memtables on, fjall blocks writers until it has moved some to its files. It blocks them
 /// forever if the move has failed.
-const MEMTABLES_THAT_HALT: usize = 4;
-const RUNS_THAT_STALL: usize = 20;
+const MIN_HALTING_MEMTABLES: usize = 4;
+const MIN_STALLING_RUNS: usize = 20;
 
 /// The bytes of read blocks that the store keeps in memory, and those of points that it collects there before it moves
 /// them to its files, if there is memory enough.
@@ -110,7 +110,7 @@ impl Handles {
     /// under its lock when it begins to move points out of it.
     pub(super) fn is_busy(&self) -> bool {
         self.keyspace.sealed_memtable_count() > 0
-            || self.keyspace.l0_table_count() >= RUNS_THAT_STALL
+            || self.keyspace.l0_table_count() >= MIN_STALLING_RUNS
     }
 
     /// An approximate upper bound on the disk space of a copy.
@@ -129,7 +129,7 @@ impl Handles {
         {
             self.keyspace.rotate_memtable().map_err(storage)?;
         }
-        while self.keyspace.sealed_memtable_count() + 1 >= MEMTABLES_THAT_HALT {
+        while self.keyspace.sealed_memtable_count() + 1 >= MIN_HALTING_MEMTABLES {
             // This is the only call that reports a failure without writing anything.
             self.database
                 .persist(PersistMode::Buffer)

@@ -45,10 +45,10 @@ pub struct Verification {
     queries: usize,
     k: usize,
     disagreements: Disagreements,
-    stage: Stage,
+    stage: Phase,
 }
 
-enum Stage {
+enum Phase {
     Comparing(Box<Comparison>),
     /// With the number of stored points and their hash.
     Searching(Searches, u64, [u8; 32]),
@@ -87,7 +87,7 @@ impl Service {
             queries,
             k,
             disagreements: Disagreements::default(),
-            stage: Stage::Comparing(Box::new(comparison)),
+            stage: Phase::Comparing(Box::new(comparison)),
         })
     }
 }
@@ -95,12 +95,12 @@ impl Service {
 impl Verification {
     /// The progress or the result; None after the result or an error.
     pub async fn next(&mut self) -> Option<Result<v1::VerifyIndexResponse, Error>> {
-        if matches!(self.stage, Stage::Done) {
+        if matches!(self.stage, Phase::Done) {
             return None;
         }
         let answer = self.work().await;
         if !matches!(answer, Ok(Answer::Progress(_))) {
-            self.stage = Stage::Done;
+            self.stage = Phase::Done;
             self.pinned_revision.release();
         }
         let response = |answer| v1::VerifyIndexResponse {
@@ -128,16 +128,16 @@ impl Verification {
                 total_point_count: passes * per_pass,
             })
         };
-        if let Stage::Comparing(comparison) = &mut self.stage {
+        if let Phase::Comparing(comparison) = &mut self.stage {
             if !comparison.go_on(&pass, &mut self.disagreements).await? {
                 return Ok(progress(comparison.read()));
             }
             let states = comparison.sample(self.queries);
             let searches = Searches::new(states, self.k);
             let (read, hash) = (comparison.read(), comparison.hash());
-            self.stage = Stage::Searching(searches, read, hash);
+            self.stage = Phase::Searching(searches, read, hash);
         }
-        let Stage::Searching(searches, stored, hash) = &mut self.stage else {
+        let Phase::Searching(searches, stored, hash) = &mut self.stage else {
             return Err(Error::Internal {
                 what: "a verification went on after its end".into(),
             });
