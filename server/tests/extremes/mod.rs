@@ -2,6 +2,8 @@
 //!
 //! They are derived from one good request for each verb by its descriptor, so a field that is added later is tried too.
 
+use std::sync::LazyLock;
+
 use prost::Message;
 use prost_reflect::{
     DescriptorPool, DynamicMessage, Kind, MessageDescriptor, ReflectMessage, Value,
@@ -31,7 +33,9 @@ const DEPTH: usize = 5;
 
 /// The descriptors of `wayfold.v1`.
 pub(crate) fn pool() -> DescriptorPool {
-    DescriptorPool::decode(v1::FILE_DESCRIPTOR_SET).unwrap()
+    static POOL: LazyLock<DescriptorPool> =
+        LazyLock::new(|| DescriptorPool::decode(v1::FILE_DESCRIPTOR_SET).unwrap());
+    POOL.clone()
 }
 
 /// A good request for each verb but `RestoreIndex`, by the name of its message. Its index is `arm` in R1, which has this

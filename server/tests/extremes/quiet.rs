@@ -52,7 +52,8 @@ pub(crate) async fn two_points() -> (Service, String) {
     (service, created.index.unwrap().revision.unwrap().uid)
 }
 
-/// An index of its own for variant `at` of a request of which each changes the refusal of the next, and that variant.
+/// A fresh index, and variant `at` of `request` for it, if the request is one whose earlier variants would decide how the
+/// next is refused.
 pub(crate) async fn own_index(
     request: &DynamicMessage,
     at: usize,
