@@ -14,8 +14,6 @@
 //! |---|---|---|---|---|
 //! | k = 1 | 1.31 | 1.37 | 2.77 | 2.91 |
 //! | k = 10 | 1.35 | 1.32 | 2.57 | 2.66 |
-//!
-//! The codes save less where a shared cache holds all rows.
 
 mod quantizer;
 mod query;
