@@ -54,6 +54,21 @@ def cluster():
     return table(["cluster"], header, rows)
 
 
+def cluster_time():
+    got = of("cluster")["cases"]["insert-64"]
+    columns = {"owner": "at the owner", "other": "at another server", "spread": "at all three", "lone": "lone server", "bare": "JetStream alone"}
+    processes = {
+        "clients": "the clients", "server": "the server", "owner": "the owner", "others": "the two other servers",
+        "nats": "the three servers of NATS",
+    }
+    absent = {"lone": ("owner", "others", "nats"), "bare": ("owner", "others", "server")}
+    times = {name: {key: got[name].get(f"{key}_us") for key in processes if key not in absent.get(name, ())} for name in columns}
+    shown = lambda us: f"{digits(us)} µs" if us else ""
+    rows = [[what, *(shown(times[name].get(key)) for name in columns)] for key, what in processes.items()]
+    rows.append(["all", *(shown(sum(filter(None, times[name].values()))) for name in columns)])
+    return table(["cluster"], ["processor time an insert, 64 clients", *columns.values()], rows)
+
+
 def writers():
     rows = [[str(row["batch"]), digits(row["states_per_second"]), f"{100 * row['writer_held']:.0f} %", digits(row["processors"])]
             for row in of("writers")["batches"]]
@@ -137,7 +152,7 @@ def pauses():
 
 
 SERVER = {
-    "columns": columns, "grpc": grpc, "loading": loading, "cluster": cluster, "writers": writers, "call-cost": call_cost, "zenoh": zenoh,
+    "columns": columns, "grpc": grpc, "loading": loading, "cluster": cluster, "cluster-time": cluster_time, "writers": writers, "call-cost": call_cost, "zenoh": zenoh,
     "acknowledged": acknowledged, "kept": kept, "pauses": pauses,
     "restart": lambda: digits(durable("restart")["from opening to ready"]["figure"]) + " seconds",
     "loaded-bytes": lambda: digits(durable("while ")["on disk: resident bytes a point, right after the load"]["figure"]) + " bytes",

@@ -32,7 +32,7 @@ use crate::{
     lifecycle::{Lifecycle, Phase},
     log::{
         Catalogue, FjallLog, Journal, Log, MemoryLog, NatsError, NatsOptions, PointStore, SYNCS,
-        connect_nats,
+        StoreOptions, connect_nats,
     },
     registry::{Registry, RegistryOptions},
     service::{Owners, Service},
@@ -365,8 +365,12 @@ async fn open_registry(
         let (log, nats) = match data.directory() {
             Some(directory) => {
                 let memory = watermarks.memory.as_ref().and_then(|memory| memory.limit());
-                let memory = memory.unwrap_or(u64::MAX);
-                let local = FjallLog::open_within(directory, data.durability, memory)?;
+                let options = StoreOptions {
+                    durability: data.durability,
+                    memory: memory.unwrap_or(u64::MAX),
+                    is_copy: cluster.is_some(),
+                };
+                let local = FjallLog::open(directory, options)?;
                 log_over(Arc::new(local), cluster.as_ref())?
             }
             None => log_over(Arc::new(MemoryLog::new()), cluster.as_ref())?,

@@ -41,7 +41,9 @@ use tokio::sync::watch;
 pub(crate) use self::fjall::SYNCS;
 #[cfg(fuzzing)]
 pub use self::fjall::fuzzing;
-pub use self::fjall::{Durability, FjallLog, OpenError, RepairError, RepairReport, repair};
+pub use self::fjall::{
+    Durability, FjallLog, OpenError, RepairError, RepairReport, StoreOptions, repair,
+};
 pub use effects::{Effects, Operation, Outcome};
 pub use entry::{Entry, LostIndex, Origin};
 pub use error::LogError;

@@ -2,13 +2,13 @@
 
 mod closing;
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use parking_lot::{Mutex, RwLock};
 use tracing::{debug, warn};
 
 use super::{
-    Durability, MARKS, STORE,
+    Durability, MARKS, STORE, StoreOptions,
     directory::Directory,
     failure::Failure,
     follow,
@@ -25,6 +25,10 @@ use super::{
 };
 use crate::log::{Entry, LogError, LostIndex, Origin, Receipt, Record, RecordStream, Uid, View};
 
+/// The time between two syncs of a store whose records another journal has. Three servers of a cluster that synced each
+/// batch would take more of one machine's disk and processors than their journal.
+const COPY_SYNC_INTERVAL: Duration = Duration::from_millis(100);
+
 /// An open store.
 pub(super) struct Engine {
     syncer: Option<Syncer>,
@@ -39,14 +43,13 @@ pub(super) struct Engine {
 }
 
 impl Engine {
-    /// Opens the existing store of a directory in a server that may use `memory` bytes, or returns the error that
-    /// prevents it.
+    /// Opens the existing store of a directory, or returns the error that prevents it.
     pub(super) fn open(
         directory: &Arc<Directory>,
-        durability: Durability,
-        memory: u64,
+        options: StoreOptions,
         marks: (Marks, &MarkTable),
     ) -> Result<Self, LogError> {
+        let durability = options.durability;
         let (mut marks, marked) = marks;
         let path = directory.join(STORE);
         if !path.try_exists().map_err(shut)? {
@@ -55,7 +58,7 @@ impl Engine {
         manifest_copy::mend(directory)?;
         manifest::check(&path)?;
         journal::make_certain(directory).map_err(shut)?;
-        let store = Store::open_within(&path, durability, memory).map_err(unopened)?;
+        let store = Store::open_within(&path, durability, options.memory).map_err(unopened)?;
         let store = Arc::new(store);
         let renamed = unclean_marker::may_have_lost(directory.path()).map_err(shut)?;
         let handles = store.handles()?;
@@ -98,7 +101,11 @@ impl Engine {
         let syncer = match durability {
             Durability::Fsync => {
                 let failure = Arc::clone(&failure);
-                Some(Syncer::start(journal, marks, failure).map_err(shut)?)
+                let interval = match options.is_copy {
+                    true => COPY_SYNC_INTERVAL,
+                    false => Duration::ZERO,
+                };
+                Some(Syncer::start(journal, marks, failure, interval).map_err(shut)?)
             }
             Durability::Os | Durability::None => None,
         };

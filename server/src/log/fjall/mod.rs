@@ -94,6 +94,27 @@ impl TryFrom<String> for Durability {
     }
 }
 
+/// How a log is kept in a directory.
+#[derive(Clone, Copy, Debug)]
+pub struct StoreOptions {
+    /// What an acknowledged mutation survives.
+    pub durability: Durability,
+    /// The memory of the server: the store takes a quarter of it at most.
+    pub memory: u64,
+    /// True if another journal has the records: this store is then synced at an interval, whatever was acknowledged.
+    pub is_copy: bool,
+}
+
+impl From<Durability> for StoreOptions {
+    fn from(durability: Durability) -> Self {
+        Self {
+            durability,
+            memory: u64::MAX,
+            is_copy: false,
+        }
+    }
+}
+
 /// A log in a directory: journal, points and catalogue.
 ///
 /// Closing or dropping it syncs all appended records and closes its views.
@@ -102,9 +123,7 @@ pub struct FjallLog {
     opened: RwLock<StoreState>,
     /// Held while the store is reopened.
     reopening: Mutex<()>,
-    durability: Durability,
-    /// The memory of the server.
-    memory: u64,
+    options: StoreOptions,
     directory: Arc<Directory>,
 }
 
@@ -119,16 +138,7 @@ impl FjallLog {
     ///
     /// A store that cannot be read is not an error here: a supervisor would restart the server forever. Instead, every
     /// call fails with the cause, and [`Catalogue::lost`] names the indices.
-    pub fn open(directory: &Path, durability: Durability) -> Result<Self, OpenError> {
-        Self::open_within(directory, durability, u64::MAX)
-    }
-
-    /// Like [`FjallLog::open`], in a server that may use `memory` bytes: the store takes a quarter of them at most.
-    pub fn open_within(
-        directory: &Path,
-        durability: Durability,
-        memory: u64,
-    ) -> Result<Self, OpenError> {
+    pub fn open(directory: &Path, options: impl Into<StoreOptions>) -> Result<Self, OpenError> {
         let directory = Arc::new(Directory::take(directory)?);
         directory.upgrade()?;
         let failed = |path: &Path, source| OpenError::Io {
@@ -143,8 +153,7 @@ impl FjallLog {
         let log = Self {
             opened: RwLock::new(StoreState::Unopened(LogError::Closed, MarkTable::default())),
             reopening: Mutex::default(),
-            durability,
-            memory,
+            options: options.into(),
             directory,
         };
         let directory = log.directory.path().display();
@@ -173,7 +182,7 @@ impl FjallLog {
         rebuild::finish(&self.directory).map_err(shut)?;
         let (marks, marked) = Marks::open(&self.directory.join(MARKS)).map_err(shut)?;
         let marks = (marks, &marked);
-        Engine::open(&self.directory, self.durability, self.memory, marks)
+        Engine::open(&self.directory, self.options, marks)
     }
 
     /// Fails if the disk would prevent the store from being reopened. `failed` is the store, if it is still open.

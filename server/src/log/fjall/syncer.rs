@@ -2,7 +2,8 @@
 //!
 //! A writer commits its batch, which only hands it to the journal, and announces it ([`Syncer::written`]). The thread
 //! syncs once for all batches announced meanwhile, writes the sync marks, and only then wakes the waiting writers. If
-//! many writers shared the last sync, the thread first waits briefly for their next batches.
+//! many writers shared the last sync, the thread first waits briefly for their next batches. If acknowledgements do not
+//! depend on this store, it syncs at an interval.
 
 use std::{
     sync::{Arc, LazyLock},
@@ -45,6 +46,8 @@ struct Shared {
     /// Notified when batches were synced, or the syncer has failed.
     done: Condvar,
     failure: Arc<Failure>,
+    /// The time between two syncs for which nobody waits.
+    interval: Duration,
 }
 
 #[derive(Default)]
@@ -54,6 +57,8 @@ struct SyncState {
     enough: usize,
     /// The new marks of the announced batches, until they are written.
     marks: Vec<(Arc<Index>, Mark)>,
+    /// The number of threads in [`Syncer::wait`].
+    waiting: usize,
     stop: bool,
     /// The number of batches that are synced.
     synced: u64,
@@ -62,17 +67,19 @@ struct SyncState {
 }
 
 impl Syncer {
-    /// Starts the thread.
+    /// Starts the thread. With an `interval` it lets batches for which nobody waits gather for so long.
     pub(super) fn start(
         mut journal: Journal,
         mut marks: Marks,
         failure: Arc<Failure>,
+        interval: Duration,
     ) -> std::io::Result<Self> {
         let shared = Arc::new(Shared {
             state: Mutex::default(),
             wake: Condvar::new(),
             done: Condvar::new(),
             failure,
+            interval,
         });
         let work = Arc::clone(&shared);
         let thread = std::thread::Builder::new()
@@ -110,13 +117,17 @@ impl Syncer {
     pub(super) fn wait(&self) -> Result<(), LogError> {
         let mut state = self.shared.state.lock();
         let batches = state.batches;
-        loop {
+        state.waiting += 1;
+        self.shared.wake.notify_one();
+        let outcome = loop {
             match &state.failed {
-                _ if state.synced >= batches => return Ok(()),
-                Some(why) => return Err(why.clone()),
+                _ if state.synced >= batches => break Ok(()),
+                Some(why) => break Err(why.clone()),
                 None => self.shared.done.wait(&mut state),
             }
-        }
+        };
+        state.waiting -= 1;
+        outcome
     }
 }
 
@@ -134,6 +145,14 @@ impl Shared {
             state.enough = 1;
             while state.marks.is_empty() && !state.stop {
                 self.wake.wait(&mut state);
+            }
+            if !self.interval.is_zero() {
+                state.enough = usize::MAX;
+                let until = Instant::now() + self.interval;
+                while state.waiting == 0
+                    && !state.stop
+                    && !self.wake.wait_until(&mut state, until).timed_out()
+                {}
             }
             state.enough = last / 4 * 3;
             if last >= MIN_SHARED_BATCHES && state.marks.len() < state.enough && !state.stop {

@@ -24,6 +24,10 @@ const STREAMS: usize = 4;
 /// A request to NATS without an answer for this long counts as lost.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(3);
 
+/// The same for a message, and for a request that reads one: a stream that changes its leader loses both without a word, and
+/// writers wait meanwhile.
+const MESSAGE_TIMEOUT: Duration = Duration::from_secs(1);
+
 /// NATS is asked for a sign of life after this long without one. After three signs that did not come the server connects to
 /// another server of NATS. By default the first question comes after a minute, while every write would wait.
 const PING_INTERVAL: Duration = Duration::from_secs(1);
@@ -89,7 +93,7 @@ impl Connection {
         let max_payload = client.server_info().max_payload.saturating_sub(1024);
         let context = ContextBuilder::new()
             .timeout(REQUEST_TIMEOUT)
-            .ack_timeout(REQUEST_TIMEOUT)
+            .ack_timeout(MESSAGE_TIMEOUT)
             .build(client);
         let mut connection = Self {
             context,
@@ -152,7 +156,7 @@ impl Connection {
     pub(super) async fn last(&self, uid: Uid) -> Result<Position, LogError> {
         let subject = self.subject(uid);
         let last = self.stream(uid).get_last_raw_message_by_subject(&subject);
-        match within(async { found(last.await) }).await? {
+        match read(last).await? {
             Some(message) => Position::of(uid, &message),
             None => Ok(Position::START),
         }
@@ -168,7 +172,7 @@ impl Connection {
         let next = self
             .stream(uid)
             .get_first_raw_message_by_subject(subject, sequence);
-        match within(async { found(next.await) }).await? {
+        match read(next).await? {
             Some(message) => Ok(Some((Position::of(uid, &message)?, message))),
             None => Ok(None),
         }
@@ -196,6 +200,16 @@ fn without_passwords(servers: &str) -> String {
         (_, None) => url.to_owned(),
     };
     servers.split(',').map(hide).collect::<Vec<_>>().join(",")
+}
+
+/// The message that a request reads; None if there is no such message.
+async fn read(
+    request: impl Future<Output = Result<StreamMessage, LastRawMessageError>>,
+) -> Result<Option<StreamMessage>, LogError> {
+    let late = |_| LogError::Unreachable {
+        what: "no message in time".into(),
+    };
+    found(timeout(MESSAGE_TIMEOUT, request).await.map_err(late)?)
 }
 
 /// The message of an answer; None if there is no such message.

@@ -1,5 +1,6 @@
 //! The publisher of an index: it publishes the submitted records in their order, one message at a time. Records that
-//! arrive while one is under way leave together in the next.
+//! arrive while one is under way leave together in the next. It first waits briefly for the next records of all writers
+//! that shared the last one: three servers of NATS sync each message.
 
 use std::{sync::Arc, time::Duration};
 
@@ -19,7 +20,7 @@ use bytes::Bytes;
 use tokio::{
     runtime::Handle,
     sync::{mpsc, oneshot},
-    time::{interval, timeout},
+    time::{Instant, interval, timeout, timeout_at},
 };
 use tracing::debug;
 use uuid::Uuid;
@@ -34,6 +35,9 @@ use crate::log::{LogError, Record, Uid};
 /// The number of times that a message is sent again because NATS was about to store another one of its subject, or because
 /// its stream had no leader.
 const MAX_REPEATS: usize = 100;
+
+/// The longest wait for further records. It is no longer than the last message took either.
+const MAX_WAIT: Duration = Duration::from_millis(5);
 
 /// A publisher without a record for this long ends: a server may have thousands of indices.
 const IDLE_TIME: Duration = Duration::from_secs(60);
@@ -82,6 +86,8 @@ impl Publisher {
             uid,
             connection,
             newest: None,
+            writers: 1,
+            patience: Duration::ZERO,
         };
         runtime.spawn(task.run(waiting));
         Self { submissions }
@@ -103,6 +109,10 @@ struct Task {
     connection: Arc<Connection>,
     /// The newest message of the index, if it is known. Another server may have published since.
     newest: Option<Position>,
+    /// The number of writers, as far as it is known: of records that the last message had, and that waited for its end.
+    writers: usize,
+    /// The longest wait for so many records.
+    patience: Duration,
 }
 
 impl Task {
@@ -123,7 +133,8 @@ impl Task {
             };
             let mut bytes = message::packed_bytes(first.stored.len());
             let mut batch = vec![first];
-            while let Ok(next) = waiting.try_recv() {
+            let until = Instant::now() + self.patience;
+            while let Some(next) = self.next(&batch, &mut waiting, until).await {
                 bytes += message::packed_bytes(next.stored.len());
                 let follows = batch
                     .last()
@@ -134,7 +145,10 @@ impl Task {
                 }
                 batch.push(next);
             }
+            let began = Instant::now();
             let outcome = self.publish(&batch).await;
+            self.writers = batch.len() + waiting.len();
+            self.patience = began.elapsed().min(MAX_WAIT);
             for submission in batch {
                 let outcome = outcome.as_ref().copied().map_err(|why| match why {
                     Refusal::Fenced { head } => LogError::Fenced {
@@ -151,6 +165,22 @@ impl Task {
                 // The apply loop may have ended.
                 let _ = submission.answer.send(outcome);
             }
+        }
+    }
+
+    /// The next record that waits, or comes until that time if a pack has not one of each writer.
+    async fn next(
+        &self,
+        pack: &[Submission],
+        waiting: &mut mpsc::UnboundedReceiver<Submission>,
+        until: Instant,
+    ) -> Option<Submission> {
+        match waiting.try_recv() {
+            Ok(next) => Some(next),
+            Err(_) if pack.len() < self.writers => {
+                timeout_at(until, waiting.recv()).await.ok().flatten()
+            }
+            Err(_) => None,
         }
     }
 

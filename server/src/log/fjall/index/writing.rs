@@ -8,7 +8,7 @@ use super::{Index, State, UnappliedRecord};
 use crate::log::{
     LogError, Outcome, Record, View,
     fjall::{
-        layout::{Head, Sum, head_key, operation_key, point_key, record_key, seal},
+        layout::{Sum, head_key, operation_key, point_key, record_key, seal},
         point::PointForm,
         session,
         store::{Handles, Store, storage, unreadable},
@@ -29,7 +29,7 @@ impl Index {
             return Err(self.fenced(record.revision() - 1, &state.head));
         }
         let handles = store.handles()?;
-        self.write(&handles, &mut state, &record)?;
+        self.write(&handles, &mut state, std::slice::from_ref(&record))?;
         let view = self.view_of_head(store, &mut state);
         let unapplied = UnappliedRecord { record, view };
         self.unapplied.lock().push_back(unapplied);
@@ -51,18 +51,20 @@ impl Index {
         let mut state = self.open()?;
         let handles = store.handles()?;
         let before = state.head.revision;
-        for record in records {
-            if record.revision() <= state.head.revision {
-                continue;
-            }
-            if !record.follows(state.head.position()) {
+        let known = records.partition_point(|record| record.revision() <= before);
+        let mut position = state.head.position();
+        for record in &records[known..] {
+            if !record.follows(position) {
                 return Err(LogError::Damaged {
                     uid: self.entry.uid,
                     revision: record.revision(),
                     what: "it does not follow the record before it",
                 });
             }
-            self.write(&handles, &mut state, record)?;
+            position = record.position();
+        }
+        for records in records[known..].chunk_by(|one, next| is_plain(one) && is_plain(next)) {
+            self.write(&handles, &mut state, records)?;
         }
         if state.head.revision > before {
             written(self.mark_of(&state.head));
@@ -89,25 +91,30 @@ impl Index {
         None
     }
 
-    /// Writes the record after the head, and its points, in one batch.
-    fn write(&self, handles: &Handles, state: &mut State, record: &Record) -> Result<(), LogError> {
+    /// Writes the records after the head, and their points, in one batch. Several records must be plain ones.
+    fn write(
+        &self,
+        handles: &Handles,
+        state: &mut State,
+        records: &[Arc<Record>],
+    ) -> Result<(), LogError> {
         handles.wait_for_room()?;
         let Handles {
             database, keyspace, ..
         } = handles;
         let mut batch = database.batch();
-        let mut sum = self.put(handles, &mut batch, record, state.head.sum)?;
-        let changes = state.sessions.changes(record);
-        for change in &changes {
-            session::put(change, self.number, (&mut batch, keyspace), &mut sum);
+        let mut head = state.head;
+        let mut changes = Vec::new();
+        for record in records {
+            self.put(handles, &mut batch, record, &mut head.sum)?;
+            changes = state.sessions.changes(record);
+            for change in &changes {
+                session::put(change, self.number, (&mut batch, keyspace), &mut head.sum);
+            }
+            head.revision = record.revision();
+            head.next_id = head.next_id.max(record.effects().next_id());
+            head.digest = *record.digest();
         }
-        let head = Head {
-            revision: record.revision(),
-            next_id: state.head.next_id.max(record.effects().next_id()),
-            trimmed: state.head.trimmed,
-            digest: *record.digest(),
-            sum,
-        };
         for trimmed in state.removed + 1..=head.trimmed {
             batch.remove(keyspace, record_key(self.number, trimmed));
         }
@@ -122,22 +129,24 @@ impl Index {
         state.removed = head.trimmed;
         state.forgotten.clear();
         state.sessions.apply_changes(changes);
-        state.remember(record);
-        if let Some(operation) = record.effects().operation() {
-            state.remember_operation(record.revision(), operation);
+        for record in records {
+            state.remember(record);
+            if let Some(operation) = record.effects().operation() {
+                state.remember_operation(record.revision(), operation);
+            }
         }
         state.head = head;
         Ok(())
     }
 
-    /// Adds a record and its effects to a batch; returns the new sum of the points.
+    /// Adds a record and its effects to a batch, and to the sum of the points.
     fn put(
         &self,
         handles: &Handles,
         batch: &mut OwnedWriteBatch,
         record: &Record,
-        mut sum: Sum,
-    ) -> Result<Sum, LogError> {
+        sum: &mut Sum,
+    ) -> Result<(), LogError> {
         let effects = record.effects();
         let keyspace = &handles.keyspace;
         let mut forget = |id| {
@@ -177,6 +186,13 @@ impl Index {
             record_key(self.number, record.revision()),
             record.encode(),
         );
-        Ok(sum)
+        Ok(())
     }
+}
+
+/// True for a record that only adds points: it does not read what the records before it have written, and writes under
+/// keys of its own.
+fn is_plain(record: &Arc<Record>) -> bool {
+    let effects = record.effects();
+    effects.only_adds() && effects.batch().is_none()
 }
