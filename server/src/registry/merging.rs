@@ -7,6 +7,7 @@ use tracing::{debug, error};
 use wayfold_index::{Merge, Merged};
 
 use super::{Hosted, Published, apply::AppliedForest};
+use crate::watermark::release_if_grown;
 
 /// A merge that ran and is not yet swapped in.
 pub(super) struct FinishedMerge {
@@ -48,8 +49,8 @@ impl Hosted {
         }
     }
 
-    /// Waits for a merge permit, runs the merge on a blocking thread, and swaps it in between two mutations. It
-    /// continues after the index is closed.
+    /// Waits for a merge permit, runs the merge on a blocking thread, swaps it in between two mutations, and gives the memory
+    /// back. It continues after the index is closed.
     async fn merge(self: Arc<Self>, merge: Merge) {
         let turn = self.host.merges.acquire().await;
         let rows = merge.rows();
@@ -69,6 +70,9 @@ impl Hosted {
             }));
         }
         self.start_merging(&mut applied);
+        drop(applied);
+        // The merged levels are freed by now, unless a search holds them.
+        tokio::task::spawn_blocking(release_if_grown);
     }
 
     /// Swaps in the finished merges; true if there were any. The apply loop calls this too: a merge that queued for a

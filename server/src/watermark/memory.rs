@@ -3,7 +3,10 @@
 use std::{
     fs, io,
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering::Relaxed},
+    },
 };
 
 // Linked for `mi_collect`.
@@ -14,6 +17,9 @@ use super::{Resource, Usage, Watermark};
 
 /// The root of the mounted control groups.
 const CGROUPS: &str = "/sys/fs/cgroup";
+
+/// The most that the use of memory grows before freed memory is given back.
+const MAX_UNRELEASED: u64 = 16 * 1024 * 1024;
 
 /// A watermark of the process's memory at these percentages of `limit_bytes`, or of the limit that the system sets if
 /// that is 0. None if the system tells no use or no limit: only Linux does.
@@ -90,6 +96,19 @@ pub(crate) fn release_to_os(force: bool) {
     )]
     unsafe {
         mi_collect(force);
+    }
+}
+
+/// Gives freed memory back to the system if the use of memory has grown since it was last given back. Each merge frees
+/// whole levels, which would stay for seconds while an index grows. May take milliseconds.
+pub(crate) fn release_if_grown() {
+    static AFTER_RELEASE: AtomicU64 = AtomicU64::new(0);
+    let Ok(used) = used() else { return };
+    if used > AFTER_RELEASE.load(Relaxed) + MAX_UNRELEASED {
+        release_to_os(true);
+        AFTER_RELEASE.store(self::used().unwrap_or(used), Relaxed);
+    } else {
+        AFTER_RELEASE.fetch_min(used, Relaxed);
     }
 }
 

@@ -23,7 +23,7 @@ const MIN_STALLING_RUNS: usize = 20;
 /// The bytes of read blocks that the store keeps in memory, and those of points that it collects there before it moves
 /// them to its files, if there is memory enough.
 const CACHE_BYTES: u64 = 32 * 1024 * 1024;
-const MEMTABLE_BYTES: u64 = 64 * 1024 * 1024;
+const MEMTABLE_BYTES: u64 = 48 * 1024 * 1024;
 
 /// The cache, and each of the memtables, get at most this part of the memory of the server.
 const MEMORY_SHARE: u64 = 16;
@@ -122,11 +122,9 @@ impl Handles {
     /// Waits until the store has caught up so far that a batch does not block inside fjall. Fails if the store has
     /// failed.
     pub(super) fn wait_for_room(&self) -> Result<(), LogError> {
-        // fjall keeps the size that a store was made with, so that a smaller one is enforced here.
+        // fjall keeps the size that a store was made with, 64 MiB by default, so that a smaller one is enforced here.
         let sealed = self.keyspace.sealed_memtable_count() as u64;
-        if self.memtable_bytes < MEMTABLE_BYTES
-            && self.unflushed_bytes() > (sealed + 1) * self.memtable_bytes
-        {
+        if self.unflushed_bytes() > (sealed + 1) * self.memtable_bytes {
             self.keyspace.rotate_memtable().map_err(storage)?;
         }
         while self.keyspace.sealed_memtable_count() + 1 >= MIN_HALTING_MEMTABLES {
