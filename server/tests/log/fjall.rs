@@ -4,7 +4,9 @@
 use std::{fs, slice};
 
 use futures_util::{FutureExt, StreamExt};
-use wayfold_server::log::{Catalogue, Durability, Journal, LogError, PointStore, Uid};
+use wayfold_server::log::{
+    Catalogue, Durability, FjallLog, Journal, LogError, PointStore, StoreOptions, Uid,
+};
 
 use super::{
     all_points,
@@ -55,6 +57,29 @@ fn one_sync_covers_all_earlier_writes() {
     let mut other = log.follow(indexes[0].uid, 49);
     let records = other.next().now_or_never().unwrap().unwrap().unwrap();
     assert_eq!(records.last().unwrap().revision(), 50);
+}
+
+/// A store under the journal of a cluster: nobody waits for its syncs but those who create and restore indices.
+#[test]
+fn a_copy_is_synced_at_an_interval_and_when_it_is_closed() {
+    let directory = tempfile::tempdir().unwrap();
+    let options = StoreOptions {
+        is_copy: true,
+        ..Durability::Fsync.into()
+    };
+    let log = FjallLog::open(directory.path(), options).unwrap();
+    let arm = entry("arm");
+    let uid = arm.uid;
+    log.create(arm).unwrap();
+    for revision in 1..=50 {
+        append(&log, uid, revision);
+    }
+    synced(&log, uid, 50).unwrap();
+    let copy = copied(directory.path());
+    assert_eq!(open(copy.path()).view(uid).unwrap().revision(), 50);
+    append(&log, uid, 51);
+    drop(log);
+    assert_eq!(open(directory.path()).view(uid).unwrap().revision(), 51);
 }
 
 /// The disk is removed and put back. Every acknowledged mutation is stored, and any other is stored whole or not at

@@ -1,6 +1,6 @@
 //! Measures clients that each have one insert under way: into servers, over a few connections that they share, or as
-//! records in JetStream alone, published as the journal of a cluster does it: fenced, to one subject, one message under
-//! way at a time; records that wait for it leave together in the next.
+//! records in JetStream alone: fenced, to one subject, one message under way at a time; records that wait for it leave
+//! together in the next.
 //!
 //!     cargo run --release -p wayfold-tests --bin inserters -- (--servers URLS | --nats URLS) [--clients 64]
 //!         [--seconds 5] [--patient] [--json FILE]
@@ -42,8 +42,8 @@ const REPLICAS: usize = 3;
 /// The longest outage that a patient client bears.
 const MAX_OUTAGE: Duration = Duration::from_secs(60);
 
-/// The time after which it takes a message to NATS for lost.
-const ACK_TIMEOUT: Duration = Duration::from_millis(500);
+/// A message to NATS without an answer for this long counts as lost, as in the server.
+const MESSAGE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// The time between two attempts of such a client.
 const RETRY_INTERVAL: Duration = Duration::from_millis(20);
@@ -125,10 +125,8 @@ async fn insert(servers: &[String], arguments: &Arguments) -> Value {
 /// Each client publishes one record at a time.
 async fn publish(arguments: &Arguments) -> Value {
     let client = async_nats::connect(&arguments.target.nats).await;
-    let context = ContextBuilder::new()
-        .timeout(ACK_TIMEOUT)
-        .ack_timeout(ACK_TIMEOUT);
-    let context = context.build(client.expect("NATS"));
+    let client = client.expect("NATS");
+    let context = jetstream::new(client.clone());
     let config = Config {
         name: STREAM.into(),
         subjects: vec![SUBJECT.into()],
@@ -138,6 +136,8 @@ async fn publish(arguments: &Arguments) -> Value {
     // An earlier measurement may have left one.
     let _ = context.delete_stream(STREAM).await;
     context.create_stream(config).await.expect("a stream");
+    let context = ContextBuilder::new().timeout(MESSAGE_TIMEOUT);
+    let context = context.ack_timeout(MESSAGE_TIMEOUT).build(client);
     let (records, waiting) = mpsc::channel::<oneshot::Sender<()>>(arguments.clients);
     let publishing = tokio::spawn(pack(context, arguments.clients, arguments.patient, waiting));
     let clients = (0..arguments.clients).map(|_| {

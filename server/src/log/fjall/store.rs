@@ -67,7 +67,8 @@ impl Store {
                 // The syncer hands batches to the operating system under `fsync`. Under `none` nothing does.
                 .manual_journal_persist(durability != Durability::Os)
                 .open()?;
-            let keyspace = database.keyspace("wayfold", KeyspaceCreateOptions::default)?;
+            let options = || KeyspaceCreateOptions::default().max_memtable_size(MEMTABLE_BYTES);
+            let keyspace = database.keyspace("wayfold", options)?;
             Ok(Handles {
                 database,
                 keyspace,
@@ -122,9 +123,11 @@ impl Handles {
     /// Waits until the store has caught up so far that a batch does not block inside fjall. Fails if the store has
     /// failed.
     pub(super) fn wait_for_room(&self) -> Result<(), LogError> {
-        // fjall keeps the size that a store was made with, 64 MiB by default, so that a smaller one is enforced here.
+        // fjall keeps the size that a store was made with, so that a smaller one is enforced here.
         let sealed = self.keyspace.sealed_memtable_count() as u64;
-        if self.unflushed_bytes() > (sealed + 1) * self.memtable_bytes {
+        if self.memtable_bytes < MEMTABLE_BYTES
+            && self.unflushed_bytes() > (sealed + 1) * self.memtable_bytes
+        {
             self.keyspace.rotate_memtable().map_err(storage)?;
         }
         while self.keyspace.sealed_memtable_count() + 1 >= MIN_HALTING_MEMTABLES {

@@ -41,7 +41,7 @@ pub(super) struct Syncer {
 
 struct Shared {
     state: Mutex<SyncState>,
-    /// Notified when a batch was announced, or the thread is to end.
+    /// Notified when a batch was announced, a thread waits for a sync, or the thread is to end.
     wake: Condvar,
     /// Notified when batches were synced, or the syncer has failed.
     done: Condvar,

@@ -22,11 +22,11 @@ use crate::log::{LogError, Uid};
 const STREAMS: usize = 4;
 
 /// A request to NATS without an answer for this long counts as lost.
-const REQUEST_TIMEOUT: Duration = Duration::from_secs(3);
+pub(super) const REQUEST_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// The same for a message, and for a request that reads one: a stream that changes its leader loses both without a word, and
 /// writers wait meanwhile.
-const MESSAGE_TIMEOUT: Duration = Duration::from_secs(1);
+pub(super) const MESSAGE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// NATS is asked for a sign of life after this long without one. After three signs that did not come the server connects to
 /// another server of NATS. By default the first question comes after a minute, while every write would wait.
@@ -93,7 +93,7 @@ impl Connection {
         let max_payload = client.server_info().max_payload.saturating_sub(1024);
         let context = ContextBuilder::new()
             .timeout(REQUEST_TIMEOUT)
-            .ack_timeout(MESSAGE_TIMEOUT)
+            .ack_timeout(2 * REQUEST_TIMEOUT)
             .build(client);
         let mut connection = Self {
             context,

@@ -27,7 +27,7 @@ use uuid::Uuid;
 
 use super::{
     RETRY_INTERVAL,
-    connection::{self, Connection, within},
+    connection::{self, Connection, MESSAGE_TIMEOUT, REQUEST_TIMEOUT},
     message::{self, Position},
 };
 use crate::log::{LogError, Record, Uid};
@@ -36,8 +36,12 @@ use crate::log::{LogError, Record, Uid};
 /// its stream had no leader.
 const MAX_REPEATS: usize = 100;
 
-/// The longest wait for further records. It is no longer than the last message took either.
+/// The longest wait for further records. It is about as long as the last message took, if that is less, and after a wait in
+/// which none came the next message does not wait.
 const MAX_WAIT: Duration = Duration::from_millis(5);
+
+/// A message gets [`MESSAGE_TIMEOUT`] once more for each of so many bytes.
+const BYTES_PER_TIMEOUT: usize = 1024 * 1024;
 
 /// A publisher without a record for this long ends: a server may have thousands of indices.
 const IDLE_TIME: Duration = Duration::from_secs(60);
@@ -134,7 +138,19 @@ impl Task {
             let mut bytes = message::packed_bytes(first.stored.len());
             let mut batch = vec![first];
             let until = Instant::now() + self.patience;
-            while let Some(next) = self.next(&batch, &mut waiting, until).await {
+            let mut came = false;
+            loop {
+                let next = match waiting.try_recv() {
+                    Ok(next) => next,
+                    Err(_) if batch.len() >= self.writers => break,
+                    Err(_) => match timeout_at(until, waiting.recv()).await {
+                        Ok(Some(next)) => {
+                            came = true;
+                            next
+                        }
+                        Ok(None) | Err(_) => break,
+                    },
+                };
                 bytes += message::packed_bytes(next.stored.len());
                 let follows = batch
                     .last()
@@ -145,10 +161,14 @@ impl Task {
                 }
                 batch.push(next);
             }
+            let in_vain = !came && batch.len() < self.writers && !self.patience.is_zero();
             let began = Instant::now();
             let outcome = self.publish(&batch).await;
             self.writers = batch.len() + waiting.len();
-            self.patience = began.elapsed().min(MAX_WAIT);
+            self.patience = match in_vain {
+                true => Duration::ZERO,
+                false => began.elapsed().min(MAX_WAIT),
+            };
             for submission in batch {
                 let outcome = outcome.as_ref().copied().map_err(|why| match why {
                     Refusal::Fenced { head } => LogError::Fenced {
@@ -168,22 +188,6 @@ impl Task {
         }
     }
 
-    /// The next record that waits, or comes until that time if a pack has not one of each writer.
-    async fn next(
-        &self,
-        pack: &[Submission],
-        waiting: &mut mpsc::UnboundedReceiver<Submission>,
-        until: Instant,
-    ) -> Option<Submission> {
-        match waiting.try_recv() {
-            Ok(next) => Some(next),
-            Err(_) if pack.len() < self.writers => {
-                timeout_at(until, waiting.recv()).await.ok().flatten()
-            }
-            Err(_) => None,
-        }
-    }
-
     /// Publishes consecutive records as one pack.
     async fn publish(&mut self, batch: &[Submission]) -> Result<(), Refusal> {
         let (Some(first), Some(last)) = (batch.first(), batch.last()) else {
@@ -200,9 +204,13 @@ impl Task {
         let mut attempts = interval(RETRY_INTERVAL);
         for _ in 0..MAX_REPEATS {
             let sent = self.send((first, last), &payload, expected.sequence);
-            let sent = within(async { Ok(sent.await) }).await;
-            let acknowledged = sent.map_err(|error| Refusal::Unconfirmed {
-                what: error.to_string(),
+            let limit = match begins {
+                true => REQUEST_TIMEOUT,
+                false => MESSAGE_TIMEOUT * (1 + payload.len() / BYTES_PER_TIMEOUT) as u32,
+            };
+            let sent = timeout(limit, sent).await;
+            let acknowledged = sent.map_err(|_| Refusal::Unconfirmed {
+                what: "no acknowledgement in time".into(),
             })?;
             let error = match acknowledged {
                 Ok(acknowledgement) => {

@@ -1,4 +1,4 @@
-//! The writes to an index: a record and the points that it changes, in one batch.
+//! The writes to an index: records and the points that they change, in one batch.
 
 use std::sync::Arc;
 
