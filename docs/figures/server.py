@@ -69,6 +69,24 @@ def cluster_time():
     return table(["cluster"], ["processor time an insert, 64 clients", *columns.values()], rows)
 
 
+def outages():
+    cases = of("outages")["cases"]
+    median = lambda case: cases[case]["median_s"]
+    shown = lambda case: f"{digits(median(case))} s ({digits(cases[case]['least_s'])} to {digits(cases[case]['most_s'])})"
+    within = lambda case, aim: shown(case) if median(case) <= aim else f"**{shown(case)}**"
+    million = f"{of('outages')['points']:,} points"
+    rows = [
+        ["no insert is acknowledged after the owner was killed; a client at another server", within("owner", 4), "≤ 4 s"],
+        ["no insert is acknowledged after the leader of the index's stream was killed; a client at the owner",
+         within("leader", median("bare") + 1), f"≤ {digits(median('bare') + 1)} s: 1 s more than JetStream"],
+        ["the same for JetStream alone", shown("bare"), ""],
+        [f"a killed server of the cluster serves again, {million}",
+         within("member", 2 * median("lone")), f"≤ {digits(2 * median('lone'))} s: twice a lone server"],
+        [f"a killed lone server, {million}", shown("lone"), ""],
+    ]
+    return table(["outages"], ["how long", "median (least to most); **bold** misses its aim", "aim"], rows)
+
+
 def writers():
     rows = [[str(row["batch"]), digits(row["states_per_second"]), f"{100 * row['writer_held']:.0f} %", digits(row["processors"])]
             for row in of("writers")["batches"]]
@@ -152,7 +170,8 @@ def pauses():
 
 
 SERVER = {
-    "columns": columns, "grpc": grpc, "loading": loading, "cluster": cluster, "cluster-time": cluster_time, "writers": writers, "call-cost": call_cost, "zenoh": zenoh,
+    "columns": columns, "grpc": grpc, "loading": loading, "cluster": cluster, "cluster-time": cluster_time, "outages": outages,
+    "writers": writers, "call-cost": call_cost, "zenoh": zenoh,
     "acknowledged": acknowledged, "kept": kept, "pauses": pauses,
     "restart": lambda: digits(durable("restart")["from opening to ready"]["figure"]) + " seconds",
     "loaded-bytes": lambda: digits(durable("while ")["on disk: resident bytes a point, right after the load"]["figure"]) + " bytes",
