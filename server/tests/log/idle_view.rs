@@ -17,7 +17,7 @@ const MIB: u64 = 320;
 
 const PAYLOAD_BYTES: usize = 1024 * 1024;
 
-/// The busy index holds one point of [`PAYLOAD_BYTES`] and one record; fjall keeps up to four memtables of 48 MiB.
+/// The busy index holds one point of [`PAYLOAD_BYTES`] and one record; fjall keeps up to four memtables of 64 MiB.
 const MAX_TABLE_BYTES: u64 = 128 * 1024 * 1024;
 
 /// Overwrites the payload of one point in `revisions` records, of which the log keeps only the newest.

@@ -23,7 +23,7 @@ const MIN_STALLING_RUNS: usize = 20;
 /// The bytes of read blocks that the store keeps in memory, and those of points that it collects there before it moves
 /// them to its files, if there is memory enough.
 const CACHE_BYTES: u64 = 32 * 1024 * 1024;
-const MEMTABLE_BYTES: u64 = 48 * 1024 * 1024;
+const MEMTABLE_BYTES: u64 = 64 * 1024 * 1024;
 
 /// The cache, and each of the memtables, get at most this part of the memory of the server.
 const MEMORY_SHARE: u64 = 16;
@@ -67,8 +67,7 @@ impl Store {
                 // The syncer hands batches to the operating system under `fsync`. Under `none` nothing does.
                 .manual_journal_persist(durability != Durability::Os)
                 .open()?;
-            let options = || KeyspaceCreateOptions::default().max_memtable_size(MEMTABLE_BYTES);
-            let keyspace = database.keyspace("wayfold", options)?;
+            let keyspace = database.keyspace("wayfold", KeyspaceCreateOptions::default)?;
             Ok(Handles {
                 database,
                 keyspace,
