@@ -59,7 +59,7 @@ fn one_sync_covers_all_earlier_writes() {
     assert_eq!(records.last().unwrap().revision(), 50);
 }
 
-/// A store under the journal of a cluster: nobody waits for its syncs but those who create and restore indices.
+/// The store of a server in a cluster, whose journal is in NATS. Only calls that change the list of indices wait for its syncs.
 #[test]
 fn a_copy_is_synced_at_an_interval_and_when_it_is_closed() {
     let directory = tempfile::tempdir().unwrap();

@@ -74,7 +74,7 @@ struct Arguments {
     json: Option<PathBuf>,
 }
 
-/// What takes the inserts.
+/// The servers that get the inserts.
 #[derive(Args, Debug)]
 #[group(required = true, multiple = false)]
 struct Target {

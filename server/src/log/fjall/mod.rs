@@ -97,7 +97,7 @@ impl TryFrom<String> for Durability {
 /// How a log is kept in a directory.
 #[derive(Clone, Copy, Debug)]
 pub struct StoreOptions {
-    /// What an acknowledged mutation survives.
+    /// The strongest failure that an acknowledged mutation survives.
     pub durability: Durability,
     /// The memory of the server: the store takes a quarter of it at most.
     pub memory: u64,

@@ -46,7 +46,7 @@ struct Shared {
     /// Notified when batches were synced, or the syncer has failed.
     done: Condvar,
     failure: Arc<Failure>,
-    /// The time between two syncs for which nobody waits.
+    /// The time between two syncs if no thread waits for one.
     interval: Duration,
 }
 
@@ -67,7 +67,7 @@ struct SyncState {
 }
 
 impl Syncer {
-    /// Starts the thread. With an `interval` it lets batches for which nobody waits gather for so long.
+    /// Starts the thread. It syncs once an `interval` if no thread waits, and at once if that is zero.
     pub(super) fn start(
         mut journal: Journal,
         mut marks: Marks,

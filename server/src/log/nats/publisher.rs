@@ -40,7 +40,7 @@ const MAX_REPEATS: usize = 100;
 /// which none came the next message does not wait.
 const MAX_WAIT: Duration = Duration::from_millis(5);
 
-/// A message gets [`MESSAGE_TIMEOUT`] once more for each of so many bytes.
+/// A message of this many bytes gets another [`MESSAGE_TIMEOUT`].
 const BYTES_PER_TIMEOUT: usize = 1024 * 1024;
 
 /// A publisher without a record for this long ends: a server may have thousands of indices.
@@ -115,7 +115,7 @@ struct Task {
     newest: Option<Position>,
     /// The number of writers, as far as it is known: of records that the last message had, and that waited for its end.
     writers: usize,
-    /// The longest wait for so many records.
+    /// The longest wait until each writer has a record in the message.
     patience: Duration,
 }
 
