@@ -101,7 +101,8 @@ pub struct StoreOptions {
     pub durability: Durability,
     /// The memory of the server: the store takes a quarter of it at most.
     pub memory: u64,
-    /// True if another journal has the records: this store is then synced at an interval, whatever was acknowledged.
+    /// True if another journal has the records: this store is then synced at an interval, whatever was acknowledged. The
+    /// operating system gets each batch at once.
     pub is_copy: bool,
 }
 

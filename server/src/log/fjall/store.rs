@@ -5,7 +5,7 @@ use std::{io, path::Path, time::Duration};
 use fjall::{Database, Keyspace, KeyspaceCreateOptions, LsmError, PersistMode};
 use parking_lot::{MappedRwLockReadGuard, RwLock, RwLockReadGuard};
 
-use super::Durability;
+use super::{Durability, StoreOptions};
 use crate::{
     log::{LogError, Uid},
     low_priority,
@@ -48,24 +48,21 @@ pub(super) struct Handles {
 
 impl Store {
     /// Opens the store in a directory, or creates it.
-    pub(super) fn open(directory: &Path, durability: Durability) -> fjall::Result<Self> {
-        Self::open_within(directory, durability, u64::MAX)
-    }
-
-    /// Like [`Store::open`], in a server that may use `memory` bytes.
-    pub(super) fn open_within(
-        directory: &Path,
-        durability: Durability,
-        memory: u64,
-    ) -> fjall::Result<Self> {
-        let share = memory / MEMORY_SHARE;
+    pub(super) fn open(directory: &Path, options: impl Into<StoreOptions>) -> fjall::Result<Self> {
+        let options = options.into();
+        let share = options.memory / MEMORY_SHARE;
+        let hands_on_each_batch = match options.durability {
+            // The syncer hands batches to the operating system, but that of a copy waits before it does.
+            Durability::Fsync => options.is_copy,
+            Durability::Os => true,
+            Durability::None => false,
+        };
         // The threads that fjall starts inherit this one's low priority. fjall may panic on unexpected files.
         let opened = low_priority::run("wayfold-open", || -> fjall::Result<Handles> {
             let database = Database::builder(directory)
                 .max_journaling_size(JOURNAL_BYTES)
                 .cache_size(share.min(CACHE_BYTES))
-                // The syncer hands batches to the operating system under `fsync`. Under `none` nothing does.
-                .manual_journal_persist(durability != Durability::Os)
+                .manual_journal_persist(!hands_on_each_batch)
                 .open()?;
             let keyspace = database.keyspace("wayfold", KeyspaceCreateOptions::default)?;
             Ok(Handles {
