@@ -144,6 +144,16 @@ int main(int count, char **arguments) {
     CHECK(rest.size() == 1 && rest[0].id == own + 1000);
     CHECK(other_session.status()->name == WAYFOLD_STATUS_CLOSED && remote.remove(id));
 
+    // With the bytes of its pending writes used up, a write waits for the index's timeout.
+    const auto bounded = wayfold::Index::shared(uri, "cell", {}, {}, 3000, 1);
+    stop(server);
+    const auto pending = bounded.insert({9, 9, 9});
+    const auto waited = message_of<wayfold::Error>([&] { bounded.insert({9, 9, 8}); });
+    CHECK(waited.find("write") != std::string::npos && bounded.pending() == 1);
+    go_on(server);
+    bounded.flush_within(60000);
+    CHECK(bounded.remove(pending) && bounded.close(60000).empty());
+
     // A remote answer has a revision too.
     std::uint64_t read_revision = 0;
     CHECK(!remote.search({0, 0, 0}, wayfold::Search::k(1), &read_revision).empty());

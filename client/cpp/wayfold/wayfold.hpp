@@ -24,10 +24,12 @@ public:
 
 #ifndef WAYFOLD_NO_NET
     // A copy of the server's index in this process. An empty `create`: the index must exist. `timeout_ms` is the longest
-    // time of a call; 0 for the client's own, 30 s.
+    // time of a call; 0 for the client's own, 30 s. A write waits while `max_pending_bytes` are pending; 0 for the client's
+    // own, 16 MiB.
     static Index shared(const std::string &uri, const std::string &name, const NewIndex &create = {},
-                        const Credentials &credentials = {}, std::uint64_t timeout_ms = 0) {
-        return open(wayfold_index_shared, uri, name, create, credentials, timeout_ms);
+                        const Credentials &credentials = {}, std::uint64_t timeout_ms = 0,
+                        std::uint64_t max_pending_bytes = 0) {
+        return open(wayfold_index_shared, uri, name, create, credentials, timeout_ms, max_pending_bytes);
     }
     // Each call is one of the server's.
     static Index remote(const std::string &uri, const std::string &name, const NewIndex &create = {},
@@ -374,13 +376,14 @@ private:
     using Open = wayfold_code (*)(const wayfold_server *, wayfold_index **);
 
     static Index open(Open open, const std::string &uri, const std::string &name, const NewIndex &create,
-                      const Credentials &credentials, std::uint64_t timeout_ms) {
+                      const Credentials &credentials, std::uint64_t timeout_ms, std::uint64_t max_pending_bytes = 0) {
         wayfold_server server{};
         server.uri = uri.c_str();
         server.name = name.c_str();
         server.space = create.space.empty() ? nullptr : create.space.c_str();
         server.payload_encoding = static_cast<std::uint32_t>(create.payload_encoding);
         server.timeout_ms = timeout_ms;
+        server.max_pending_bytes = max_pending_bytes;
         credentials.set(server);
         wayfold_index *made = nullptr;
         detail::check(open(&server, &made));

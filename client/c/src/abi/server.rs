@@ -37,22 +37,24 @@ pub struct WayfoldServer {
     /// 1: 8 bytes an edge, the id at its other end, little-endian. 2: 16 bytes an edge, the id and the cost as an IEEE 754
     /// double, both little-endian. An index that declares another encoding is refused.
     pub payload_encoding: u32,
+    /// The most bytes of writes that a shared index has pending: a write that exceeds them waits. 0 for the client's own,
+    /// 16 MiB. The remote form has no pending writes.
+    pub max_pending_bytes: u64,
 }
 
-/// Opens an index: the builders of both forms have the same methods.
-macro_rules! open {
+/// The builder of an index, whose methods both forms have.
+macro_rules! opening {
     ($form:path, $settings:ident) => {{
-        let settings: Settings<'_> = $settings;
-        let mut open = $form(settings.uri, settings.name).credentials(settings.credentials);
-        if let Some(space) = &settings.space {
+        let mut open = $form($settings.uri, $settings.name).credentials($settings.credentials);
+        if let Some(space) = &$settings.space {
             open = open
                 .create(space)
-                .payload_encoding(settings.payload_encoding);
+                .payload_encoding($settings.payload_encoding);
         }
-        if let Some(timeout) = settings.timeout {
+        if let Some(timeout) = $settings.timeout {
             open = open.timeout(timeout);
         }
-        open.open()?
+        open
     }};
 }
 
@@ -71,8 +73,12 @@ pub unsafe extern "C" fn wayfold_index_shared(
     call(|| {
         // SAFETY: the caller's promise.
         let settings = unsafe { Settings::read(server) }?;
+        let mut open = opening!(Index::shared, settings);
+        if let Some(bytes) = settings.max_pending_bytes {
+            open = open.max_pending_bytes(bytes);
+        }
         // SAFETY: the caller's promise.
-        unsafe { give(open!(Index::shared, settings), index) }
+        unsafe { give(open.open()?, index) }
     })
 }
 
@@ -91,7 +97,7 @@ pub unsafe extern "C" fn wayfold_index_remote(
         // SAFETY: the caller's promise.
         let settings = unsafe { Settings::read(server) }?;
         // SAFETY: the caller's promise.
-        unsafe { give(open!(Index::remote, settings), index) }
+        unsafe { give(opening!(Index::remote, settings).open()?, index) }
     })
 }
 
@@ -153,6 +159,7 @@ struct Settings<'a> {
     credentials: Credentials,
     timeout: Option<Duration>,
     payload_encoding: PayloadEncoding,
+    max_pending_bytes: Option<usize>,
 }
 
 impl<'a> Settings<'a> {
@@ -176,6 +183,8 @@ impl<'a> Settings<'a> {
                 2 => PayloadEncoding::WeightedEdges,
                 _ => return Err(Failure::argument("payload_encoding", "none of 0, 1 and 2")),
             },
+            max_pending_bytes: (server.max_pending_bytes > 0)
+                .then(|| usize::try_from(server.max_pending_bytes).unwrap_or(usize::MAX)),
         };
         if !server.space.is_null() {
             // SAFETY: the caller's promise.
