@@ -6,7 +6,7 @@ use tokio::runtime::Handle;
 
 use crate::{
     admission::Admission,
-    config::{Config, OFF},
+    config::{AdmissionConfig, Config, OFF},
     identity::Identities,
     observe::{Metrics, SlowCalls},
     service::Service,
@@ -30,9 +30,13 @@ impl Shared {
             .grpc
             .max_message_bytes
             .max(config.zenoh.max_message_bytes);
+        let admission = AdmissionConfig {
+            max_bytes: config.max_call_bytes(),
+            ..config.admission.clone()
+        };
         Self {
             service,
-            admission: Admission::new(&config.admission, threads, message_bytes),
+            admission: Admission::new(&admission, threads, message_bytes),
             slow_calls: SlowCalls::new(config.log.slow_call_ms),
             identities,
             metrics: Metrics::new(config.http.listen != OFF),

@@ -327,6 +327,14 @@ impl SnapshotConfig {
 }
 
 impl Config {
+    /// The most bytes that calls hold: those that are set, or a quarter of the memory limit if that is less.
+    pub(crate) fn max_call_bytes(&self) -> usize {
+        let limit = watermark::memory_limit(self.memory.limit_bytes);
+        let quarter = limit.map_or(u64::MAX, |limit| limit / 4);
+        let quarter = usize::try_from(quarter).unwrap_or(usize::MAX);
+        self.admission.max_bytes.min(quarter)
+    }
+
     /// The watermarks of memory and disk, by these settings.
     pub(crate) fn watermarks(&self) -> Watermarks {
         let MemoryConfig {
@@ -355,5 +363,23 @@ impl Config {
 impl Default for Config {
     fn default() -> Self {
         layers::load(None, &BTreeMap::new(), &[]).expect("default.toml is valid")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn calls_hold_at_most_a_quarter_of_the_memory_limit() {
+        let mut config = Config::default();
+        for (limit, set, expected) in [
+            (400_000_000, 250_000_000, 100_000_000),
+            (4_000_000_000, 250_000_000, 250_000_000),
+        ] {
+            config.memory.limit_bytes = limit;
+            config.admission.max_bytes = set;
+            assert_eq!(config.max_call_bytes(), expected);
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! `grpc.health.v1`: NOT_SERVING until the server answers calls, and again once it begins to stop. The name
-//! `wayfold.writing` is NOT_SERVING while points cannot be added; `wayfold.reading` is not affected by that.
+//! `wayfold.writing` is NOT_SERVING while points cannot be added, and `wayfold.indices` while an index is damaged; the
+//! others are not affected by that.
 
 use std::{pin::Pin, time::Duration};
 
@@ -28,17 +29,20 @@ const NAMES: [&str; 4] = [
 /// The name of a state of its own: NOT_SERVING too while points cannot be added.
 const WRITING: &str = "wayfold.writing";
 
-/// The interval at which a watch of [`WRITING`] checks the status.
+/// The name of a state of its own: NOT_SERVING too while an index is damaged.
+const INDICES: &str = "wayfold.indices";
+
+/// The interval at which a watch of [`WRITING`] or [`INDICES`] checks the status.
 const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Answers health checks from the server's phase.
+/// Answers health checks from the server's phase and its indices.
 pub(crate) struct HealthFace {
     phases: PhaseWatch,
     service: Service,
 }
 
 impl HealthFace {
-    /// Reports the phases that `phases` sees, and whether `service` takes points.
+    /// Reports the phases that `phases` sees, and the state of `service`.
     pub(crate) fn new(phases: PhaseWatch, service: Service) -> Self {
         Self { phases, service }
     }
@@ -48,15 +52,20 @@ impl HealthFace {
         let phase = status_in(self.phases.current());
         match name {
             WRITING if !self.service.accepts_growth() => Some(ServingStatus::NotServing),
-            WRITING => Some(phase),
+            INDICES if self.service.has_damage() => Some(ServingStatus::NotServing),
+            WRITING | INDICES => Some(phase),
             _ => NAMES.contains(&name).then_some(phase),
         }
     }
 
-    /// The status of [`WRITING`] at each change, until the server begins to stop.
-    fn watch_writing(&self) -> impl Stream<Item = ServingStatus> + Send + use<> {
-        let watch = WritingWatch {
+    /// The status of [`WRITING`] or [`INDICES`] at each change, until the server begins to stop.
+    fn watch_checked(
+        &self,
+        name: &'static str,
+    ) -> impl Stream<Item = ServingStatus> + Send + use<> {
+        let watch = CheckedWatch {
             health: Self::new(self.phases.clone(), self.service.clone()),
+            name,
             stopping: Box::pin(self.phases.clone().stopping()),
             ticks: interval(CHECK_INTERVAL),
             reported: None,
@@ -65,15 +74,16 @@ impl HealthFace {
     }
 }
 
-/// A watch of [`WRITING`].
-struct WritingWatch {
+/// A watch of [`WRITING`] or [`INDICES`].
+struct CheckedWatch {
     health: HealthFace,
+    name: &'static str,
     stopping: Pin<Box<dyn Future<Output = ()> + Send>>,
     ticks: Interval,
     reported: Option<ServingStatus>,
 }
 
-impl WritingWatch {
+impl CheckedWatch {
     /// The next status that differs, and the watch that goes on; none after that of a stopping server.
     async fn next(mut self) -> Option<(ServingStatus, Option<Self>)> {
         loop {
@@ -82,7 +92,7 @@ impl WritingWatch {
                 () = &mut self.stopping => return Some((ServingStatus::NotServing, None)),
                 _ = self.ticks.tick() => {}
             }
-            let status = self.health.status(WRITING);
+            let status = self.health.status(self.name);
             if let Some(status) = status.filter(|_| status != self.reported) {
                 self.reported = Some(status);
                 return Some((status, Some(self)));
@@ -100,7 +110,7 @@ impl Health for HealthFace {
         let name = request.into_inner().service;
         let unknown = || {
             Status::not_found(format!(
-                "no service `{name}`; there are {}, {}, {WRITING} and the empty name for the whole server",
+                "no service `{name}`; there are {}, {}, {WRITING}, {INDICES} and the empty name for the whole server",
                 NAMES[1], NAMES[2]
             ))
         };
@@ -119,8 +129,8 @@ impl Health for HealthFace {
         request: Request<HealthCheckRequest>,
     ) -> Result<Response<Self::WatchStream>, Status> {
         let name = &request.get_ref().service;
-        if name == WRITING {
-            let reports = self.watch_writing().map(|status| Ok(report(status)));
+        if let Some(name) = [WRITING, INDICES].into_iter().find(|it| it == name) {
+            let reports = self.watch_checked(name).map(|status| Ok(report(status)));
             return Ok(Response::new(reports.boxed()));
         }
         let phases = self.phases.clone();
@@ -169,9 +179,9 @@ mod tests {
 
     use crate::{
         lifecycle::Lifecycle,
-        log::{Log, MemoryLog},
+        log::{Catalogue, Entry, Log, MemoryLog, Uid},
         registry::{Registry, RegistryOptions},
-        service::Limits,
+        service::{Call, Limits},
         watermark::{Resource, Usage, Watermark, Watermarks},
     };
 
@@ -275,5 +285,44 @@ mod tests {
         lifecycle.advance(Phase::Stopping);
         assert_eq!(watch.next().await.unwrap().unwrap().status(), down);
         assert!(watch.next().await.is_none());
+    }
+
+    /// The catalogue names an index without points.
+    #[tokio::test(start_paused = true)]
+    async fn a_damaged_index_is_told_apart_from_serving() {
+        let catalogue = Arc::new(MemoryLog::new());
+        let entry = Entry {
+            uid: Uid::unique(),
+            name: "arm".into(),
+            space: "R1".parse().unwrap(),
+            payload_encoding: Default::default(),
+        };
+        catalogue.create(entry).unwrap();
+        let log = Log {
+            catalogue,
+            ..Log::from(Arc::new(MemoryLog::new()))
+        };
+        let registry = Registry::new(log, RegistryOptions::default());
+        registry.replay().unwrap();
+        let service = Service::new(registry, Limits::default());
+        service.set_ready();
+        let lifecycle = Lifecycle::starting();
+        lifecycle.advance(Phase::Serving);
+        let health = HealthFace::new(lifecycle.watch(), service.clone());
+        let mut watch = health.watch(request(INDICES)).await.unwrap().into_inner();
+        let (up, down) = (ServingStatus::Serving, ServingStatus::NotServing);
+        assert_eq!(watch.next().await.unwrap().unwrap().status(), down);
+        assert_eq!(check(&health, INDICES).await, down);
+        for name in NAMES.into_iter().chain([WRITING]) {
+            assert_eq!(check(&health, name).await, up, "{name}");
+        }
+        let request = wayfold_proto::v1::DeleteIndexRequest {
+            index_name: "arm".into(),
+            ..Default::default()
+        };
+        let call = Call::default();
+        service.delete_index(&call, request).await.unwrap();
+        assert_eq!(watch.next().await.unwrap().unwrap().status(), up);
+        assert_eq!(check(&health, INDICES).await, up);
     }
 }

@@ -155,13 +155,16 @@ async fn metrics_text(shared: &Shared) -> Result<String, Error> {
         })
 }
 
-/// 200 while calls are answered; the text tells whether points can be added too.
+/// 200 while calls are answered; the text tells whether points can be added too, and whether an index is damaged.
 async fn ready(Of(pages): Of<Arc<Pages>>) -> (StatusCode, &'static str) {
+    let service = &pages.shared.service;
     match pages.phases.current() {
-        Phase::Serving if pages.shared.service.accepts_growth() => {
-            (StatusCode::OK, "reading, writing\n")
-        }
-        Phase::Serving => (StatusCode::OK, "degraded: reading only\n"),
+        Phase::Serving if !service.accepts_growth() => (StatusCode::OK, "degraded: reading only\n"),
+        Phase::Serving if service.has_damage() => (
+            StatusCode::OK,
+            "degraded: an index is damaged, see `wayfold list`\n",
+        ),
+        Phase::Serving => (StatusCode::OK, "reading, writing\n"),
         Phase::Starting => (StatusCode::SERVICE_UNAVAILABLE, "starting\n"),
         Phase::Stopping => (StatusCode::SERVICE_UNAVAILABLE, "stopping\n"),
     }

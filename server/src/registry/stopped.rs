@@ -84,6 +84,16 @@ impl Registry {
         stopped.collect()
     }
 
+    /// True if an index is damaged: it is not served, or follows its journal no more.
+    pub fn has_damage(&self) -> bool {
+        let indexes = self.indexes.read();
+        let is_damaged = |state: &IndexState| match state {
+            IndexState::Hosted(hosted) => hosted.damage().is_some(),
+            IndexState::Damaged(..) => true,
+        };
+        indexes.values().any(is_damaged)
+    }
+
     /// The index with this uid, if it is served.
     pub(crate) fn by_uid(&self, uid: Uid) -> Option<Arc<Hosted>> {
         let indexes = self.indexes.read();

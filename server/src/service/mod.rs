@@ -193,6 +193,12 @@ impl Service {
         self.is_serving() && registry.is_some_and(|registry| registry.accepts_growth())
     }
 
+    /// True if an index is damaged: it is not served, or follows its journal no more.
+    pub(crate) fn has_damage(&self) -> bool {
+        let registry = self.inner.registry.get();
+        registry.is_some_and(|registry| registry.has_damage())
+    }
+
     /// The levels of memory and disk, by name.
     pub(crate) fn watermarks(&self) -> Vec<(&'static str, Usage)> {
         let registry = self.inner.registry.get();

@@ -24,7 +24,7 @@ const MAX_UNRELEASED: u64 = 16 * 1024 * 1024;
 /// A watermark of the process's memory at these percentages of `limit_bytes`, or of the limit that the system sets if
 /// that is 0. None if the system tells no use or no limit: only Linux does.
 pub fn memory(limit_bytes: u64, high_percent: u64, low_percent: u64) -> Option<Arc<Watermark>> {
-    let (limit, used) = match (limit(limit_bytes), used()) {
+    let (limit, used) = match (self::limit(limit_bytes), used()) {
         (Ok(limit), Ok(used)) => (limit, used),
         (Err(error), _) | (_, Err(error)) => {
             warn!(%error, "cannot measure memory: nothing is refused for it");
@@ -50,7 +50,8 @@ pub fn memory(limit_bytes: u64, high_percent: u64, low_percent: u64) -> Option<A
     Some(Arc::new(Watermark::new(Resource::Memory, level)))
 }
 
-fn limit(set: u64) -> io::Result<u64> {
+/// The memory that the process may use: `set`, or the limit of the system if that is 0.
+pub(crate) fn limit(set: u64) -> io::Result<u64> {
     if set > 0 {
         return Ok(set);
     }

@@ -21,7 +21,7 @@ use tracing::{info, warn};
 
 pub use disk::disk;
 pub use memory::memory;
-pub(crate) use memory::{release_if_grown, release_to_os};
+pub(crate) use memory::{limit as memory_limit, release_if_grown, release_to_os};
 
 /// The time between two measurements.
 const INTERVAL: Duration = Duration::from_millis(100);

@@ -21,6 +21,9 @@ use crate::log::{LogError, Uid};
 /// of NATS; an index stays in the stream that its uid chooses.
 const STREAMS: usize = 4;
 
+/// The oldest version of NATS that Wayfold is tested with; 2.15 rewrote how JetStream syncs.
+const MIN_VERSION: (i64, i64) = (2, 15);
+
 /// A request to NATS without an answer for this long counts as lost.
 pub(super) const REQUEST_TIMEOUT: Duration = Duration::from_secs(3);
 
@@ -89,6 +92,13 @@ impl Connection {
         let connect = || connecting.clone().connect(servers.clone());
         let client = patiently("connection", connect).await;
         let client = client.map_err(|error| unreachable(&error))?;
+        let (major, minor) = MIN_VERSION;
+        if !client.is_server_compatible(major, minor, 0) {
+            warn!(
+                version = client.server_info().version,
+                "NATS is older than {major}.{minor}: such versions have lost acknowledged messages"
+            );
+        }
         // A message carries headers too; they count against the limit of NATS.
         let max_payload = client.server_info().max_payload.saturating_sub(1024);
         let context = ContextBuilder::new()

@@ -78,7 +78,7 @@ pub enum NatsError {
     },
     /// NATS has no stream or bucket for the records.
     #[error(
-        "NATS cannot keep the {what}: {why}; it needs version 2.12 or newer, JetStream, and as many servers as \
+        "NATS cannot keep the {what}: {why}; it needs version 2.15 or newer, JetStream, and as many servers as \
          cluster.replicas says"
     )]
     Refused {

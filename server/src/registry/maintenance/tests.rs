@@ -141,7 +141,7 @@ async fn an_index_ahead_of_another_history_is_contradicted() {
     let expected = "another server has applied another record of revision 1";
     assert!(why.contains(expected) && why.contains("reseed"), "{why}");
     // No copy takes its place, and it does not resume once the journal is longer.
-    assert!(registry.stopped().is_empty() && !hosted.is_unsettled());
+    assert!(registry.stopped().is_empty() && !hosted.is_unsettled() && registry.has_damage());
     journal.head.store(APPLIED, SeqCst);
     registry.resume_unsettled(&hosted).await;
     assert!(!hosted.follows());

@@ -97,6 +97,7 @@ async fn stopped(journal: &Arc<MemoryLog>, points: &Arc<MemoryLog>) -> (Service,
     let service = server(journal, points);
     let failed = hosted(&service).reached(u64::MAX).await;
     assert!(failed.is_err());
+    assert!(service.has_damage());
     let mut stopped = service.registry().unwrap().stopped();
     (service, stopped.pop().unwrap())
 }
@@ -205,7 +206,7 @@ async fn a_copy_that_is_cut_short_changes_nothing() {
     }
     // The start, the header, points in several parts, the trailer, the operations.
     assert!(whole > Some(5), "{whole:?}");
-    assert!(service.registry().unwrap().stopped().is_empty());
+    assert!(service.registry().unwrap().stopped().is_empty() && !service.has_damage());
     let (found, expected) = (hosted(&service), hosted(&peer.service));
     let (found, operations) = tokio::task::spawn_blocking(move || found.with_operations())
         .await
