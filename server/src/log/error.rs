@@ -46,9 +46,8 @@ pub enum LogError {
     /// Another server has applied a record that differs from the one that this server has applied at its revision.
     #[error(
         "index {uid}: {member} has applied another record of revision {revision}: NATS has lost acknowledged records, \
-         and others took their place; nothing is written here, and reads go on. Keep what you need of the points of this \
-         server, then stop it and start it on an empty directory to take those of the others, or run `wayfold-server \
-         reseed` to go on with its own"
+         and others took their place; nothing is written to the index any more, and reads go on. Choose the server whose \
+         records stay, keep what you need of the points of the others, and run `wayfold-server reseed` there"
     )]
     Contradicted {
         /// The index.

@@ -283,6 +283,16 @@ pub trait Catalogue: Send + Sync {
     /// Deletes an index with its records and points. Existing views stay valid.
     fn delete(&self, uid: Uid) -> Result<(), LogError>;
 
+    /// Notes for all servers that two of them have applied different records of this revision. Blocks.
+    fn note_contradiction(&self, _: Uid, _revision: u64) -> Result<(), LogError> {
+        Ok(())
+    }
+
+    /// The revision of a contradiction that a server has noted. It stays noted while the index of this name has this uid.
+    fn contradiction(&self, _name: &str, _: Uid) -> Option<u64> {
+        None
+    }
+
     /// Notified of the changes that other servers make; None if no other server can.
     fn changes(&self) -> Option<watch::Receiver<()>> {
         None

@@ -4,7 +4,7 @@
 use std::{
     collections::BTreeSet,
     future::pending,
-    sync::Arc,
+    sync::{Arc, atomic::Ordering::Relaxed},
     time::{Duration, SystemTime},
 };
 
@@ -183,6 +183,12 @@ impl Registry {
         }
         for entry in &entries {
             let state = state_of(states.get(&entry.name), entry);
+            if let IndexState::Hosted(hosted) = &state
+                && hosted.contradiction().is_some()
+            {
+                // The next mutation asks again, and finds the contradiction.
+                hosted.first_write.compared.store(0, Relaxed);
+            }
             self.change(|indexes| indexes.insert(entry.name.clone(), state));
         }
         self.add_lost();

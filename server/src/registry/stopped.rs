@@ -3,7 +3,7 @@
 
 use std::sync::{Arc, atomic::Ordering::Relaxed};
 
-use tracing::error;
+use tracing::{error, warn};
 
 use super::{Hosted, IndexState, Published, Registry, RegistryError};
 use crate::log::{Digest, LogError, Operation, Record, RecordPosition, Uid};
@@ -36,6 +36,14 @@ pub(super) fn is_damage(why: &RegistryError) -> bool {
     )
 }
 
+fn contradiction(uid: Uid, revision: u64, member: &str) -> RegistryError {
+    RegistryError::Log(LogError::Contradicted {
+        uid,
+        revision,
+        member: member.to_owned(),
+    })
+}
+
 /// A revision that the points of an index had, by the error that forbids to read them; None if a copy cannot mend them.
 fn revision_before(why: &RegistryError) -> Option<u64> {
     let RegistryError::Log(why) = why else {
@@ -59,11 +67,13 @@ impl Registry {
             let (uid, name) = (state.uid(), name.clone());
             Some(match state {
                 IndexState::Hosted(hosted) => {
-                    hosted.damage()?;
-                    if hosted.is_contradicted() {
+                    hosted.closed().filter(is_damage)?;
+                    let position = hosted.published().view.position();
+                    // The records of a server that has some may be the ones that the operator chooses.
+                    let is_noted = position.revision > 0 && hosted.contradiction().is_some();
+                    if hosted.is_contradicted() || is_noted {
                         return None;
                     }
-                    let position = hosted.published().view.position();
                     Stopped {
                         name,
                         uid,
@@ -101,18 +111,15 @@ impl Registry {
         state.hosted().ok().cloned()
     }
 
-    /// Closes an index for good, because `member` has applied another record of this revision.
+    /// Closes an index for good, because `member` has applied another record of this revision. Blocks.
     pub(crate) fn contradicted(&self, uid: Uid, revision: u64, member: &str) {
         let Some(hosted) = self.by_uid(uid) else {
             return;
         };
-        let why = RegistryError::Log(LogError::Contradicted {
-            uid,
-            revision,
-            member: member.to_owned(),
-        });
+        let why = contradiction(uid, revision, member);
         if hosted.close_again(why.clone()) {
             error!(index = hosted.name(), error = %why, "two servers contradict each other");
+            hosted.note_contradiction(revision);
         }
     }
 
@@ -138,9 +145,31 @@ impl Registry {
 }
 
 impl Hosted {
-    /// The damage of its journal, after which no record is applied: reads go on at the published revision.
+    /// The damage of its journal, after which nothing is written here: reads go on at the published revision.
     pub(crate) fn damage(&self) -> Option<RegistryError> {
-        self.closed().filter(is_damage)
+        let closed = self.closed().filter(is_damage);
+        closed.or_else(|| self.contradiction())
+    }
+
+    /// A contradiction that any server has found: nothing is written until the index has another uid.
+    pub(crate) fn contradiction(&self) -> Option<RegistryError> {
+        let catalogue = &self.host.log.catalogue;
+        let revision = catalogue.contradiction(self.name(), self.uid())?;
+        Some(contradiction(self.uid(), revision, "another server"))
+    }
+
+    /// The error of an index of which `member` has applied another record of this revision, once all servers know of it.
+    /// Blocks.
+    pub(crate) fn contradicted(&self, revision: u64, member: &str) -> RegistryError {
+        self.note_contradiction(revision);
+        contradiction(self.uid(), revision, member)
+    }
+
+    fn note_contradiction(&self, revision: u64) {
+        let catalogue = &self.host.log.catalogue;
+        if let Err(error) = catalogue.note_contradiction(self.uid(), revision) {
+            warn!(index = self.name(), %error, "the other servers do not know of a contradiction yet");
+        }
     }
 
     /// True if it is closed for a reason that may pass: a lost receipt could not be settled, or NATS may have answered

@@ -3,7 +3,7 @@
 //!
 //! The members are asked again once they change, and once NATS is connected again: the owner of an index may have changed, a
 //! member that joins may have other records, and a server of NATS that restarts may have lost some. Later mutations compare
-//! two numbers.
+//! two numbers. A contradiction stands in the catalogue, so that it outlives every server, until an operator chooses.
 
 use std::{
     sync::{Arc, atomic::Ordering::Relaxed},
@@ -90,8 +90,11 @@ async fn compare_in_turn(
     Ok(())
 }
 
-/// Compares the records of an index with those of all members that answer.
+/// Compares the records of an index with those of all members that answer. A contradiction that was found once stays.
 async fn compare(peers: &dyn Peers, hosted: &Arc<Hosted>) -> Result<(), Error> {
+    if let Some(why) = hosted.contradiction() {
+        return Err(registry_error(hosted.name(), why));
+    }
     let own = hosted.published().view.position();
     let members = peers.peers(hosted.uid());
     let asking = members.iter().map(|member| ask(peers, member, hosted, own));
@@ -100,8 +103,11 @@ async fn compare(peers: &dyn Peers, hosted: &Arc<Hosted>) -> Result<(), Error> {
         let Some((applied, requested)) = answer else {
             continue;
         };
-        if let Some(requested) = requested.filter(|requested| requested.revision == own.revision) {
-            agree(hosted, member, requested, Some(own.digest))?;
+        let is_other = |requested: &RecordPosition| {
+            requested.revision == own.revision && requested.digest != own.digest
+        };
+        if requested.as_ref().is_some_and(is_other) {
+            return Err(contradicted(hosted, member, own.revision).await);
         }
         if applied.revision > own.revision {
             let arrival = timeout(ARRIVAL_TIME, hosted.reached(applied.revision)).await;
@@ -109,7 +115,9 @@ async fn compare(peers: &dyn Peers, hosted: &Arc<Hosted>) -> Result<(), Error> {
             arrived.map_err(|error| registry_error(hosted.name(), error))?;
         }
         let digest = digest_at(hosted, applied.revision).await?;
-        agree(hosted, member, *applied, digest)?;
+        if digest.is_some_and(|digest| digest != applied.digest) {
+            return Err(contradicted(hosted, member, applied.revision).await);
+        }
     }
     Ok(())
 }
@@ -156,24 +164,16 @@ async fn digest_at(hosted: &Arc<Hosted>, revision: u64) -> Result<Option<Digest>
     read.map_err(|error| registry_error(hosted.name(), error))
 }
 
-/// Fails if a member has applied another record than this server, whose record has this digest.
-fn agree(
-    hosted: &Hosted,
-    member: &str,
-    applied: RecordPosition,
-    digest: Option<Digest>,
-) -> Result<(), Error> {
-    if digest.is_none_or(|digest| digest == applied.digest) {
-        return Ok(());
-    }
-    let (index, revision) = (hosted.name(), applied.revision);
-    Err(Error::DataLoss {
-        what: format!(
-            "index \"{index}\": {member} has applied another record of revision {revision} than this server: NATS has lost \
-             acknowledged records, and others took their place; nothing is written until the server whose records NATS has \
-             lost is stopped, or the index is reseeded; reads go on"
-        ),
-    })
+/// The error of a mutation once all servers know that `member` has applied another record of this revision.
+async fn contradicted(hosted: &Arc<Hosted>, member: &str, revision: u64) -> Error {
+    let (noting, member) = (Arc::clone(hosted), member.to_owned());
+    let noted = tokio::task::spawn_blocking(move || noting.contradicted(revision, &member)).await;
+    noted.map_or_else(
+        |_| Error::Internal {
+            what: "the task that notes a contradiction panicked".into(),
+        },
+        |why| registry_error(hosted.name(), why),
+    )
 }
 
 /// The error of a mutation while a member has records that this server lacks.

@@ -215,7 +215,13 @@ async fn heal_index(
                 return Ok(());
             }
             Err(Failure::Contradicts(revision)) => {
-                registry.contradicted(index.uid, revision, member);
+                let by = member.clone();
+                let close = move |registry: &Registry, uid: Uid| {
+                    registry.contradicted(uid, revision, &by);
+                    Ok(())
+                };
+                // The close is no request that a member could refuse.
+                let _ = blocking(registry, close, index.uid).await;
                 let why = format!("{member} has another record of revision {revision}");
                 return Err(why.into());
             }

@@ -147,15 +147,16 @@ impl Run {
         for server in 0..SERVERS {
             cluster.kill(server);
         }
+        let is_good = verdict.is_good() && cluster.notices.panics() == 0;
         self.record.append(&json!({
             "seed": self.seed, "kinds": self.list, "round": round, "faults": suffered, "trims": trims,
             "jetstream_stopped": stalled.get(),
-            "ok": verdict.is_good(), "acknowledged": verdict.acknowledged, "latest": verdict.latest,
+            "ok": is_good, "acknowledged": verdict.acknowledged, "latest": verdict.latest,
             "plain": verdict.plain, "lost": verdict.lost, "twice": verdict.twice,
             "divergent": verdict.divergent, "data_losses": verdict.data_losses, "violations": verdict.violations,
             "notices": cluster.notices.counts(),
         }));
-        if !verdict.is_good() {
+        if !is_good {
             let lines = cluster.notices.lines.join("\n");
             panic!("{verdict:?}\n{lines}");
         }

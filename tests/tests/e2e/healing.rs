@@ -95,20 +95,20 @@ const LOST: u64 = 10;
 #[ignore = "needs nats-server"]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_server_that_another_one_contradicts_stays_stopped() {
-    contradict(2 * LOST, false).await;
+    contradict(2 * LOST, 1).await;
 }
 
 /// The journal ends at the revision that the server has applied, with another record.
 #[ignore = "needs nats-server"]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_server_compares_its_newest_record_when_it_starts() {
-    contradict(0, false).await;
+    contradict(0, 1).await;
 }
 
 #[ignore = "needs nats-server"]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_operator_chooses_the_records_that_nats_has_lost() {
-    contradict(2 * LOST, true).await;
+    contradict(2 * LOST, 0).await;
 }
 
 /// A cluster whose NATS has lost records that server 0 had applied before it was stopped: its content then, and server 1, which
@@ -134,8 +134,8 @@ async fn set_back() -> (Cluster, Content, ServerProcess, Stubs) {
 }
 
 /// NATS loses records that one server has applied, and the other one writes others in their place, and this many more. Then
-/// the operator chooses the first server with `reseeds`, or the other one.
-async fn contradict(more: u64, reseeds: bool) {
+/// the operator chooses a server.
+async fn contradict(more: u64, chosen: usize) {
     let (cluster, expected, other, mut others) = set_back().await;
     let mut written = 1000;
     let head = async |stubs: &mut Stubs| stubs.describe("arm").await.revision.unwrap().number;
@@ -166,22 +166,27 @@ async fn contradict(more: u64, reseeds: bool) {
     let log = server.stop(Signal::Kill).stderr;
     assert!(!log.contains(HEALED), "{log}");
 
+    // Alone, the other one does not go on either: nobody has chosen.
     let other = cluster.start(1);
     let mut others = Stubs::connect(other.uri()).await;
-    if reseeds {
-        cluster.reseed(0);
-        let server = cluster.start(0);
+    refuse(&mut others, 4000).await;
+    other.stop(Signal::Kill);
+    let kept = [expected.points, found.points];
+    cluster.reseed(chosen);
+    let mut servers = Vec::new();
+    for number in [chosen, 1 - chosen] {
+        let server = cluster.start(number);
         let mut stubs = Stubs::connect(server.uri()).await;
-        assert_eq!(latest_content(&mut stubs).await.points, expected.points);
-        assert_eq!(latest_content(&mut others).await.points, expected.points);
-        let written = insert_until_acknowledged(&mut others, 4000..4001);
-        timeout(MAX_WAIT, written).await.unwrap();
-        let written = latest_content(&mut stubs).await;
-        assert!(written.points.contains_key(&4000) && written.uid != expected.uid);
-        return;
+        assert_eq!(latest_content(&mut stubs).await.points, kept[chosen]);
+        servers.push((server, stubs));
     }
-    let written = insert_until_acknowledged(&mut others, 4000..4001);
+    let [(_, first), (_, second)] = &mut servers[..] else {
+        unreachable!("two servers");
+    };
+    let written = insert_until_acknowledged(second, 5000..5001);
     timeout(MAX_WAIT, written).await.unwrap();
+    let written = latest_content(first).await;
+    assert!(written.points.contains_key(&5000) && written.uid != expected.uid);
 }
 
 /// Inserts points from this id on until the server refuses one: it may not have heard of the other one yet.

@@ -33,6 +33,9 @@ use crate::log::{Catalogue, Entry, LogError, LostIndex, Uid};
 /// The most deleted indices of a name that are remembered.
 const MAX_DELETED: usize = 1000;
 
+/// The most changes of an entry that overtake one.
+const MAX_CHANGES: usize = 10;
+
 /// The time in which a bucket without a leader gets one.
 const SET_TIME: Duration = Duration::from_secs(5);
 
@@ -45,6 +48,9 @@ struct CatalogueValue {
     index: Option<(String, String)>,
     /// The uids of the newest deleted indices, oldest first.
     deleted: Vec<String>,
+    /// A revision of which two servers have applied different records: nothing is written to the index any more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    contradicted: Option<u64>,
 }
 
 /// The values by name, each with the revision of its key.
@@ -130,6 +136,13 @@ impl NatsCatalogue {
         note(&self.known, named, now);
         self.changed.send_replace(());
         Ok(())
+    }
+
+    /// The value that names an index and its revision, as far as this server knows.
+    fn named(&self, uid: Uid) -> Option<(CatalogueValue, u64)> {
+        let known = self.known.borrow();
+        let found = known.values().find(|(named, _)| named.is(uid));
+        found.cloned()
     }
 
     /// The value of a name and its revision, of the bucket's leader.
@@ -227,6 +240,7 @@ impl Catalogue for NatsCatalogue {
             name: entry.name.clone(),
             index: Some((entry.uid.to_string(), entry.content())),
             deleted: newest(deleted),
+            contradicted: None,
         };
         let claimed = self.runtime.block_on(self.set(named, revision));
         let mut unanswered = self.unanswered.lock();
@@ -242,10 +256,8 @@ impl Catalogue for NatsCatalogue {
     }
 
     fn delete(&self, uid: Uid) -> Result<(), LogError> {
-        let known = self.known.borrow().clone();
-        let found = known.into_values().find(|(named, _)| named.is(uid));
-        if let Some((mut named, revision)) = found {
-            named.index = None;
+        if let Some((mut named, revision)) = self.named(uid) {
+            (named.index, named.contradicted) = (None, None);
             named.deleted.push(uid.to_string());
             named.deleted = newest(named.deleted);
             let name = named.name.clone();
@@ -262,6 +274,32 @@ impl Catalogue for NatsCatalogue {
             warn!(%uid, %error, "the records of a deleted index stay in NATS");
         }
         self.local.delete(uid)
+    }
+
+    fn note_contradiction(&self, uid: Uid, revision: u64) -> Result<(), LogError> {
+        // Each other change of the entry takes one more attempt.
+        for _ in 0..MAX_CHANGES {
+            let Some((mut named, at)) = self.named(uid) else {
+                return Ok(());
+            };
+            if named.contradicted.is_some() {
+                return Ok(());
+            }
+            named.contradicted = Some(revision);
+            match self.runtime.block_on(self.set(named, at)) {
+                Err(LogError::NameTaken { .. }) => {}
+                set => return set,
+            }
+        }
+        Err(LogError::Unreachable {
+            what: "the entry of the index changes all the time".into(),
+        })
+    }
+
+    fn contradiction(&self, name: &str, uid: Uid) -> Option<u64> {
+        let known = self.known.borrow();
+        let (named, _) = known.get(name).filter(|(named, _)| named.is(uid))?;
+        named.contradicted
     }
 
     /// The first change is the present state.

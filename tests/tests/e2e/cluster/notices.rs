@@ -45,6 +45,11 @@ impl Notices {
         log.matches(NO_LEADER).count() >= 5
     }
 
+    /// The panics of servers.
+    pub(super) fn panics(&self) -> usize {
+        self.counts.get("panics").copied().unwrap_or_default()
+    }
+
     pub(super) fn counts(&self) -> &BTreeMap<&'static str, usize> {
         &self.counts
     }
