@@ -1,11 +1,20 @@
 //! The steps of the runbook of docs/cluster.md that no other test takes. The environment variable `NATS_SERVER` has the path of
 //! the program nats-server.
 
-use std::fs;
+use std::{
+    collections::BTreeMap,
+    fs,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    },
+};
 
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use tokio::{task, time::timeout};
 use tonic::Code;
-use wayfold::Client;
+use wayfold::{Client, Index};
 use wayfold_proto::v1::{CreateIndexRequest, create_index_request::SpaceForm};
 use wayfold_tests::{Content, Signal, Stubs, page};
 
@@ -70,6 +79,63 @@ async fn servers_are_upgraded_one_after_the_other_under_a_client() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn servers_are_replaced_one_after_the_other_under_a_client() {
     roll(true).await;
+}
+
+/// Grows a tree into the unit square until this many vertices were added after the kills. Returns the states by id.
+fn grow(index: &Index, is_over: &AtomicBool) -> BTreeMap<u64, [f64; 2]> {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let root = [0.5, 0.5];
+    let mut tree = BTreeMap::from([(index.insert(root).unwrap(), root)]);
+    let mut after = 0;
+    while after < POINTS {
+        after += u64::from(is_over.load(Relaxed));
+        let sample: [f64; 2] = [random.random(), random.random()];
+        let nearest = index.nearest(sample).unwrap().unwrap();
+        let from = tree[&nearest.id];
+        let vertex = [0, 1].map(|axis| from[axis] + 0.1 * (sample[axis] - from[axis]));
+        tree.insert(index.insert(vertex).unwrap(), vertex);
+    }
+    index.flush().unwrap();
+    tree
+}
+
+/// Two of three servers are killed, one after the other, while a planner runs. No call of the planner fails, and the last
+/// server has each vertex as the planner has it.
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_planner_goes_on_while_servers_are_killed() {
+    let cluster = Cluster::empty();
+    let mut servers: Vec<_> = (0..SERVERS).map(|number| cluster.start(number)).collect();
+    for server in &mut servers {
+        server.log_until(JOINS);
+        server.log_until(JOINS);
+    }
+    let uris: Vec<_> = servers.iter().map(|server| server.uri()).collect();
+    let index = Index::shared(&uris.join(","), "arm").create(&"R2".parse().unwrap());
+    let index = index.max_pending_bytes(1 << 18).timeout(MAX_WAIT);
+    let index = task::spawn_blocking(|| index.open().unwrap());
+    let index = index.await.unwrap();
+    let is_over = Arc::new(AtomicBool::new(false));
+    let watched = Arc::clone(&is_over);
+    let planning = task::spawn_blocking(move || grow(&index, &watched));
+    let last = servers.pop().unwrap();
+    let mut stubs = Stubs::connect(last.uri()).await;
+    stubs.find("arm").await;
+    for killed in servers {
+        let has = stubs.describe("arm").await.point_count;
+        let grown = async { while stubs.describe("arm").await.point_count < has + 10 * POINTS {} };
+        timeout(MAX_WAIT, grown).await.unwrap();
+        assert!(!planning.is_finished());
+        killed.stop(Signal::Kill);
+    }
+    is_over.store(true, Relaxed);
+    let tree = planning.await.unwrap();
+    let content = latest_content(&mut stubs).await;
+    let stored = content.points.iter().map(|(id, point)| {
+        let state = [0, 1].map(|axis| f64::from_bits(point.state[axis]));
+        (*id, state)
+    });
+    assert!(stored.eq(tree));
 }
 
 /// Asserts that a server refuses to insert a point of this id and to create an index, and reads the points before.
