@@ -1,9 +1,18 @@
 //! A shared index and its feed: messages that come in pieces, come twice, do not come, or are wrong.
 
-use std::thread;
+use std::{
+    fmt::Debug,
+    sync::{Arc, Mutex},
+    thread,
+};
 
 use tonic::Status as Answer;
-use wayfold::{Code, ConnectionStatus, Error, Index};
+use tracing::{
+    Event, Metadata,
+    field::Field,
+    span::{Attributes, Id, Record},
+};
+use wayfold::{Code, ConnectionStatus, Error, Index, InsertOptions};
 use wayfold_proto::v1;
 
 use crate::{
@@ -127,6 +136,77 @@ async fn after_a_reset_all_points_are_read_again() {
         Some(ConnectionStatus::Following { behind: 0 })
     ) {
         thread::yield_now();
+    }
+}
+
+/// The scan after a reset never ends: the copy answers from its points meanwhile, and says what it does.
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn a_copy_that_reads_all_points_again_says_so() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
+    fake.watch_tells(vec![
+        Ok(message(9, vec![])),
+        Ok(reset(v1::ResetReason::WindowPassed, 9)),
+    ]);
+    let mut first_part = scanned(9, &[(8, 1.0)]);
+    first_part[0].point_count = 2;
+    fake.scan_answers(first_part, false);
+    let index = open(&fake);
+    while !matches!(index.status(), Some(ConnectionStatus::Reloading)) {
+        thread::yield_now();
+    }
+    wait_for(&index, &[(1, 0.0)]);
+}
+
+/// Gathers the fields of each event of the thread.
+#[derive(Clone, Default)]
+struct Events(Arc<Mutex<Vec<String>>>);
+
+impl tracing::Subscriber for Events {
+    fn enabled(&self, _: &Metadata<'_>) -> bool {
+        true
+    }
+
+    fn new_span(&self, _: &Attributes<'_>) -> Id {
+        Id::from_u64(1)
+    }
+
+    fn record(&self, _: &Id, _: &Record<'_>) {}
+
+    fn record_follows_from(&self, _: &Id, _: &Id) {}
+
+    fn event(&self, event: &Event<'_>) {
+        let mut text = event.metadata().level().to_string();
+        event.record(&mut |field: &Field, value: &dyn Debug| {
+            text.push_str(&format!(" {field}={value:?}"));
+        });
+        self.0.lock().unwrap().push(text);
+    }
+
+    fn enter(&self, _: &Id) {}
+
+    fn exit(&self, _: &Id) {}
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn a_drop_logs_the_number_of_pending_writes() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
+    let index = open(&fake);
+    fake.fall_silent();
+    for id in [7, 8] {
+        index
+            .insert_with([0.5], InsertOptions::new().id(id))
+            .unwrap();
+    }
+    let events = Events::default();
+    tracing::subscriber::with_default(events.clone(), || drop(index));
+    let events = events.0.lock().unwrap();
+    let [line] = &events[..] else {
+        panic!("{events:?}");
+    };
+    for part in ["WARN", "index=\"line\"", "pending=2"] {
+        assert!(line.contains(part), "{line}");
     }
 }
 

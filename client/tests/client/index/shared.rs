@@ -271,6 +271,11 @@ fn writes_to_an_index_that_is_gone_come_back(link: ServerLink) {
     };
     assert!(matches!(refused, Error::WritesRefused { .. }), "{refused}");
     assert!(matches!(index.flush(), Err(Error::WritesRefused { .. })));
+    let status = index.status().unwrap();
+    assert!(
+        matches!(status, ConnectionStatus::Refused { .. }),
+        "{status:?}"
+    );
     let unsent: Vec<u64> = index
         .take_unsent()
         .into_iter()
