@@ -6,6 +6,7 @@
 
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
+use futures_util::future::{select_all, try_join_all};
 use tokio::{sync::watch, time::timeout};
 use tokio_util::{sync::CancellationToken, task::AbortOnDropHandle};
 use tracing::{debug, warn};
@@ -28,8 +29,33 @@ const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 /// all.
 const MESSAGE_BYTES: usize = 48 * 1024;
 
-/// The forms of published mutations, each with the last part of its key.
-const FEEDS: [(Form, &str); 2] = [(Form::Protobuf, "events"), (Form::Json, "events/json")];
+/// A form of published mutations.
+#[derive(Clone, Copy)]
+struct FeedForm {
+    form: Form,
+    /// The last part of its key.
+    last: &'static str,
+    with_payloads: bool,
+}
+
+/// A shared index holds no payloads: it follows the last of these.
+const FEEDS: [FeedForm; 3] = [
+    FeedForm {
+        form: Form::Protobuf,
+        last: "events",
+        with_payloads: true,
+    },
+    FeedForm {
+        form: Form::Json,
+        last: "events/json",
+        with_payloads: true,
+    },
+    FeedForm {
+        form: Form::Protobuf,
+        last: "events/states",
+        with_payloads: false,
+    },
+];
 
 /// Announces the indices, until it is dropped.
 pub(super) struct Announcer {
@@ -70,22 +96,26 @@ impl Announcer {
     }
 
     async fn announce(&self, mut catalog: CatalogWatch) -> Result<(), String> {
-        let [protobuf, json] = FEEDS.map(|(_, name)| self.watch_subscribers(name));
-        let (mut protobuf, mut json) = (protobuf.await?, json.await?);
+        let subscribers = FEEDS.map(|feed| self.watch_subscribers(feed.last));
+        let mut subscribers = try_join_all(subscribers).await?;
         let mut indices = BTreeMap::new();
         let mut announced = BTreeMap::new();
         loop {
+            let followed = subscribers.iter_mut();
+            let followed = followed.map(|it| Box::pin(it.followed.changed()));
             tokio::select! {
                 changed = catalog.changed() => match changed {
                     Ok(now) => indices = now,
                     // The indices are unknown until the store is open.
                     Err(error) => debug!(%error, "cannot list the indices"),
                 },
-                changed = protobuf.followed.changed() => changed.map_err(|error| error.to_string())?,
-                changed = json.followed.changed() => changed.map_err(|error| error.to_string())?,
+                (changed, ..) = select_all(followed) => changed.map_err(|error| error.to_string())?,
             }
-            let followed = [&mut protobuf, &mut json].map(|it| *it.followed.borrow_and_update());
-            self.bring_up_to_date(&mut announced, &indices, followed)
+            let followed = subscribers.iter_mut();
+            let followed: Vec<_> = followed
+                .map(|it| *it.followed.borrow_and_update())
+                .collect();
+            self.bring_up_to_date(&mut announced, &indices, &followed)
                 .await?;
         }
     }
@@ -113,7 +143,7 @@ impl Announcer {
         &self,
         announced: &mut BTreeMap<String, Announcement>,
         indices: &BTreeMap<String, String>,
-        followed: [bool; FEEDS.len()],
+        followed: &[bool],
     ) -> Result<(), String> {
         announced.retain(|name, known| indices.get(name) == Some(&known.uid));
         for (name, uid) in indices {
@@ -123,13 +153,13 @@ impl Announcer {
                 let known = Announcement {
                     uid: uid.clone(),
                     _token: token.map_err(|error| error.to_string())?,
-                    feeds: [None, None],
+                    feeds: Default::default(),
                 };
                 announced.insert(name.clone(), known);
             }
         }
         for (name, known) in announced {
-            for (at, (form, last)) in FEEDS.into_iter().enumerate() {
+            for (at, form) in FEEDS.into_iter().enumerate() {
                 match (followed[at] && self.publishes, &known.feeds[at]) {
                     (true, None) => {
                         let feed = Feed {
@@ -139,7 +169,8 @@ impl Announcer {
                             form,
                             stopping: self.stopping.clone(),
                         };
-                        let publisher = self.publisher(self.key(name, last)?, form).await?;
+                        let key = self.key(name, form.last)?;
+                        let publisher = self.publisher(key, form.form).await?;
                         let running = tokio::spawn(feed.run(publisher));
                         known.feeds[at] = Some(AbortOnDropHandle::new(running));
                     }
@@ -175,7 +206,7 @@ struct Feed {
     service: Service,
     index: String,
     uid: String,
-    form: Form,
+    form: FeedForm,
     stopping: CancellationToken,
 }
 
@@ -210,7 +241,7 @@ impl Feed {
                 with_states: true,
                 with_tags: true,
                 with_revisions: true,
-                with_payloads: true,
+                with_payloads: self.form.with_payloads,
             }),
             own_session: 0,
         };
@@ -231,7 +262,7 @@ impl Feed {
                     .await
                     .is_ok_and(|it| it.matching())
             {
-                let payload = self.form.write(v1::WatchResponse::NAME, &message)?;
+                let payload = self.form.form.write(v1::WatchResponse::NAME, &message)?;
                 self.put(publisher, payload).await;
             }
             let whole = message.mutations.iter().rfind(|last| !last.continued);

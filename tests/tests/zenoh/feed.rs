@@ -21,8 +21,12 @@ use crate::{
 pub(crate) type Events = Subscriber<FifoChannelHandler<Sample>>;
 
 pub(crate) async fn subscribe(robot: &Robot) -> Events {
-    let events = robot.session.declare_subscriber("wayfold/v1/arm/events");
-    events.await.unwrap()
+    subscribe_to(robot, "events").await
+}
+
+async fn subscribe_to(robot: &Robot, last: &str) -> Events {
+    let key = format!("wayfold/v1/arm/{last}");
+    robot.session.declare_subscriber(key).await.unwrap()
 }
 
 pub(crate) async fn next(events: &Events) -> v1::WatchResponse {
@@ -161,6 +165,31 @@ fn whole(pieces: Vec<v1::Mutation>) -> Vec<v1::Mutation> {
         }
     }
     whole
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn events_without_payloads_are_otherwise_the_same() {
+    let (server, locator) = server();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("arm", "R2").await;
+    let robot = Robot::connect(&locator).await;
+    let whole = subscribe(&robot).await;
+    let states = subscribe_to(&robot, "events/states").await;
+    // The first publication has no mutation: both are followed from here on.
+    for events in [&whole, &states] {
+        assert!(next(events).await.mutations.is_empty());
+    }
+    let mut payloads = 0;
+    for round in 0..40 {
+        // The mutations are made one at a time, so that the link has room for each.
+        mutate(&mut stubs, round, 1).await;
+        let mut expected = next(&whole).await.mutations;
+        for stored in expected.iter_mut().flat_map(|it| &mut it.stored) {
+            payloads += std::mem::take(&mut stored.payloads).len();
+        }
+        assert_eq!(next(&states).await.mutations, expected);
+    }
+    assert!(payloads > 0);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

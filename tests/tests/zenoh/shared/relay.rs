@@ -66,7 +66,7 @@ impl Relay {
             }
         };
         let queries = session.declare_queryable(format!("{PREFIX}/**"));
-        let events = session.declare_subscriber("wayfold/v1/*/events");
+        let events = session.declare_subscriber("wayfold/v1/*/events/states");
         Relay {
             counts,
             _queries: queries.callback(carry_query).await.unwrap(),

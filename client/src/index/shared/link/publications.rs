@@ -24,6 +24,9 @@ use crate::{
 
 const CALL: &str = "watch";
 
+/// The last part of the key of mutations without payloads.
+const EVENTS: &str = "events/states";
+
 /// The number of publications that may wait. One more drops the oldest, and the log fills the gap.
 const MAX_WAITING: usize = 256;
 
@@ -36,7 +39,7 @@ pub(super) async fn watch(
     own_session: u64,
     quiet: Duration,
 ) -> Result<Watch, Error> {
-    let key = link.key("events");
+    let key = link.key(EVENTS);
     // The subscription precedes the first read of the log, so that no publication is missed.
     let events = link.session.declare_subscriber(&key);
     let events = events.with(RingChannel::new(MAX_WAITING)).await;
@@ -87,7 +90,7 @@ impl Feed {
         }
         match timeout(self.quiet, self.events.recv_async()).await {
             Ok(Ok(sample)) => self.take(&sample).await,
-            Ok(Err(error)) => Err(lost(CALL, &self.link.key("events"), error)),
+            Ok(Err(error)) => Err(lost(CALL, &self.link.key(EVENTS), error)),
             Err(_quiet) => self.read_log().await,
         }
     }
