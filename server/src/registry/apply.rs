@@ -222,7 +222,7 @@ impl Hosted {
             return Ok(());
         }
         // Refusals count before readers see the records that caused them.
-        let decided = self.in_flight.lock().meet(records);
+        let decided = self.in_flight.lock().decide(records);
         let view = view(records)?;
         self.swap_in(&mut applied);
         for record in records {

@@ -109,7 +109,7 @@ impl InFlight {
     }
 
     /// Decides each submitted record by the record that the journal has at its revision.
-    pub(super) fn meet(&mut self, records: &[Arc<Record>]) -> Notifications {
+    pub(super) fn decide(&mut self, records: &[Arc<Record>]) -> Notifications {
         let mut decided = Notifications::new();
         let last = records.last().map_or(0, |last| last.revision());
         self.decided = self.decided.max(last);

@@ -22,7 +22,7 @@
 //! - A snapshot sees all that was committed before it, and pins what was overwritten since. Relied on in
 //!   `fjall/view.rs`, checked by `log::idle_view`, `views_are_never_torn`.
 //! - A database that is dropped has ended its threads and writes nothing more. Relied on in `fjall/journal.rs`,
-//!   `fjall/manifest_copy.rs`, checked by `only_after_a_clean_end_the_journal_is_not_written_again`, e2e `power_loss`.
+//!   `fjall/manifest_copy.rs`, checked by `a_start_rewrites_the_journal_unless_the_shutdown_was_clean`, e2e `power_loss`.
 //! - All keys in one keyspace reach the tables in the order of the journal. Relied on in `fjall/layout.rs`, checked by
 //!   `log::model`, e2e `crash` and `power_loss`.
 

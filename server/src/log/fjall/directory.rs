@@ -28,7 +28,7 @@ const MARKER: &str = "wayfold-data";
 const FORM: &str = "wayfold-server data, version ";
 const VERSION: &str = "4";
 
-/// The older version that is read: it has no writer sessions, and is the same otherwise.
+/// The older version that this program reads. It differs from [`VERSION`] only by having no writer sessions.
 const OLDER_VERSION: &str = "3";
 
 const PROBE: &str = "probe";
@@ -134,7 +134,7 @@ impl Directory {
         })
     }
 
-    /// Makes the marker that of this version, durably, before anything is written that the older version does not know.
+    /// Writes the marker of this version durably, before anything is written that the older version does not know.
     /// From then on a server of that version, which would lose the writer sessions, refuses the directory.
     pub(super) fn upgrade(&self) -> Result<(), OpenError> {
         let written = || {

@@ -57,7 +57,7 @@ impl Engine {
         }
         manifest_copy::mend(directory)?;
         manifest::check(&path)?;
-        journal::make_certain(directory).map_err(shut)?;
+        journal::ensure_durable(directory).map_err(shut)?;
         let store = Store::open(&path, options).map_err(unopened)?;
         let store = Arc::new(store);
         let renamed = unclean_marker::may_have_lost(directory.path()).map_err(shut)?;

@@ -28,8 +28,8 @@ impl Failure {
         self.0.subscribe()
     }
 
-    /// Notes an error; after the first one of the store, nothing is written. Returns the error to report: for errors of
-    /// the store the first, since the others follow from it.
+    /// Notes an error; after the first error of the store, nothing is written. Returns the error to report. For an error
+    /// of the store that is the first one, because later ones follow from it.
     pub(super) fn note(&self, error: LogError) -> LogError {
         if !matches!(
             error,
@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_reason_that_is_told_stays() {
+    fn the_first_failure_stays() {
         let (full, broken) = (storage("no room"), storage("broken"));
         let failure = Failure::default();
         assert_eq!(failure.note(LogError::Closed), LogError::Closed);

@@ -32,7 +32,7 @@ pub(super) struct Index {
     unapplied: Mutex<VecDeque<UnappliedRecord>>,
     /// The holder of this lock may write, and sees the store at this head.
     state: Mutex<State>,
-    /// The records that were kept when they were last counted. Lock it after `state`.
+    /// The last known window of kept records. Lock it after `state`.
     window: Mutex<Window>,
 }
 
@@ -195,7 +195,7 @@ impl Index {
     }
 
     fn close_locked(&self, state: &mut State, why: LogError) -> Mark {
-        // A deleted index is removed from the store bit by bit.
+        // The sweeper will remove the points in many batches: freeze the view before the first.
         if let Some(view) = std::mem::take(&mut state.view).upgrade()
             && let Ok(handles) = view.store.handles()
         {
@@ -242,7 +242,7 @@ impl Index {
         view
     }
 
-    /// The records that are kept; while the store writes, as many as before.
+    /// The records that are kept. While the store writes, it returns the last known window.
     pub(super) fn window(&self) -> Window {
         if let Some(state) = self.state.try_lock() {
             *self.window.lock() = state.records.window();

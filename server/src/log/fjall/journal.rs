@@ -1,8 +1,8 @@
 //! Syncs the journal of the store without blocking its writers.
 //!
 //! `Database::persist` holds the journal's lock during the sync, so writers would queue behind each sync instead of
-//! sharing the next one. Under that lock, only fjall's buffer is therefore handed to the operating system. The file is
-//! then synced here, through a handle of our own.
+//! sharing the next one. So fjall only writes its buffer to the operating system under that lock. The file is then synced
+//! here, through a handle of our own.
 //!
 //! This relies on the journal of fjall 3. Its files are named `N.jnl`, and fjall writes to the one with the largest N.
 //! It syncs a file before it makes the next one. So every batch committed before [`Journal::sync`] is in the file with
@@ -27,7 +27,7 @@ use super::{
 use crate::log::LogError;
 
 /// The suffix of its files' names.
-const ENDING: &str = ".jnl";
+const SUFFIX: &str = ".jnl";
 /// Marker file: the journal is on disk. It exists from a clean shutdown until the next start.
 const MARKER: &str = "journal-synced";
 /// The number of bytes that are rewritten at a time.
@@ -57,9 +57,9 @@ impl Journal {
     /// Returns once every earlier commit is on disk, or returns the error.
     pub(super) fn sync(&mut self) -> Result<(), LogError> {
         let handles = self.store.handles()?;
-        let handed_on = handles.database.persist(PersistMode::Buffer);
+        let persisted = handles.database.persist(PersistMode::Buffer);
         drop(handles);
-        handed_on.map_err(storage)?;
+        persisted.map_err(storage)?;
         self.sync_newest().map_err(|error| LogError::Storage {
             what: format!("cannot sync the journal: {error}"),
         })
@@ -109,13 +109,13 @@ impl Journal {
     }
 
     fn file(&self, number: u64) -> PathBuf {
-        self.directory.join(format!("{number}{ENDING}"))
+        self.directory.join(format!("{number}{SUFFIX}"))
     }
 }
 
 /// The number in the name of a journal file; None for any other file.
 pub(super) fn number(name: &str) -> Option<u64> {
-    name.strip_suffix(ENDING)?.parse().ok()
+    name.strip_suffix(SUFFIX)?.parse().ok()
 }
 
 /// Ensures that the journal is on disk before the store is opened. Without the marker, the whole journal is rewritten
@@ -123,11 +123,11 @@ pub(super) fn number(name: &str) -> Option<u64> {
 ///
 /// After a failed sync, by this server or an earlier one, Linux treats the pages that it could not write as clean.
 /// Reads return them as if they were on disk, and no later sync writes them.
-pub(super) fn make_certain(directory: &Directory) -> io::Result<()> {
+pub(super) fn ensure_durable(directory: &Directory) -> io::Result<()> {
     let marker = directory.join(MARKER);
     if !marker.try_exists()? {
         for file in files(&directory.join(STORE))? {
-            write_file_again(&mut File::options().read(true).write(true).open(file)?)?;
+            rewrite_file(&mut File::options().read(true).write(true).open(file)?)?;
         }
         return Ok(());
     }
@@ -158,7 +158,7 @@ fn files(store: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-fn write_file_again(file: &mut File) -> io::Result<()> {
+fn rewrite_file(file: &mut File) -> io::Result<()> {
     let mut piece = vec![0; COPY_BYTES];
     let mut at = 0;
     loop {
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn only_after_a_clean_end_the_journal_is_not_written_again() {
+    fn a_start_rewrites_the_journal_unless_the_shutdown_was_clean() {
         let directory = tempfile::tempdir().unwrap();
         let directory = Directory::take(directory.path()).unwrap();
         let path = directory.join(STORE).join("0.jnl");
@@ -237,7 +237,7 @@ mod tests {
             let long_ago = std::time::UNIX_EPOCH;
             let file = File::options().write(true).open(&path).unwrap();
             file.set_modified(long_ago).unwrap();
-            make_certain(&directory).unwrap();
+            ensure_durable(&directory).unwrap();
             let modified = file.metadata().unwrap().modified().unwrap();
             assert_eq!(modified == long_ago, is_clean);
             assert_eq!(fs::read(&path).unwrap(), b"entries");

@@ -7,7 +7,7 @@
 //! | `h`, index | [`Head`]: revision, next id, newest trimmed revision, newest digest, [`Sum`] of the points |
 //! | `p`, index, id | the point: see [`point`](super::point) |
 //! | `r`, index, revision | the record, as [`Record`](crate::log::Record) documents it |
-//! | `o`, index, revision | a second copy of the record's operation, kept for a time of its own |
+//! | `o`, index, revision | a second copy of the record's operation, which has its own retention |
 //! | `s`, index, session | the writer session: see [`session`](super::session) |
 //! | `b`, index, first id | the block of ids that a session reserved |
 //!

@@ -4,13 +4,13 @@
 //! [`Durability`] decides what an acknowledged mutation survives. Under `fsync`, all concurrent writers share one sync
 //! (`syncer`).
 //!
-//! Modules: `directory` (ownership and lock of the data directory), `engine` and `store` (the open store), `manifest`
-//! and `manifest_copy` (checks before it is opened), `layout` and `point` (keys and values, byte for byte), `index`
-//! (the writer of one index), `follow` (its records as a stream), `view` (its points at one revision), `restoring` (an
-//! index made from a copy), `session` (the stored writer sessions), `journal`, `syncer` and `sync_marks` (syncing, and
-//! the synced revisions), `failure` (the first failure, which stops all writing), `recovery` (from the files to the
-//! state), `rebuild` (a new store, or one rebuilt from a damaged one), `unclean_marker` (an unclean shutdown without
-//! fsync), `sweeper` (removal of deleted indices), `usage` (the bytes of the files).
+//! Modules: `options` (the settings), `directory` (ownership and lock of the data directory), `engine` and `store` (the
+//! open store), `manifest` and `manifest_copy` (checks before it is opened), `layout` and `point` (keys and values, byte
+//! for byte), `index` (the writer of one index), `follow` (its records as a stream), `view` (its points at one revision),
+//! `restoring` (an index made from a copy), `session` (the stored writer sessions), `journal`, `syncer` and `sync_marks`
+//! (syncing, and the synced revisions), `failure` (the first failure, which stops all writing), `recovery` (from the
+//! files to the state), `rebuild` (a new store, or one rebuilt from a damaged one), `unclean_marker` (an unclean shutdown
+//! without fsync), `sweeper` (removal of deleted indices), `usage` (the bytes of the files).
 //!
 //! A failed store takes no writes and still serves reads. [`PointStore::reopen`] closes it and opens it as a start
 //! does: there is no other path from the files to the state. A damaged store serves what is readable; only [`repair`]
@@ -27,6 +27,7 @@ mod journal;
 mod layout;
 mod manifest;
 mod manifest_copy;
+mod options;
 mod point;
 mod rebuild;
 mod recovery;
@@ -44,10 +45,10 @@ use std::{io, mem, path::Path, sync::Arc};
 
 use futures_util::{StreamExt, stream};
 use parking_lot::{Mutex, RwLock};
-use serde::Deserialize;
 use tracing::{error, info};
 
 pub use directory::OpenError;
+pub use options::{Durability, StoreOptions};
 pub use rebuild::{RepairError, RepairReport, repair};
 pub(crate) use syncer::SYNCS;
 
@@ -68,53 +69,6 @@ const REBUILT_STORE: &str = "store.rebuilt";
 /// The prefix of damaged stores as they were before a repair; a number follows.
 const DAMAGED_STORE: &str = "store.damaged-";
 const MARKS: &str = "marks";
-
-/// The strongest failure that an acknowledged mutation survives.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(try_from = "String")]
-pub enum Durability {
-    /// A loss of power.
-    Fsync,
-    /// The end of the server's process, for any cause.
-    Os,
-    /// An orderly stop of the server.
-    None,
-}
-
-impl TryFrom<String> for Durability {
-    type Error = String;
-
-    fn try_from(name: String) -> Result<Self, String> {
-        match name.as_str() {
-            "fsync" => Ok(Self::Fsync),
-            "os" => Ok(Self::Os),
-            "none" => Ok(Self::None),
-            _ => Err(format!("\"{name}\" is none of \"fsync\", \"os\", \"none\"")),
-        }
-    }
-}
-
-/// How a log is kept in a directory.
-#[derive(Clone, Copy, Debug)]
-pub struct StoreOptions {
-    /// The strongest failure that an acknowledged mutation survives.
-    pub durability: Durability,
-    /// The memory of the server: the store takes a quarter of it at most.
-    pub memory: u64,
-    /// True if another journal has the records: this store is then synced at an interval, whatever was acknowledged. The
-    /// operating system gets each batch at once.
-    pub is_copy: bool,
-}
-
-impl From<Durability> for StoreOptions {
-    fn from(durability: Durability) -> Self {
-        Self {
-            durability,
-            memory: u64::MAX,
-            is_copy: false,
-        }
-    }
-}
 
 /// A log in a directory: journal, points and catalogue.
 ///

@@ -137,7 +137,7 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
     let directory = Directory::take(directory)?;
     finish(&directory).map_err(shut)?;
     manifest_copy::mend(&directory)?;
-    journal::make_certain(&directory).map_err(shut)?;
+    journal::ensure_durable(&directory).map_err(shut)?;
     let path = directory.join(STORE);
     manifest::check(&path)?;
     let (_, marks) = Marks::open(&directory.join(MARKS)).map_err(shut)?;

@@ -1,8 +1,8 @@
 //! Restores an index into the store, point by point, as a new one or in the place of the one with its uid.
 //!
 //! Until the last batch, the entry says that the copy is unfinished. If the restore ends earlier, the copy's keys are
-//! removed like those of a deleted index. If the entry says so and a mark says that the copy was finished, the index is
-//! lost. The last batch of a copy that takes the place of an index also marks that index as deleted, so a crash leaves one
+//! removed like those of a deleted index. If the entry says unfinished and a mark says finished, the index is lost. The
+//! last batch of a copy that takes the place of an index also marks that index as deleted, so a crash leaves one
 //! of them.
 
 use std::sync::Arc;
@@ -159,7 +159,7 @@ impl Restoring for RestoringIndex {
     ) -> Result<(), LogError> {
         let origin = self.origin;
         origin.has_room_for(self.entry.uid, operations.len())?;
-        // Only the order of these revisions counts, and that each is the place of one operation.
+        // The revisions are the keys of the operations: they must ascend and differ, and mean nothing else.
         let first = origin.revision + 1 - operations.len() as u64;
         let operations: Vec<_> = (first..).zip(operations).collect();
         let engine = Arc::clone(&self.engine);

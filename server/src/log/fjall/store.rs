@@ -20,8 +20,7 @@ const JOURNAL_BYTES: u64 = 128 * 1024 * 1024;
 const MIN_HALTING_MEMTABLES: usize = 4;
 const MIN_STALLING_RUNS: usize = 20;
 
-/// The bytes of read blocks that the store keeps in memory, and those of points that it collects there before it moves
-/// them to its files, if there is memory enough.
+/// The bytes of the cache of read blocks, and of a memtable, unless [`MEMORY_SHARE`] allows fewer.
 const CACHE_BYTES: u64 = 32 * 1024 * 1024;
 const MEMTABLE_BYTES: u64 = 64 * 1024 * 1024;
 
@@ -31,8 +30,8 @@ const MEMORY_SHARE: u64 = 16;
 /// An upper bound on the size of a nearly empty store.
 const SMALL_FILES: u64 = 1024 * 1024;
 
-/// The interval at which the store is polled until it has caught up; it gives no signal.
-const CATCHING_UP: Duration = Duration::from_millis(2);
+/// The store does not signal that it has caught up: it is polled at this interval.
+const POLL_INTERVAL: Duration = Duration::from_millis(2);
 
 /// The store.
 pub(super) struct Store(RwLock<Option<Handles>>);
@@ -51,8 +50,8 @@ impl Store {
     pub(super) fn open(directory: &Path, options: impl Into<StoreOptions>) -> fjall::Result<Self> {
         let options = options.into();
         let share = options.memory / MEMORY_SHARE;
-        let hands_on_each_batch = match options.durability {
-            // The syncer hands batches to the operating system, but that of a copy waits before it does.
+        let is_write_through = match options.durability {
+            // The syncer writes the batches to the operating system, but at an interval for a copy.
             Durability::Fsync => options.is_copy,
             Durability::Os => true,
             Durability::None => false,
@@ -62,7 +61,7 @@ impl Store {
             let database = Database::builder(directory)
                 .max_journaling_size(JOURNAL_BYTES)
                 .cache_size(share.min(CACHE_BYTES))
-                .manual_journal_persist(!hands_on_each_batch)
+                .manual_journal_persist(!is_write_through)
                 .open()?;
             let keyspace = database.keyspace("wayfold", KeyspaceCreateOptions::default)?;
             Ok(Handles {
@@ -131,7 +130,7 @@ impl Handles {
             self.database
                 .persist(PersistMode::Buffer)
                 .map_err(storage)?;
-            std::thread::park_timeout(CATCHING_UP);
+            std::thread::park_timeout(POLL_INTERVAL);
         }
         Ok(())
     }

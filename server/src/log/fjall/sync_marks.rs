@@ -93,7 +93,7 @@ impl Layout {
     }
 
     fn decode(bytes: &[u8]) -> Option<Self> {
-        // Looked at first: a file without a layout is searched for one, slot by slot.
+        // Checked first, because a file without a layout is searched for one, slot by slot.
         bytes.starts_with(LAYOUT).then_some(())?;
         let mut cursor = Cursor::new(unseal(LAYOUT, bytes)?.strip_prefix(LAYOUT)?);
         let mut number = || cursor.array().map(Number::from_le_bytes);
@@ -330,7 +330,7 @@ mod tests {
         assert_eq!(found.next(), 4);
     }
 
-    /// A file of the form without a floor has many marks of deleted indices. It is rewritten once, and grows again.
+    /// A file of the older form, without a floor, has many marks of deleted indices. It is rewritten once, and grows again.
     #[test]
     fn a_rewritten_file_has_a_floor_instead_of_the_marks_of_deleted_indices() {
         let directory = tempfile::tempdir().unwrap();

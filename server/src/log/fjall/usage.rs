@@ -12,7 +12,7 @@ use crate::log::StoreUsage;
 /// The directory of the store's tables.
 const TABLES: &str = "keyspaces";
 
-/// The disk of the files in `directory`. A file that goes meanwhile counts as nothing.
+/// The disk of the files in `directory`. A file that is removed meanwhile counts as 0.
 pub(super) fn disk(directory: &Path) -> StoreUsage {
     let store = directory.join(STORE);
     let mut usage = StoreUsage::default();
@@ -46,7 +46,7 @@ fn visit(directory: &Path, count: &mut impl FnMut(&Path, u64)) {
     }
 }
 
-/// The disk of a file. A file of the journal is as long as it may become, and takes only what was written.
+/// The disk of a file. A journal file is preallocated: its length exceeds the blocks that it takes.
 #[cfg(unix)]
 fn taken(file: &Metadata) -> u64 {
     use std::os::unix::fs::MetadataExt;

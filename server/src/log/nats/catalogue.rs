@@ -33,8 +33,8 @@ use crate::log::{Catalogue, Entry, LogError, LostIndex, Uid};
 /// The most deleted indices of a name that are remembered.
 const MAX_DELETED: usize = 1000;
 
-/// The most changes of an entry that overtake one.
-const MAX_CHANGES: usize = 10;
+/// The attempts to change an entry that other servers change too.
+const MAX_ATTEMPTS: usize = 10;
 
 /// The time in which a bucket without a leader gets one.
 const SET_TIME: Duration = Duration::from_secs(5);
@@ -278,7 +278,7 @@ impl Catalogue for NatsCatalogue {
 
     fn note_contradiction(&self, uid: Uid, revision: u64) -> Result<(), LogError> {
         // Each other change of the entry takes one more attempt.
-        for _ in 0..MAX_CHANGES {
+        for _ in 0..MAX_ATTEMPTS {
             let Some((mut named, at)) = self.named(uid) else {
                 return Ok(());
             };

@@ -27,12 +27,12 @@ const MIN_VERSION: (i64, i64) = (2, 15);
 /// A request to NATS without an answer for this long counts as lost.
 pub(super) const REQUEST_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// The same for a message, and for a request that reads one: a stream that changes its leader loses both without a word, and
+/// The same for a message, and for a request that reads one: a stream loses both silently while it changes its leader, and
 /// writers wait meanwhile.
 pub(super) const MESSAGE_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// NATS is asked for a sign of life after this long without one. After three signs that did not come the server connects to
-/// another server of NATS. By default the first question comes after a minute, while every write would wait.
+/// The time between two pings of NATS. After three pings without an answer the client connects to another server of NATS.
+/// The client's default is a minute, and every write would wait for that long.
 const PING_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The time in which NATS must give what a starting server asks for, and the time between two requests.

@@ -36,7 +36,7 @@ struct Follower {
     unpacker: Unpacker,
     /// True if the last subscription brought a gap or damage next, and no record has come since.
     is_suspect: bool,
-    /// The number of times in turn that NATS had not even the newest record that was returned.
+    /// The number of subscriptions in turn for which NATS lacked the newest returned record.
     behind: u32,
     /// The times of subscriptions.
     attempts: Option<Interval>,
@@ -153,7 +153,7 @@ async fn subscribe(
     if last.last.revision == after && digest.is_some_and(|digest| digest != last.last.digest) {
         return Err(LogError::replaced(uid, after));
     }
-    let sequence = place_behind(connection, uid, after, last).await?;
+    let sequence = find_sequence_after(connection, uid, after, last).await?;
     let config = pull::Config {
         filter_subject: connection.subject(uid),
         deliver_policy: DeliverPolicy::ByStartSequence {
@@ -186,7 +186,7 @@ pub(super) async fn read(
     max_bytes: usize,
 ) -> Result<Vec<Arc<Record>>, LogError> {
     let after = after.unwrap_or(0);
-    let mut sequence = place_after(connection, uid, after).await?;
+    let mut sequence = sequence_after(connection, uid, after).await?;
     let (mut records, mut bytes, mut unpacker) = (Vec::new(), 0, Unpacker::default());
     while let Some((position, message)) = connection.next(uid, sequence).await? {
         sequence = position.sequence + 1;
@@ -224,18 +224,18 @@ pub(super) async fn forget(connection: &Connection, uid: Uid, up_to: u64) -> Res
         Some((first, _)) if first.last.revision <= up_to => {}
         _ => return Ok(()),
     }
-    let sequence = place_after(connection, uid, up_to).await?;
+    let sequence = sequence_after(connection, uid, up_to).await?;
     connection.purge_before(uid, sequence).await
 }
 
-/// A sequence number from which on an index's first message is the one with the record after the revision `after`.
-async fn place_after(connection: &Connection, uid: Uid, after: u64) -> Result<u64, LogError> {
+/// A sequence number. From there on, the first message of the index has the record after the revision `after`.
+async fn sequence_after(connection: &Connection, uid: Uid, after: u64) -> Result<u64, LogError> {
     let last = connection.last(uid).await?;
-    place_behind(connection, uid, after, last).await
+    find_sequence_after(connection, uid, after, last).await
 }
 
 /// The same if `last` is the newest message.
-async fn place_behind(
+async fn find_sequence_after(
     connection: &Connection,
     uid: Uid,
     after: u64,

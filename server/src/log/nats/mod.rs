@@ -2,8 +2,8 @@
 //! each server has a point store of its own.
 //!
 //! An index is a subject of a stream. A pack of consecutive records is published with the sequence number of the message
-//! before it on the subject: NATS takes it only if that is the newest. So of two servers that submit after
-//! the same revision one wins, whatever each of them believes. The streams keep a record until enough servers store what it
+//! before it on the subject: NATS takes it only if that is the newest. So of two servers that submit after the same
+//! revision one wins. The streams keep a record until enough servers store what it
 //! did ([`Journal::forget`]), and the newest message of an index always, because the next one names it.
 //!
 //! Nothing that comes from a stream is trusted: a record is decoded only if it matches its checksum, and the apply loop
@@ -137,7 +137,7 @@ impl ForgottenRevisions {
     }
 
     fn note(&mut self, uid: Uid, up_to: u64) {
-        // Deleted indices are among them. A request for each of the others is cheaper than to find out which.
+        // Some of the indices are deleted. Asking NATS again about the others is cheaper than finding out which.
         if self.0.len() >= MAX_FORGOTTEN {
             self.0.clear();
         }
@@ -273,7 +273,7 @@ impl Journal for NatsJournal {
     }
 
     fn forget(&self, uid: Uid, up_to: u64) -> Result<(), LogError> {
-        // None is kept after a copy.
+        // After a copy this server keeps no record, so its window does not bound the revision.
         let oldest = self.local.oldest_kept(uid)?.unwrap_or(u64::MAX);
         let up_to = up_to.min(oldest.saturating_sub(1));
         if self.forgotten.lock().has(uid, up_to) {

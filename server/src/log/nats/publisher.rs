@@ -91,7 +91,7 @@ impl Publisher {
             connection,
             newest: None,
             writers: 1,
-            patience: Duration::ZERO,
+            linger: Duration::ZERO,
         };
         runtime.spawn(task.run(waiting));
         Self { submissions }
@@ -113,10 +113,10 @@ struct Task {
     connection: Arc<Connection>,
     /// The newest message of the index, if it is known. Another server may have published since.
     newest: Option<Position>,
-    /// The number of writers, as far as it is known: of records that the last message had, and that waited for its end.
+    /// An estimate of the number of writers: the records in the last message and those that waited for its end.
     writers: usize,
     /// The longest wait until each writer has a record in the message.
-    patience: Duration,
+    linger: Duration,
 }
 
 impl Task {
@@ -137,7 +137,7 @@ impl Task {
             };
             let mut bytes = message::packed_bytes(first.stored.len());
             let mut batch = vec![first];
-            let until = Instant::now() + self.patience;
+            let until = Instant::now() + self.linger;
             let mut came = false;
             loop {
                 let next = match waiting.try_recv() {
@@ -161,11 +161,11 @@ impl Task {
                 }
                 batch.push(next);
             }
-            let in_vain = !came && batch.len() < self.writers && !self.patience.is_zero();
+            let in_vain = !came && batch.len() < self.writers && !self.linger.is_zero();
             let began = Instant::now();
             let outcome = self.publish(&batch).await;
             self.writers = batch.len() + waiting.len();
-            self.patience = match in_vain {
+            self.linger = match in_vain {
                 true => Duration::ZERO,
                 false => began.elapsed().min(MAX_WAIT),
             };
@@ -239,7 +239,7 @@ impl Task {
                 PublishErrorKind::StreamNotFound => {
                     attempts.tick().await;
                 }
-                // NATS says so of a right number too while it stores another message.
+                // NATS also refuses a correct number while it stores another message.
                 PublishErrorKind::Other
                     if connection::code(&error)
                         == Some(ErrorCode::STREAM_WRONG_LAST_SEQUENCE_CONSTANT) =>

@@ -19,14 +19,14 @@ use crate::log::{
 impl Engine {
     /// Syncs all appended records, ends the threads, and closes the store even while views of it are held.
     pub(in crate::log::fjall) fn shut(&self) {
-        let settled = match &self.syncer {
+        let synced = match &self.syncer {
             Some(syncer) => {
                 syncer.stop();
                 Ok(())
             }
-            None => self.settle(),
+            None => self.sync_all(),
         };
-        if let Err(error) = &settled {
+        if let Err(error) = &synced {
             warn!(
                 %error,
                 "could not sync the log; the next start takes mutations for lost"
@@ -38,7 +38,7 @@ impl Engine {
             index.end_followers(LogError::Closed);
         }
         save_manifest(&self.directory);
-        if settled.is_ok() && self.failure().is_none() {
+        if synced.is_ok() && self.failure().is_none() {
             // Without the marker the next start rewrites the journal.
             if let Err(error) = journal::mark_synced(&self.directory) {
                 debug!(%error, "cannot mark the journal as synced");
@@ -47,12 +47,12 @@ impl Engine {
     }
 
     /// Syncs everything and writes the sync marks.
-    fn settle(&self) -> Result<(), LogError> {
+    fn sync_all(&self) -> Result<(), LogError> {
         Journal::new(Arc::clone(&self.store), self.directory.join(STORE)).sync()?;
         let indexes: Vec<_> = self.indexes.read().values().cloned().collect();
-        let settled = Marks::open(&self.directory.join(MARKS))
+        let marked = Marks::open(&self.directory.join(MARKS))
             .and_then(|(mut marks, _)| write_marks(&mut marks, &indexes))
             .and_then(|()| unclean_marker::end(self.directory.path()));
-        settled.map_err(shut)
+        marked.map_err(shut)
     }
 }
