@@ -19,12 +19,13 @@ def compact(raw):
     refused = raw["silent, 17 connections with 256 headers each: others"]["during"]
     return {
         "of_the_peak": peak,
-        "accepted_p99_ms": [goodput[200][f"{rate} patient"]["accepted p99, ms"] for rate in RATES],
+        "accepted_p99_ms": [goodput[200][phase]["accepted p99, ms"] for phase in ("one at a time", *(f"{rate} patient" for rate in RATES))],
         "health_p99_ms": {f"{rows} rows": [min(health(rows)), max(health(rows))] for rows in goodput},
         "beside_p99_ms": [heavy[part]["bystander p99, ms"] for part in ("during", "before")],
         "burst_refused": raw["burst, 64 workers once a second"]["burst"]["refused"],
         "half_sent_mib": [mib("half-sent, memory", when) for when in ("before", "peak", "10 s after")],
         "unread_mib": [mib(f"unread, {name}: memory", "peak") for name in UNREAD],
+        "silent_ms": raw["silent, 1,150 connections"]["a new client"]["Knn after, ms"],
         "headers_refused": [refused["bystander refused or lost"], refused["bystander calls"]],
         "left": {"processor_s": raw["left, 600 queries of 5,000 rows over Zenoh"]["left"]["processor time after the client left, s"],
                  "mib": mib("left, memory", "peak")},
@@ -56,17 +57,20 @@ def column(got):
     parts = lambda *names: "; ".join(", ".join(f"{value:.2f}" for value in got["of_the_peak"][name]) for name in names)
     unread = [*map(tenths, got["unread_mib"]), *["–"] * len(UNREAD)][:len(UNREAD)]
     accepted, (refused, calls) = got["accepted_p99_ms"], got["headers_refused"]
+    alone = [f"{tenths(accepted[0])} ms"] if len(accepted) > len(RATES) else ["–"]
+    accepted = [f"{numbers(accepted[-len(RATES):])} ms"] if accepted else []
     return {
         "answered in time over the peak, 200 rows: twice, four times the peak by patient callers": parts("patient, 200 rows"),
         "the same with deadlines of 500 ms": parts("500 ms, 200 rows"),
         "the same for one row, patient; with deadlines": parts("patient, 1 rows", "500 ms, 1 rows"),
-        "p99 of accepted calls, 200 rows, patient: twice, four times the peak": f"{numbers(accepted)} ms" if accepted else "–",
+        "p99 of accepted calls, 200 rows, patient: one at a time; twice, four times the peak": "; ".join([*alone, *accepted]),
         "p99 of health, 200 rows; one row": "; ".join(ms(got["health_p99_ms"][rows], " to ") for rows in ("200 rows", "1 rows")),
         "one caller's p99 beside 250 `Knn` of 10,000 neighbours × 4 on another connection; alone":
             "; ".join(ms([one]) for one in got["beside_p99_ms"]),
         "64 workers at once every second, 60 % of the capacity: refused": f"{got['burst_refused']:,.0f}",
         "unfinished inserts: memory before, at most, 10 s after, MiB": numbers(got["half_sent_mib"]),
         f"{'; '.join(UNREAD.values())}, at most, MiB": "; ".join(unread),
+        "1,150 silent connections: a new client's first answer": ms([got["silent_ms"]]) if "silent_ms" in got else "–",
         "17 connections with 256 headers each: a caller is refused": f"{refused:,.0f}" + (f" of {calls:,.0f}" if calls else ""),
         "600 queries over Zenoh of a caller that left: processor time; memory at most, MiB":
             f"{got['left']['processor_s']:.1f} s; {tenths(got['left']['mib'])}",

@@ -95,7 +95,7 @@ def writers():
 
 
 def call_cost():
-    what = {"authentication": "an identity", "metrics": "metrics", "both": "an identity and metrics", "nothing": "nothing: two equal ones"}
+    what = {"admission": "admission, once more", "authentication": "an identity", "metrics": "metrics", "both": "an identity and metrics", "nothing": "nothing: two equal ones"}
     places = [("in_process", "the code of a call alone"), ("end_to_end", "a call over gRPC, at the server")]
     rows = []
     for place, shown in places:

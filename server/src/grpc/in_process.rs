@@ -1,6 +1,7 @@
-//! The calls of points without a connection, for the program that measures what authentication and metrics add to them.
+//! The calls of points without a connection, for the program that measures what admission, authentication and metrics add to
+//! them.
 
-use std::path::Path;
+use std::{path::Path, sync::Arc};
 
 use bytes::Bytes;
 use http::Request;
@@ -15,6 +16,7 @@ use super::{
     points,
 };
 use crate::{
+    admission::{CALL_BYTES, Flow},
     config::Config,
     faces::Shared,
     identity::{Identities, TableError},
@@ -25,6 +27,7 @@ use crate::{
 /// See the module.
 pub struct InProcess {
     calls: Calls<TolerantPointServer>,
+    flow: Arc<Flow>,
     /// Streams end when it is dropped.
     _lifecycle: Lifecycle,
 }
@@ -41,12 +44,22 @@ impl InProcess {
     ) -> Result<Self, TableError> {
         let shared = Shared::new(config, service, Identities::open(identities)?);
         let lifecycle = Lifecycle::starting();
+        let flow = shared.admission.open();
         let points = points(&config.grpc, &shared, &lifecycle.watch());
         let layer = CallsLayer::new(&config.grpc, shared, Callers::Clients, TaskTracker::new());
         Ok(Self {
             calls: layer.layer(points),
+            flow,
             _lifecycle: lifecycle,
         })
+    }
+
+    /// Admits a call of a connection that does nothing; false if it is refused.
+    pub async fn admit(&self) -> bool {
+        let mut turns = self.flow.turns();
+        let held = self.flow.hold();
+        let is_requested = turns.request().is_ok() && held.take(CALL_BYTES);
+        is_requested && turns.run(async {}).await.is_ok()
     }
 
     /// Makes a call, and returns the bytes of its answer and its status.

@@ -25,23 +25,26 @@ const CALLS: usize = 20;
 /// The turns of a round.
 const TURNS: usize = 2_000;
 
-/// The contestants, each with identities and metrics or not. The last is the first again.
-const CONTESTANTS: [(&str, bool, bool); 5] = [
-    ("", false, false),
-    ("authentication", true, false),
-    ("metrics", false, true),
-    ("both", true, true),
-    ("nothing", false, false),
+/// What a contestant has that the first one has not.
+const CONTESTANTS: [&str; 6] = [
+    "",
+    "admission",
+    "authentication",
+    "metrics",
+    "both",
+    "nothing",
 ];
 
 pub(crate) async fn measure(identities: &Path, rounds: usize) -> Vec<(&'static str, Added)> {
     let mut added: Vec<_> = CONTESTANTS[1..]
         .iter()
-        .map(|(what, ..)| (*what, Added::default()))
+        .map(|what| (*what, Added::default()))
         .collect();
     for round in 0..rounds {
         let mut contestants = Vec::new();
-        for (_, with_identities, with_metrics) in CONTESTANTS {
+        for what in CONTESTANTS {
+            let with_identities = matches!(what, "authentication" | "both");
+            let with_metrics = matches!(what, "metrics" | "both");
             let mut config = Config::default();
             config.http.listen = if with_metrics { "127.0.0.1:0" } else { "off" }.to_owned();
             let calls = InProcess::new(
@@ -57,7 +60,7 @@ pub(crate) async fn measure(identities: &Path, rounds: usize) -> Vec<(&'static s
             for at in 0..CONTESTANTS.len() {
                 let at = (at + turn) % CONTESTANTS.len();
                 let (calls, requests) = &mut contestants[at];
-                took[at] = turn_us(calls, requests).await;
+                took[at] = turn_us(calls, requests, CONTESTANTS[at] == "admission").await;
             }
             for ((_, added), us) in added.iter_mut().zip(&took[1..]) {
                 added.push(*us, took[0]);
@@ -67,12 +70,13 @@ pub(crate) async fn measure(identities: &Path, rounds: usize) -> Vec<(&'static s
     added
 }
 
-/// The mean time of a call of this turn.
-async fn turn_us(calls: &mut InProcess, requests: &[Request<Bytes>]) -> f64 {
+/// The mean time of a call of this turn. With `admits` each is admitted once more.
+async fn turn_us(calls: &mut InProcess, requests: &[Request<Bytes>], admits: bool) -> f64 {
     // The copies are no work of the server.
     let requests = requests.to_vec();
     let began = Instant::now();
     for request in requests {
+        assert!(!admits || calls.admit().await);
         let (answer, _) = calls.call(request).await;
         assert!(!answer.is_empty());
     }

@@ -1,4 +1,4 @@
-//! Measures what authentication and metrics add to a call.
+//! Measures what admission, authentication and metrics add to a call.
 //!
 //!     cargo run --release -p wayfold-tests --bin call-cost -- [--rounds 10] [--json FILE]
 //!
@@ -7,7 +7,7 @@
 //! same difference between two contestants that are equal shows how far it can be trusted.
 //!
 //! `in_process` makes `Knn` calls through the server's layer around them and its service, without a connection:
-//! nothing but the code of a call. `end_to_end` makes them to servers in other processes, and takes the processor time of
+//! nothing but the code of a call. Admission cannot be left out of a call, so one contestant admits each call twice. `end_to_end` makes them to servers in other processes, and takes the processor time of
 //! each server.
 
 mod end_to_end;
@@ -33,7 +33,7 @@ const K: u32 = 10;
 const TOKEN: &str = "wayfold_0123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef";
 const TOKEN_SHA256: &str = "a5bf5317aeb9fd0a7798af001e66e25aa8a8a5716da96c48c3426e1fdad2c757";
 
-/// Measures what authentication and metrics add to a call.
+/// Measures what admission, authentication and metrics add to a call.
 #[derive(Debug, Parser)]
 #[command(name = "call-cost")]
 struct Arguments {
