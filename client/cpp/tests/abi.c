@@ -180,6 +180,11 @@ int main(void) {
     wayfold_index *opened = NULL;
     CHECK(wayfold_index_shared(&server, &opened) == WAYFOLD_CODE_INVALID_ARGUMENT && opened == NULL);
     CHECK(strcmp(wayfold_error_field(), "client_key") == 0);
+    // No server.
+    CHECK(wayfold_index_shared(NULL, &opened) == WAYFOLD_CODE_INVALID_ARGUMENT && opened == NULL);
+    CHECK(strcmp(wayfold_error_field(), "server") == 0 && strcmp(wayfold_error_reason(), "NULL_POINTER") == 0);
+    CHECK(wayfold_index_remote(NULL, &opened) == WAYFOLD_CODE_INVALID_ARGUMENT && opened == NULL);
+    CHECK(strcmp(wayfold_error_field(), "server") == 0 && strcmp(wayfold_error_reason(), "NULL_POINTER") == 0);
 
     // Errors name the field and the reason.
     states[3 * 5 + 1] = NAN;

@@ -148,14 +148,21 @@ void conformance() {
                 motions.push_back(std::make_unique<Motion>(Motion{sample()}));
                 return motions.back().get();
             });
-        // A state that changes after it was stored can be removed.
+        // A state that changes after it was stored is found where it was, and can be removed.
         ours.clear();
         for (int at = 0; at < 10; at++) {
             ours.add(motions[at].get());
         }
         for (int at = 0; at < 10; at++) {
-            sampler->sampleUniform(motions[at]->state);
-            CHECK(ours.remove(motions[at].get()));
+            Motion *moved = motions[at].get(), *before = motions[10 + at].get();
+            si->copyState(before->state, moved->state);
+            sampler->sampleUniform(moved->state);
+            std::vector<Motion *> found;
+            ours.nearestR(before, 0, found);
+            CHECK(ours.nearest(before) == moved && found == std::vector<Motion *>{moved});
+            ours.nearestR(moved, 0, found);
+            CHECK(found.empty());
+            CHECK(ours.remove(moved));
         }
         CHECK(ours.size() == 0);
         // clear does not read elements: the planner has freed them.

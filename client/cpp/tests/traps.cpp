@@ -78,9 +78,28 @@ public:
     }
 };
 
+// Joints whose states have neither reals nor a serialized form: new ones are not set.
+class Opaque : public Joints {
+public:
+    ob::State *allocState() const override {
+        ob::State *state = Joints::allocState();
+        std::fill_n(state->as<StateType>()->values, 3, std::nan(""));
+        return state;
+    }
+    double *getValueAddressAtIndex(ob::State *, unsigned int) const override { return nullptr; }
+    unsigned int getSerializationLength() const override { return 0; }
+    void serialize(void *, const ob::State *) const override {}
+    void deserialize(ob::State *, const void *) const override {}
+};
+
+// A space in which no state reaches another.
+class Unreachable : public Joints {
+public:
+    double distance(const ob::State *, const ob::State *) const override { return HUGE_VAL; }
+};
+
 // The problem of a planner that has to reach the other end of the space.
-ob::ProblemDefinitionPtr problem() {
-    const auto space = std::make_shared<Joints>();
+ob::ProblemDefinitionPtr problem(const std::shared_ptr<Joints> &space = std::make_shared<Joints>()) {
     const auto si = std::make_shared<ob::SpaceInformation>(space);
     si->setStateValidityChecker([](const ob::State *state) {
         const double *values = state->as<Joints::StateType>()->values;
@@ -102,8 +121,8 @@ void solve(ob::Planner &planner, const ob::ProblemDefinitionPtr &definition) {
     CHECK(definition->getSolutionPath()->check());
 }
 
-template <class P, class Use> void plan(Use use) {
-    const auto definition = problem();
+template <class P, class Use> void plan(Use use, const std::shared_ptr<Joints> &space = std::make_shared<Joints>()) {
+    const auto definition = problem(space);
     P planner(definition->getSpaceInformation());
     use(planner);
     solve(planner, definition);
@@ -161,6 +180,29 @@ void spaces_of_ones_own() {
     const auto other = message_of<ompl::Exception>(
         [&] { plan<og::RRT>([&](auto &planner) { wayfold::use(planner, "sum(R1:2, R1^2)", write); }); });
     CHECK(other.find("distance of two states") != std::string::npos);
+    const auto infinite = message_of<ompl::Exception>([&] {
+        plan<og::RRT>([&](auto &planner) { wayfold::use(planner, "sum(R1^3)", write); }, std::make_shared<Unreachable>());
+    });
+    CHECK(infinite.find("distance of two states is inf") != std::string::npos);
+}
+
+// `use` reads no state that is not set. The planner's first states show a distance that is not ours.
+void spaces_that_only_a_sampler_sets() {
+    const auto opaque = std::make_shared<Opaque>();
+    plan<og::RRT>([](auto &planner) { wayfold::use(planner, "sum(R1^3)", write); }, opaque);
+    const auto refused = message_of<ompl::Exception>(
+        [&] { plan<og::RRT>([](auto &planner) { wayfold::use(planner, "R3", write); }, opaque); });
+    CHECK(refused.find("distance of two states") != std::string::npos);
+    // One of the parts of a space.
+    const auto both = std::make_shared<ob::CompoundStateSpace>();
+    both->addSubspace(std::make_shared<Joints>(), 1);
+    both->addSubspace(std::make_shared<Wrapper>(opaque), 1);
+    og::RRT planner(std::make_shared<ob::SpaceInformation>(both));
+    wayfold::use(planner, "sum(R1^6)", [](const ob::State *state, double *row) {
+        const auto *parts = state->as<ob::CompoundState>();
+        write(parts->components[0], row);
+        write(parts->as<Wrapper::StateType>(1)->getState(), row + 3);
+    });
 }
 
 // A motion with a cost, as in planners that search in the space of states and costs (AOX-RRT-Connect): they add the
@@ -182,12 +224,13 @@ void distances_with_costs() {
         motions.push_back(std::make_unique<CostMotion>(CostMotion{si->allocState(), 0.5 * at}));
         sampler->sampleUniform(motions.back()->state);
     }
-    wayfold::NearestNeighborsWayfold<CostMotion *> plain(context), with_costs(context);
+    wayfold::NearestNeighborsWayfold<CostMotion *> plain(context), with_costs(context), infinite(context);
     plain.setDistanceFunction(
         [&](CostMotion *const &a, CostMotion *const &b) { return si->distance(a->state, b->state); });
     with_costs.setDistanceFunction([&](CostMotion *const &a, CostMotion *const &b) {
         return si->distance(a->state, b->state) + std::fabs(a->cost - b->cost);
     });
+    infinite.setDistanceFunction([](CostMotion *const &, CostMotion *const &) { return HUGE_VAL; });
     const auto add_all = [&](auto &neighbors) {
         for (const auto &motion : motions) {
             neighbors.add(motion.get());
@@ -195,8 +238,10 @@ void distances_with_costs() {
     };
     add_all(plain);
     CHECK(plain.size() == 10);
-    const auto refused = message_of<ompl::Exception>([&] { add_all(with_costs); });
-    CHECK(refused.find("distance of two states") != std::string::npos);
+    for (auto *foreign : {&with_costs, &infinite}) {
+        const auto refused = message_of<ompl::Exception>([&] { add_all(*foreign); });
+        CHECK(refused.find("distance of two states") != std::string::npos);
+    }
     for (const auto &motion : motions) {
         si->freeState(motion->state);
     }
@@ -208,6 +253,7 @@ int main() {
     ompl::msg::setLogLevel(ompl::msg::LOG_NONE);
     wrappers();
     spaces_of_ones_own();
+    spaces_that_only_a_sampler_sets();
     distances_with_costs();
     std::cout << "traps: ok\n";
 }

@@ -68,10 +68,27 @@ struct SetupFlag : ompl::base::Planner {
     static void clear(ompl::base::Planner &planner) { planner.*(&SetupFlag::setup_) = false; }
 };
 
+// True if each part of the space has a serialized form or as many reals as dimensions: they set all of a new state.
+inline bool is_settable(const ompl::base::StateSpace *space) {
+    namespace ob = ompl::base;
+    if (const auto *wrapper = dynamic_cast<const ob::WrapperStateSpace *>(space)) {
+        return is_settable(wrapper->getSpace().get());
+    }
+    if (const auto *compound = dynamic_cast<const ob::CompoundStateSpace *>(space)) {
+        const auto &parts = compound->getSubspaces();
+        return std::all_of(parts.begin(), parts.end(), [](const auto &part) { return is_settable(part.get()); });
+    }
+    return space->getSerializationLength() > 0 || space->getValueLocations().size() >= space->getDimension();
+}
+
 // Compares the space's distance with ours before the planner runs: it might have threads then, which cannot throw. The
 // states are made without OMPL's samplers, whose seeds the planner's own samplers would miss.
 inline void check_space(const Context &context) {
     const auto &space = context.information->getStateSpace();
+    if (!is_settable(space.get())) {
+        // A new state would be read before it has values. The first elements of the planner are compared anyway.
+        return;
+    }
     const Index index = Index::in_memory(context.text, Merging::in_line);
     const double extent = space->getMaximumExtent();
     const double most = std::isfinite(extent) && extent > 0 ? extent : 1;

@@ -31,8 +31,8 @@ namespace detail {
 
 // Compares our distance with OMPL's: a space may override it, and a planner may add costs to it.
 inline void check_distance(double ours, double theirs, const std::string &text) {
-    // OMPL takes rotations less than 4.5e-5 apart for equal.
-    if (!(std::fabs(ours - theirs) <= 1e-4 + 1e-6 * std::fabs(theirs))) {
+    // OMPL takes rotations less than 4.5e-5 apart for equal. An infinite distance would have an infinite tolerance.
+    if (!std::isfinite(theirs) || !(std::fabs(ours - theirs) <= 1e-4 + 1e-6 * std::fabs(theirs))) {
         throw ompl::Exception("wayfold: the planner's distance of two states is " + std::to_string(theirs) +
                               ", and that of " + text + " is " + std::to_string(ours) +
                               ": keep OMPL's own nearest neighbours here, or give the space text of this metric");

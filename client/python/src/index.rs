@@ -10,13 +10,13 @@ use pyo3::{
     sync::PyOnceLock,
     types::{PyBytes, PyTuple, PyType},
 };
-use wayfold::InsertOptions;
 
+use self::calls::{IdsAndDistances, options};
 use crate::{
     content::Content,
     points::{
         Changes, ConnectionStatus, InsertedPoint, MeanwhileAnswers, Neighbor, SearchResult,
-        StoredPoint, StoredPoints, UnsentWrite, columns,
+        StoredPoint, StoredPoints, UnsentWrite,
     },
     query,
     rows::Rows,
@@ -103,11 +103,7 @@ impl Index {
         tag: u64,
         payload: Option<&[u8]>,
     ) -> PyResult<u64> {
-        let row = self.one(state)?;
-        let options = options(id, tag, payload);
-        let inserted = self.call(state.py(), |index| index.insert_with(&row[..], options))?;
-        self.gave(inserted.id);
-        Ok(inserted.id)
+        Ok(self.inserted(state, options(id, tag, payload))?.id)
     }
 
     /// Stores a state, and searches the points before it at once.
@@ -120,16 +116,8 @@ impl Index {
         tag: u64,
         payload: Option<&[u8]>,
     ) -> PyResult<InsertedPoint> {
-        let (py, row) = (state.py(), self.one(state)?);
         let options = options(id, tag, payload).neighbors(search.get().search);
-        let inserted = self.call(py, |index| index.insert_with(&row[..], options))?;
-        self.gave(inserted.id);
-        let found = &inserted.neighbors;
-        let neighbors = SearchResult::of(py, &found.neighbors, found.read_revision.0);
-        Ok(InsertedPoint {
-            id: inserted.id,
-            neighbors: Py::new(py, neighbors)?,
-        })
+        InsertedPoint::of(state.py(), &self.inserted(state, options)?)
     }
 
     /// Stores many states at once and returns their ids, which ascend.
@@ -180,6 +168,11 @@ impl Index {
         Ok(payload.map(|payload| PyBytes::new(py, &payload)))
     }
 
+    /// The payloads of the points with these ids, each id once, in their order: None if there is no such point.
+    fn payloads(&self, py: Python<'_>, ids: Vec<u64>) -> PyResult<Vec<Option<Vec<u8>>>> {
+        self.call(py, |index| index.payloads(&ids))
+    }
+
     /// The nearest point; None if there are no points.
     fn nearest(&self, state: &Bound<'_, PyAny>) -> PyResult<Option<Neighbor>> {
         let row = self.one(state)?;
@@ -213,11 +206,18 @@ impl Index {
         states: &Bound<'py, PyAny>,
         search: &Bound<'py, Search>,
     ) -> PyResult<Vec<IdsAndDistances<'py>>> {
-        let (py, rows) = (states.py(), self.rows(states)?);
-        let (width, search) = (self.index.space().coordinates(), search.get().search);
-        let states = rows.numbers.chunks_exact(width);
-        let found = self.call(py, |index| index.search_many(states, &search))?;
-        Ok(found.iter().map(|found| columns(py, found)).collect())
+        let search = search.get().search;
+        self.found_many(states, |index, rows| index.search_many(rows, &search))
+    }
+
+    /// Answers a search for each of many states, which see the same points. A remote index takes only one search.
+    fn search_each<'py>(
+        &self,
+        states: &Bound<'py, PyAny>,
+        searches: Vec<Bound<'py, Search>>,
+    ) -> PyResult<Vec<IdsAndDistances<'py>>> {
+        let searches: Vec<_> = searches.iter().map(|search| search.get().search).collect();
+        self.found_many(states, |index, rows| index.search_each(rows, &searches))
     }
 
     /// All points as they are now, by ascending id.
@@ -292,6 +292,12 @@ impl Index {
     /// Waits until the server has acknowledged every write before this call. Returns at once for the other forms.
     fn flush(&self, py: Python<'_>) -> PyResult<()> {
         self.call(py, wayfold::Index::flush)
+    }
+
+    /// Acts like `flush`, but waits at most `timeout` seconds instead of the index's own timeout.
+    fn flush_within(&self, py: Python<'_>, timeout: f64) -> PyResult<()> {
+        let timeout = seconds(py, "timeout", timeout)?;
+        self.call(py, |index| index.flush_within(timeout))
     }
 
     /// The number of writes that the server has not acknowledged; 0 for the other forms.
@@ -387,13 +393,4 @@ impl Index {
     fn __repr__(&self) -> String {
         format!("<wayfold.Index {} of {}>", self.form(), self.index.space())
     }
-}
-
-/// The neighbours of one state.
-type IdsAndDistances<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
-
-fn options(id: Option<u64>, tag: u64, payload: Option<&[u8]>) -> InsertOptions<'_> {
-    let options = InsertOptions::new().tag(tag);
-    let options = id.map_or(options, |id| options.id(id));
-    options.payload(payload.unwrap_or_default())
 }

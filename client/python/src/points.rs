@@ -96,8 +96,19 @@ pub(crate) fn column<T: Element + Copy>(py: Python<'_>, numbers: Vec<T>) -> Boun
 #[pyclass(frozen, get_all, module = "wayfold")]
 #[derive(Debug)]
 pub(crate) struct InsertedPoint {
-    pub(crate) id: u64,
-    pub(crate) neighbors: Py<SearchResult>,
+    id: u64,
+    neighbors: Py<SearchResult>,
+}
+
+impl InsertedPoint {
+    pub(crate) fn of(py: Python<'_>, inserted: &wayfold::InsertedPoint) -> PyResult<InsertedPoint> {
+        let found = &inserted.neighbors;
+        let neighbors = SearchResult::of(py, &found.neighbors, found.read_revision.0);
+        Ok(InsertedPoint {
+            id: inserted.id,
+            neighbors: Py::new(py, neighbors)?,
+        })
+    }
 }
 
 /// One stored point.

@@ -27,6 +27,8 @@ def test_points_change() -> None:
     with pytest.raises(wayfold.AlreadyExists):
         index.insert([0.0, 0.0], id=40)
     assert index.payload(40) == b"far" and index.payload(1) == b"" and index.payload(7) is None
+    assert index.payloads([40, 1, 7]) == [b"far", b"", None] and index.payloads([]) == []
+    assert index.payloads(index.scan().columns()[0]) == [b"origin", b"", b"far", b""]
     assert index.replace(40, [4.0, 0.0]) and not index.replace(7, [0.0, 0.0])
     assert index.payload(40) == b""
     assert index.set_tag(40, 2**64 - 1) and index.set_payload(40, b"x") and not index.set_tag(7, 1)
@@ -56,6 +58,10 @@ def test_searches() -> None:
     assert index.search([0.0, 0.0], wayfold.Search(k_factor=wayfold.Scaling.K_FACTOR)).ids.tolist() == [0, 1, 40]
     many = index.search_many([[0, 0], [5, 0]], wayfold.Search(1))
     assert [ids.tolist() for ids, _ in many] == [[0], [40]]
+    each = index.search_each([[0, 0], [5, 0]], [wayfold.Search(2), wayfold.Search(radius=0.5)])
+    assert [(ids.tolist(), distances.tolist()) for ids, distances in each] == [([0, 1], [0.0, 1.0]), ([40], [0.0])]
+    with pytest.raises(ValueError, match="searches: 1 of them for 2 states"):
+        index.search_each([[0, 0], [5, 0]], [wayfold.Search(1)])
     with pytest.raises(ValueError, match="k, k_factor or radius"):
         wayfold.Search()
 
@@ -75,6 +81,7 @@ def test_an_answer_says_what_it_has_seen() -> None:
 def test_other_forms_methods_do_nothing_in_memory() -> None:
     with plane() as index:
         index.flush()
+        index.flush_within(0.0)
         assert index.pending() == 0 and index.status() is None and index.take_unsent() == []
         assert index.meanwhile().answers == [] and index.wait_meanwhile(0.0).open == 0
         assert index.close() == [] and index.form == "memory"

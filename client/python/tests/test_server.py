@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import wayfold
-from conftest import Server
+from conftest import Server, serving
 
 # The longest time until a write of one process is seen by another.
 MAX_WAIT_S = 30.0
@@ -46,6 +46,11 @@ def test_all_forms_answer_alike(server: Server) -> None:
             assert balls.tolist() == memory.query_ball_point(queries, radius).tolist()
         _, _, rows = index.scan().columns()
         np.testing.assert_array_equal(rows, memory.scan().columns()[2])
+    searches = [wayfold.Search(k) for k in range(1, len(queries) + 1)]
+    for ours, theirs in zip(memory.search_each(queries, searches), shared.search_each(queries, searches), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    with pytest.raises(ValueError, match="searches: "):
+        remote.search_each(queries, searches)
     assert shared.close() == []
 
 
@@ -61,6 +66,8 @@ def test_two_shared_indices_and_a_remote_one(server: Server) -> None:
         answers = first.wait_meanwhile(MAX_WAIT_S)
         assert [answer.id for answer in answers.answers] == [inserted.id]
         assert second.payload(inserted.id) == b"edges" == remote.payload(inserted.id)
+        for index in (first, second, remote):
+            assert index.payloads([inserted.id, inserted.id + 1]) == [b"edges", None]
         changes = second.changes(0)
         assert changes is None or [point.tag for point in changes.stored] == [3]
         assert remote.remove(inserted.id)
@@ -71,6 +78,20 @@ def test_two_shared_indices_and_a_remote_one(server: Server) -> None:
             first.clear()
     with pytest.raises(wayfold.Error, match="closed"):
         first.insert([0.0, 0.0])
+
+
+def test_a_flush_waits_as_long_as_it_is_told() -> None:
+    with serving({}) as server:
+        index = wayfold.shared(server.url, "flushed", create="R2")
+        index.insert([0.0, 0.0])
+        index.flush_within(MAX_WAIT_S)
+        assert index.pending() == 0
+    index.insert([1.0, 1.0])
+    with pytest.raises(wayfold.Timeout):
+        index.flush_within(0.01)
+    assert [write.kind for write in index.close(0.0)] == ["put"]
+    with pytest.raises(ValueError, match="timeout: -1"):
+        index.flush_within(-1.0)
 
 
 def test_errors_have_classes(server: Server) -> None:

@@ -6,7 +6,7 @@ use client::{Credentials, Index, PayloadEncoding};
 
 use super::{
     index::WayfoldIndex,
-    pointers::{give, index_of, parse_space, put, text},
+    pointers::{give, index_of, null, parse_space, put, text},
 };
 use crate::{
     code::Code,
@@ -168,7 +168,7 @@ impl<'a> Settings<'a> {
     unsafe fn read(server: *const WayfoldServer) -> Result<Settings<'a>, Failure> {
         // SAFETY: the caller's promise.
         let server = unsafe { server.as_ref() };
-        let server = server.ok_or_else(|| Failure::argument("server", "a null pointer"))?;
+        let server = server.ok_or_else(|| null("server"))?;
         let mut settings = Settings {
             // SAFETY: the caller's promise.
             uri: unsafe { text(server.uri, "uri") }?,

@@ -223,6 +223,8 @@ class Index:
         """The point with this id."""
     def payload(self, id: int) -> bytes | None:
         """The payload of a point: empty if it has none, None if there is no such point."""
+    def payloads(self, ids: Sequence[int] | _Ids | _UnsignedIds) -> list[bytes | None]:
+        """The payloads of points, each id once, in their order: empty without one, None if there is no such point."""
     def nearest(self, state: _States) -> Neighbor | None:
         """The nearest point; None if there are no points."""
     def nearest_k(self, state: _States, k: int) -> SearchResult:
@@ -233,6 +235,8 @@ class Index:
         """Answers any search."""
     def search_many(self, states: _States, search: Search) -> list[tuple[_Ids, _Floats]]:
         """Answers a search of many states, which see the same points: ids and distances of each."""
+    def search_each(self, states: _States, searches: Sequence[Search]) -> list[tuple[_Ids, _Floats]]:
+        """Answers a search for each of many states, which see the same points. A remote index takes only one search."""
     def scan(self) -> StoredPoints:
         """All points as they are now, by ascending id."""
     def changes(self, since: int) -> Changes | None:
@@ -272,6 +276,8 @@ class Index:
         """
     def flush(self) -> None:
         """Waits until the server has acknowledged every write before this call. At once for the other forms."""
+    def flush_within(self, timeout: float) -> None:
+        """Acts like `flush`, but waits at most `timeout` seconds instead of the index's own timeout."""
     def pending(self) -> int:
         """The number of writes that the server has not acknowledged; 0 for the other forms."""
     def status(self) -> ConnectionStatus | None:

@@ -1,17 +1,30 @@
 //! The calls behind the methods of `Index`: states as rows, and calls without the interpreter's lock.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::{
+    slice::ChunksExact,
+    sync::atomic::{AtomicU64, Ordering},
+};
 
+use numpy::PyArray1;
 use pyo3::prelude::*;
-use wayfold::Error;
+use wayfold::{Error, InsertOptions, Neighbor};
 
 use super::{Form, Index};
 use crate::{
     error::OrRaise,
-    points::SearchResult,
+    points::{SearchResult, columns},
     rows::{Rows, one_state, rows},
     space::names,
 };
+
+/// The neighbours of one state.
+pub(super) type IdsAndDistances<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
+
+pub(super) fn options(id: Option<u64>, tag: u64, payload: Option<&[u8]>) -> InsertOptions<'_> {
+    let options = InsertOptions::new().tag(tag);
+    let options = id.map_or(options, |id| options.id(id));
+    options.payload(payload.unwrap_or_default())
+}
 
 impl Index {
     pub(crate) fn of(py: Python<'_>, index: wayfold::Index, form: Form) -> PyResult<Index> {
@@ -41,6 +54,18 @@ impl Index {
 
     pub(crate) fn rows(&self, states: &Bound<'_, PyAny>) -> PyResult<Rows> {
         rows(states, self.index.space(), self.names.bind(states.py()))
+    }
+
+    /// Stores a state.
+    pub(super) fn inserted(
+        &self,
+        state: &Bound<'_, PyAny>,
+        options: InsertOptions<'_>,
+    ) -> PyResult<wayfold::InsertedPoint> {
+        let row = self.one(state)?;
+        let inserted = self.call(state.py(), |index| index.insert_with(&row[..], options))?;
+        self.gave(inserted.id);
+        Ok(inserted)
     }
 
     pub(super) fn gave(&self, id: u64) {
@@ -78,5 +103,18 @@ impl Index {
             &found.neighbors,
             found.read_revision.0,
         ))
+    }
+
+    /// Searches for the neighbours of many states.
+    pub(super) fn found_many<'py>(
+        &self,
+        states: &Bound<'py, PyAny>,
+        search: impl FnOnce(&wayfold::Index, ChunksExact<'_, f64>) -> Result<Vec<Vec<Neighbor>>, Error>
+        + Send,
+    ) -> PyResult<Vec<IdsAndDistances<'py>>> {
+        let (py, rows) = (states.py(), self.rows(states)?);
+        let rows = rows.numbers.chunks_exact(self.index.space().coordinates());
+        let found = self.call(py, |index| search(index, rows))?;
+        Ok(found.iter().map(|found| columns(py, found)).collect())
     }
 }
