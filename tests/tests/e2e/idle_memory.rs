@@ -1,9 +1,10 @@
-//! A server at rest gives memory back: that of its merges, and that of levels which no reader sees any more.
+//! A server at rest gives memory back: that of its merges, that of levels which no reader sees any more, and that of
+//! stored points which were overwritten beside an idle index.
 
 use std::{process::Command, time::Duration};
 
 use tokio::time::{interval, timeout};
-use wayfold_proto::v1::InsertRequest;
+use wayfold_proto::v1::{InsertRequest, OnConflict};
 use wayfold_tests::{Process, ServerProcess, States, Stubs, figures::resident_bytes, row_states};
 
 const WIDTH: usize = 32;
@@ -46,6 +47,53 @@ async fn a_server_at_rest_takes_little_more_than_its_points() {
             let trees = stubs.describe("arm").await.memory_bytes;
             println!("{taken} bytes, {trees} of trees, {stored} of stored points");
             if taken <= trees + stored + MAX_OTHER_BYTES {
+                break;
+            }
+        }
+    };
+    timeout(MAX_WAIT, shrinking).await.unwrap();
+}
+
+/// The inserts beside an idle index. Each replaces the payloads of the same points.
+const INSERTS: u8 = 192;
+const POINTS: u64 = 32;
+const PAYLOAD_BYTES: usize = 64 * 1024;
+/// The inserts write 384 MiB. An old view of the idle index would keep nearly all of them in memory.
+const MAX_BESIDE_IDLE_BYTES: u64 = 192 * 1024 * 1024;
+
+#[tokio::test]
+async fn an_idle_index_keeps_no_overwritten_payloads_in_memory() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command
+        .args(["--grpc", "127.0.0.1:0", "--data"])
+        .arg(directory.path())
+        .env("WAYFOLD_INDEX__WINDOW_BYTES", "1");
+    let server = ServerProcess::ready(Process::spawn(&mut command));
+    let process = server.process().id();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("idle", "R1").await;
+    stubs.create("arm", "R1").await;
+    let before = resident_bytes(process).unwrap();
+    let ids: Vec<u64> = (0..POINTS).collect();
+    for insert in 0..INSERTS {
+        let request = InsertRequest {
+            index_name: "arm".into(),
+            states: Some(row_states(&vec![0.5; ids.len()], 1)),
+            ids: ids.clone(),
+            payloads: vec![vec![insert; PAYLOAD_BYTES].into(); ids.len()],
+            on_conflict: OnConflict::Replace.into(),
+            ..Default::default()
+        };
+        stubs.insert(request).await;
+    }
+    let mut looks = interval(Duration::from_millis(50));
+    let shrinking = async {
+        loop {
+            looks.tick().await;
+            let taken = resident_bytes(process).unwrap().saturating_sub(before);
+            println!("{} MiB", taken >> 20);
+            if taken <= MAX_BESIDE_IDLE_BYTES {
                 break;
             }
         }
