@@ -1,6 +1,6 @@
 """The tables of docs/cpp.md."""
 
-from saved import of, table
+from saved import FIGURES, of, read, table
 
 # GNAT / Wayfold, by planner and space, and by k.
 PLANNER_AIMS = {
@@ -8,6 +8,12 @@ PLANNER_AIMS = {
     ("RRT*", "se2"): 1.8, ("RRT*", "se3"): 1.2,
 }
 SEARCH_AIMS = {100: 8, 1_000: 5, 10_000: 3}
+
+
+# The files of the same figures on other processors.
+OTHERS = sorted(path.stem for path in FIGURES.glob("cpp-*.json"))
+FILES = ["cpp", *OTHERS]
+ON_OTHERS = ["GNAT / Wayfold, {processor}".format(**read(name)) for name in OTHERS]
 
 
 def measured(value, is_met, shown=None):
@@ -22,25 +28,27 @@ def spread(got, aim):
 
 def planners():
     rows = []
-    for row in of("cpp")["planners"]:
+    for at, row in enumerate(of("cpp")["planners"]):
         shipped, bare = row["shipped"], row["bare"]
         aim = PLANNER_AIMS[row["planner"], row["space"]]
         name = row["planner"].replace("*", "\\*")
         times = (f"{shipped[structure]:.3f} s" for structure in ("gnat_s", "wayfold_s", "replay_s"))
         rows.append([f"{name}, {row['space'].upper()}, {row['vertices']:,}", *times, f"≥ {aim}", spread(shipped, aim),
-                     f"{shipped['ceiling']:.1f}", spread(bare, aim), f"{bare['ceiling']:.1f}"])
+                     f"{shipped['ceiling']:.1f}", spread(bare, aim), f"{bare['ceiling']:.1f}",
+                     *(spread(of(name)["planners"][at]["shipped"], aim) for name in OTHERS)])
     header = ["planner, space, vertices", "GNAT", "Wayfold", "no search", "aim", "GNAT / Wayfold", "ceiling"]
-    return table(["cpp"], [*header, "bare: GNAT / Wayfold", "ceiling"], rows)
+    return table(FILES, [*header, "bare: GNAT / Wayfold", "ceiling", *ON_OTHERS], rows)
 
 
 def searches():
     rows = []
-    for row in of("cpp")["neighbors"]:
+    for at, row in enumerate(of("cpp")["neighbors"]):
         aim = SEARCH_AIMS[row["k"]]
         for variant in ("shipped", "bare"):
             times = (f"{1e6 * row[variant][structure]:,.0f} µs" for structure in ("gnat_s", "wayfold_s"))
-            rows.append([f"k = {row['k']:,} of {row['points']:,}, {variant}", *times, f"≥ {aim}", spread(row[variant], aim)])
-    return table(["cpp"], ["`nearestK` in SE3", "GNAT", "Wayfold", "aim", "GNAT / Wayfold"], rows)
+            rows.append([f"k = {row['k']:,} of {row['points']:,}, {variant}", *times, f"≥ {aim}", spread(row[variant], aim),
+                         *(spread(of(name)["neighbors"][at][variant], aim) for name in OTHERS)])
+    return table(FILES, ["`nearestK` in SE3", "GNAT", "Wayfold", "aim", "GNAT / Wayfold", *ON_OTHERS], rows)
 
 
 def microseconds(seconds):

@@ -41,6 +41,8 @@ pub struct RunTimes {
     pub check_s: f64,
     /// From the end of the run until the server had acknowledged every insert.
     pub flush_s: f64,
+    /// The part of the machine's processor time that was spent, by all processes; `None` if it was not measured.
+    pub busy_share: Option<f64>,
 }
 
 impl From<&Account> for RunTimes {
@@ -51,6 +53,7 @@ impl From<&Account> for RunTimes {
             insert_s: account.neighbors.inserting.as_secs_f64(),
             check_s: account.checking.as_secs_f64(),
             flush_s: account.flushing.as_secs_f64(),
+            busy_share: None,
         }
     }
 }
@@ -64,6 +67,7 @@ impl RunTimes {
             insert_s: times.waiting.as_secs_f64(),
             check_s: times.checking.as_secs_f64(),
             flush_s: flushed.saturating_sub(end).as_secs_f64(),
+            busy_share: None,
         }
     }
 }

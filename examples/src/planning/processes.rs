@@ -2,7 +2,7 @@
 //! lines of JSON on its output.
 
 use std::{
-    env,
+    env, fs,
     io::{self, BufRead, BufReader, Write},
     ops::Add,
     process::{Child, ChildStdin, Command, Stdio},
@@ -170,6 +170,8 @@ pub struct WorkersReport<A> {
     pub accounts: Vec<A>,
     /// The time from the common start to the end of the last worker, whose writes were acknowledged then.
     pub wall: Duration,
+    /// The part of the machine's processor time that all processes spent until then; `None` if the system does not tell.
+    pub busy_share: Option<f64>,
     /// The progress reports with their times.
     pub growth: Vec<WorkerProgress>,
     /// The killed worker, and the time.
@@ -235,13 +237,14 @@ pub fn run<J: Job>(
             (number, ..) => return Err(lost(number, "it ended before it was ready")),
         }
     }
-    let started = Instant::now();
+    let (started, before) = (Instant::now(), Ticks::now());
     for process in &mut processes {
         process.begin()?;
     }
     let mut workers_report = WorkersReport {
         accounts: vec![J::Account::default(); jobs.len()],
         wall: Duration::ZERO,
+        busy_share: None,
         growth: Vec::new(),
         killed: None,
         restarted: None,
@@ -284,6 +287,7 @@ pub fn run<J: Job>(
             None => return Err(lost(number, "it ended early; what it said is above")),
         };
         workers_report.wall = at;
+        workers_report.busy_share = Ticks::share_since(before);
         workers_report.accounts[number] = account;
         workers_report.growth.push(WorkerProgress {
             at,
@@ -292,6 +296,34 @@ pub fn run<J: Job>(
         });
     }
     Ok(workers_report)
+}
+
+/// The processor time of the machine since its start, in ticks.
+#[derive(Clone, Copy)]
+struct Ticks {
+    all: u64,
+    idle: u64,
+}
+
+impl Ticks {
+    /// None if the system does not tell: only Linux does.
+    fn now() -> Option<Ticks> {
+        // The times: user, nice, system, idle, waiting for a disk, interrupts, soft interrupts, stolen.
+        let stat = fs::read_to_string("/proc/stat").ok()?;
+        let numbers = stat.lines().next()?.split_whitespace().skip(1).take(8);
+        let ticks: Vec<u64> = numbers.map_while(|number| number.parse().ok()).collect();
+        Some(Ticks {
+            all: ticks.iter().sum(),
+            idle: ticks.get(3)? + ticks.get(4)?,
+        })
+    }
+
+    /// The part of the time since `before` that was not idle.
+    fn share_since(before: Option<Ticks>) -> Option<f64> {
+        let (before, now) = (before?, Ticks::now()?);
+        let all = now.all.saturating_sub(before.all).max(1);
+        Some(1.0 - now.idle.saturating_sub(before.idle) as f64 / all as f64)
+    }
 }
 
 /// A line of a worker, or its end, and the time of its arrival.

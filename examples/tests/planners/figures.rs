@@ -4,7 +4,7 @@ use std::{collections::BTreeSet, fs, process::Command};
 
 use serde_json::Value;
 
-const KEYS: [&str; 12] = [
+const KEYS: [&str; 13] = [
     "planner",
     "source",
     "workers",
@@ -15,6 +15,7 @@ const KEYS: [&str; 12] = [
     "insert_s",
     "check_s",
     "flush_s",
+    "busy_share",
     "checks",
     "path_lengths",
 ];

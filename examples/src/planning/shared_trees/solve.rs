@@ -49,11 +49,11 @@ impl SharedSolution {
 
     /// The account of its time.
     pub fn spent(&self) -> RunTimes {
-        RunTimes::by_workers(
-            self.workers_report.end(),
-            self.workers_report.wall,
-            self.sum().times,
-        )
+        let (end, wall) = (self.workers_report.end(), self.workers_report.wall);
+        RunTimes {
+            busy_share: self.workers_report.busy_share,
+            ..RunTimes::by_workers(end, wall, self.sum().times)
+        }
     }
 
     /// Its figures.
