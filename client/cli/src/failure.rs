@@ -36,7 +36,7 @@ pub(super) enum Failure {
     #[error("{problems}")]
     Disagreement { problems: String },
     #[error(
-        "{damaged} of {all} indices cannot be read; the list shows the cause and the remedy of each: \
+        "{damaged} of {all} indices are damaged; the list shows the cause and the remedy of each; if nothing else helps, \
          `wayfold delete NAME` frees a name for `wayfold restore NAME FILE`"
     )]
     Damaged { damaged: usize, all: usize },

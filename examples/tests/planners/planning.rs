@@ -270,7 +270,9 @@ fn a_comparison_tells_the_ratios_to_both_baselines() {
             insert_s,
             check_s,
             flush_s,
+            busy_share,
         } = row.spent;
+        assert_eq!(busy_share, None);
         assert!(search_s > 0.0 && insert_s > 0.0 && check_s > 0.0);
         assert!(search_s + insert_s + check_s <= total_s);
         assert!(flush_s < total_s);

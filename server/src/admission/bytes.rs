@@ -29,7 +29,12 @@ impl ByteBudget {
 
     /// Takes room for more bytes, until they are given back; false if there is not enough.
     pub(super) fn take(&self, bytes: usize) -> bool {
-        let add = |held: usize| held.checked_add(bytes).filter(|held| *held <= self.max);
+        self.take_within(self.max, bytes)
+    }
+
+    /// The same if at most `most` bytes are held then.
+    pub(super) fn take_within(&self, most: usize, bytes: usize) -> bool {
+        let add = |held: usize| held.checked_add(bytes).filter(|held| *held <= most);
         let taken = self.held.fetch_update(Relaxed, Relaxed, add).is_ok();
         if !taken {
             self.refuse();
@@ -60,10 +65,5 @@ impl ByteBudget {
     /// Gives back room that was taken.
     pub(super) fn release(&self, bytes: usize) {
         self.held.fetch_sub(bytes, Relaxed);
-    }
-
-    /// True if more is held than the bound allows.
-    pub(super) fn is_exceeded(&self) -> bool {
-        self.held.load(Relaxed) > self.max
     }
 }

@@ -38,7 +38,7 @@ pub(crate) const CALL_BYTES: usize = 8 * 1024;
 /// The interval of the lines about refused calls.
 const REPORT_INTERVAL: Duration = Duration::from_secs(10);
 
-/// A flow holds at most this part of all bytes, and so do all calls of administration.
+/// A flow holds at most this part of all bytes, and all calls of administration hold as much beside them.
 const SHARES: usize = 4;
 
 /// `[admission]`
@@ -52,16 +52,19 @@ pub struct AdmissionConfig {
     pub max_bytes: usize,
 }
 
+/// A flow holds little if it holds at most this part of all bytes, or two calls.
+const SMALL_PARTS: usize = 1024;
+
 /// See the module. Clones share it.
 #[derive(Clone, Debug)]
 pub(crate) struct Admission {
     turns: Arc<Turns>,
     all: Arc<ByteBudget>,
+    /// The bytes of administration: no other load takes them.
+    of_admin: Arc<ByteBudget>,
     /// The most bytes of one flow.
     share: usize,
     others: Arc<OtherRefusals>,
-    /// The flow of administration, whose bytes are its own: no load takes them.
-    admin: Arc<Flow>,
 }
 
 /// The calls that were refused for other reasons than turns and bytes.
@@ -81,8 +84,12 @@ pub(crate) struct Flow {
     number: FlowNumber,
     all: Arc<ByteBudget>,
     own: ByteBudget,
+    /// The flow of the same client's calls of administration; None if this is it.
+    admin: Option<Arc<Flow>>,
     /// The calls that have come.
     calls: AtomicU64,
+    /// Those that hold bytes.
+    under_way: AtomicUsize,
     opened: Instant,
     /// The last time that everything its client had sent was read, in nanoseconds since `opened`; [`UNKNOWN`] for
     /// links.
@@ -103,27 +110,21 @@ impl Admission {
         );
         let one_call = message_bytes.saturating_add(CALL_BYTES);
         let share = (config.max_bytes / SHARES).max(one_call);
-        let all = Arc::new(ByteBudget::new(config.max_bytes.max(one_call)));
-        let reserve = Arc::new(ByteBudget::new(all.max()));
-        let others = Arc::<OtherRefusals>::default();
-        let admin = Flow::new(Arc::clone(&turns), reserve, share, Arc::clone(&others));
+        // A flow that holds much has half of them at most.
+        let budget = |bytes: usize| Arc::new(ByteBudget::new(bytes.max(2 * one_call)));
         Self {
-            admin: Arc::new(admin),
             turns,
-            all,
+            all: budget(config.max_bytes),
+            of_admin: budget(config.max_bytes / SHARES),
             share,
-            others,
+            others: Arc::default(),
         }
     }
 
     /// A flow of its own.
     pub(crate) fn open(&self) -> Arc<Flow> {
-        Arc::new(Flow::new(
-            Arc::clone(&self.turns),
-            Arc::clone(&self.all),
-            self.share,
-            Arc::clone(&self.others),
-        ))
+        let admin = Flow::new(self, &self.of_admin, None);
+        Arc::new(Flow::new(self, &self.all, Some(Arc::new(admin))))
     }
 
     /// The refusal of a call that would wait for too long.
@@ -168,30 +169,32 @@ impl Admission {
             ("TOO_SLOW", self.others.slow.load(Relaxed)),
         ]
     }
-
-    /// The flow of the calls that an operator needs under load.
-    pub(crate) fn admin(&self) -> Arc<Flow> {
-        Arc::clone(&self.admin)
-    }
 }
 
 impl Flow {
-    fn new(
-        turns: Arc<Turns>,
-        all: Arc<ByteBudget>,
-        share: usize,
-        others: Arc<OtherRefusals>,
-    ) -> Self {
+    fn new(admission: &Admission, all: &Arc<ByteBudget>, admin: Option<Arc<Flow>>) -> Self {
         Self {
-            others,
-            number: turns.open(),
-            turns,
-            all,
-            own: ByteBudget::new(share),
+            others: Arc::clone(&admission.others),
+            number: admission.turns.open(),
+            turns: Arc::clone(&admission.turns),
+            all: Arc::clone(all),
+            own: ByteBudget::new(admission.share),
+            admin,
             calls: AtomicU64::new(0),
+            under_way: AtomicUsize::new(0),
             opened: Instant::now(),
             caught_up_ns: AtomicU64::new(UNKNOWN),
         }
+    }
+
+    /// The flow of the same client's calls of administration, which an operator needs under load.
+    pub(crate) fn admin(self: &Arc<Self>) -> &Arc<Self> {
+        self.admin.as_ref().unwrap_or(self)
+    }
+
+    /// The number of calls that hold bytes.
+    pub(crate) fn under_way(&self) -> usize {
+        self.under_way.load(Relaxed)
     }
 
     /// The number of calls that have come.
@@ -218,8 +221,19 @@ impl Flow {
         }
     }
 
+    /// The most bytes of all flows while this one holds `own`. Half of them are for flows that hold little, so that a few
+    /// greedy ones cannot take everything.
+    fn most_of_all(&self, own: usize) -> usize {
+        let max = self.all.max();
+        match own <= (max / SMALL_PARTS).max(2 * CALL_BYTES) {
+            true => max,
+            false => max / 2,
+        }
+    }
+
     /// Begins to count the bytes of a call.
     pub(crate) fn hold(self: &Arc<Self>) -> HeldBytes {
+        self.under_way.fetch_add(1, Relaxed);
         HeldBytes {
             flow: Arc::clone(self),
             held: AtomicUsize::new(0),
@@ -261,7 +275,8 @@ impl HeldBytes {
     #[must_use]
     pub(crate) fn take(&self, bytes: usize) -> bool {
         let Flow { all, own, .. } = &*self.flow;
-        if !all.take(bytes) {
+        let most = self.flow.most_of_all(own.held().saturating_add(bytes));
+        if !all.take_within(most, bytes) {
             return false;
         }
         if !own.take(bytes) {
@@ -287,9 +302,10 @@ impl HeldBytes {
         self.flow.all.release(bytes);
     }
 
-    /// False while the flow, or all flows together, hold more than they may: answers were not read.
+    /// False while the flow holds more than it may: answers were not read.
     pub(crate) fn has_room(&self) -> bool {
-        !self.flow.own.is_exceeded() && !self.flow.all.is_exceeded()
+        let Flow { all, own, .. } = &*self.flow;
+        own.held() <= own.max() && all.held() <= self.flow.most_of_all(own.held())
     }
 
     /// The flow of the call.
@@ -301,5 +317,6 @@ impl HeldBytes {
 impl Drop for HeldBytes {
     fn drop(&mut self) {
         self.release(self.held.load(Relaxed));
+        self.flow.under_way.fetch_sub(1, Relaxed);
     }
 }

@@ -336,14 +336,17 @@ impl CallsLayer {
         }
     }
 
-    /// The flow of a call: that of its connection, or that of an operator's short calls, which load does not close.
+    /// The flow of a call: that of its connection, or that of the connection's short calls of administration, which other load
+    /// does not close.
     fn flow(&self, rpc: &str, activity: Option<&Activity>) -> Arc<Flow> {
         let is_admin = rpc.starts_with("IndexService/")
             && !has_stream_of_answers(rpc)
             && !has_stream_of_requests(rpc);
-        match activity {
-            Some(activity) if !is_admin => Arc::clone(activity.flow()),
-            _ => self.shared.admission.admin(),
+        let flow =
+            activity.map_or_else(|| self.shared.admission.open(), |it| Arc::clone(it.flow()));
+        match is_admin {
+            true => Arc::clone(flow.admin()),
+            false => flow,
         }
     }
 }

@@ -185,7 +185,7 @@ impl State {
                 damaged += 1;
                 continue;
             };
-            match hosted.damage() {
+            match hosted.problem() {
                 Some(_) => damaged += 1,
                 None => serving += 1,
             }

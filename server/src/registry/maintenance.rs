@@ -4,7 +4,7 @@
 use std::{
     collections::BTreeSet,
     future::pending,
-    sync::{Arc, atomic::Ordering::Relaxed},
+    sync::Arc,
     time::{Duration, SystemTime},
 };
 
@@ -89,6 +89,12 @@ impl Registry {
             for hosted in self.hosted() {
                 if hosted.is_unsettled() {
                     self.resume_unsettled(&hosted).await;
+                }
+                if let Some(revision) = hosted.unnoted_contradiction() {
+                    let noting = Arc::clone(&hosted);
+                    let note = move || noting.note_contradiction(revision);
+                    // The join fails only if the task panicked; the panic hook has printed it.
+                    let _ = tokio::task::spawn_blocking(note).await;
                 }
                 hosted.merge_if_idle();
             }
@@ -183,12 +189,6 @@ impl Registry {
         }
         for entry in &entries {
             let state = state_of(states.get(&entry.name), entry);
-            if let IndexState::Hosted(hosted) = &state
-                && hosted.contradiction().is_some()
-            {
-                // The next mutation asks again, and finds the contradiction.
-                hosted.first_write.compared.store(0, Relaxed);
-            }
             self.change(|indexes| indexes.insert(entry.name.clone(), state));
         }
         self.add_lost();

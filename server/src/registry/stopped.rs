@@ -67,7 +67,7 @@ impl Registry {
             let (uid, name) = (state.uid(), name.clone());
             Some(match state {
                 IndexState::Hosted(hosted) => {
-                    hosted.closed().filter(is_damage)?;
+                    hosted.damage()?;
                     let position = hosted.published().view.position();
                     // The records of a server that has some may be the ones that the operator chooses.
                     let is_noted = position.revision > 0 && hosted.contradiction().is_some();
@@ -98,7 +98,7 @@ impl Registry {
     pub fn has_damage(&self) -> bool {
         let indexes = self.indexes.read();
         let is_damaged = |state: &IndexState| match state {
-            IndexState::Hosted(hosted) => hosted.damage().is_some(),
+            IndexState::Hosted(hosted) => hosted.problem().is_some(),
             IndexState::Damaged(..) => true,
         };
         indexes.values().any(is_damaged)
@@ -145,10 +145,14 @@ impl Registry {
 }
 
 impl Hosted {
-    /// The damage of its journal, after which nothing is written here: reads go on at the published revision.
+    /// The damage of its journal, after which no record is applied: reads go on at the published revision.
     pub(crate) fn damage(&self) -> Option<RegistryError> {
-        let closed = self.closed().filter(is_damage);
-        closed.or_else(|| self.contradiction())
+        self.closed().filter(is_damage)
+    }
+
+    /// The reason for which nothing is written: a contradiction that any server has found, or the damage of the journal.
+    pub(crate) fn problem(&self) -> Option<RegistryError> {
+        self.contradiction().or_else(|| self.damage())
     }
 
     /// A contradiction that any server has found: nothing is written until the index has another uid.
@@ -161,11 +165,23 @@ impl Hosted {
     /// The error of an index of which `member` has applied another record of this revision, once all servers know of it.
     /// Blocks.
     pub(crate) fn contradicted(&self, revision: u64, member: &str) -> RegistryError {
+        let why = contradiction(self.uid(), revision, member);
+        error!(index = self.name(), error = %why, "two servers contradict each other");
         self.note_contradiction(revision);
-        contradiction(self.uid(), revision, member)
+        why
     }
 
-    fn note_contradiction(&self, revision: u64) {
+    /// The revision of a contradiction that closed the index, and that the other servers do not know.
+    pub(super) fn unnoted_contradiction(&self) -> Option<u64> {
+        match self.closed() {
+            Some(RegistryError::Log(LogError::Contradicted { revision, .. })) => {
+                self.contradiction().is_none().then_some(revision)
+            }
+            _ => None,
+        }
+    }
+
+    pub(super) fn note_contradiction(&self, revision: u64) {
         let catalogue = &self.host.log.catalogue;
         if let Err(error) = catalogue.note_contradiction(self.uid(), revision) {
             warn!(index = self.name(), %error, "the other servers do not know of a contradiction yet");

@@ -39,8 +39,10 @@ impl Service {
         let Some((owners, peers)) = self.inner.owners.get().zip(self.inner.peers.get()) else {
             return Ok(());
         };
-        let first_write = hosted.first_write();
-        if first_write.compared.load(Relaxed) == owners.changes() || !hosted.follows() {
+        if let Some(why) = hosted.contradiction() {
+            return Err(registry_error(hosted.name(), why));
+        }
+        if self.is_compared(hosted) || !hosted.follows() {
             return Ok(());
         }
         let (owners, peers) = (Arc::clone(owners), Arc::clone(peers));
@@ -51,6 +53,16 @@ impl Service {
             Err(Error::Internal {
                 what: "the task that asks the other servers for their records panicked".into(),
             })
+        })
+    }
+
+    /// True if the members have not changed since their records were compared with those of this server, and no server has found
+    /// a contradiction.
+    pub(super) fn is_compared(&self, hosted: &Hosted) -> bool {
+        let owners = self.inner.owners.get();
+        owners.is_none_or(|owners| {
+            let compared = hosted.first_write().compared.load(Relaxed);
+            compared == owners.changes() && hosted.contradiction().is_none()
         })
     }
 }
@@ -90,11 +102,8 @@ async fn compare_in_turn(
     Ok(())
 }
 
-/// Compares the records of an index with those of all members that answer. A contradiction that was found once stays.
+/// Compares the records of an index with those of all members that answer.
 async fn compare(peers: &dyn Peers, hosted: &Arc<Hosted>) -> Result<(), Error> {
-    if let Some(why) = hosted.contradiction() {
-        return Err(registry_error(hosted.name(), why));
-    }
     let own = hosted.published().view.position();
     let members = peers.peers(hosted.uid());
     let asking = members.iter().map(|member| ask(peers, member, hosted, own));

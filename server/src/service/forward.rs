@@ -132,6 +132,10 @@ impl Service {
         request: &R,
     ) -> Option<Result<R::Answer, Error>> {
         let owners = self.inner.owners.get().filter(|_| !call.is_forwarded)?;
+        if hosted.contradiction().is_some() {
+            // Every server refuses the call with the reason.
+            return None;
+        }
         let owner = owners.owner(hosted.uid())?;
         let request_bytes = request.encode_to_vec().into();
         let answered = owners.forward(&owner, R::RPC, call, request_bytes);

@@ -33,7 +33,7 @@ pub struct Listing {
     pub next_page_token: String,
 }
 
-/// An index that cannot be read.
+/// An index that cannot be read, or not written.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Damaged {
     /// Its name.
@@ -172,7 +172,7 @@ impl Service {
             };
             let (name, entry) = match listed {
                 IndexEntry::Hosted(hosted) => {
-                    let entry = match hosted.damage() {
+                    let entry = match hosted.problem() {
                         Some(why) => Err(damaged(hosted.name(), hosted.uid(), why)),
                         None => Ok(describe(&hosted, &hosted.published())),
                     };

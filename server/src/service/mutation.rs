@@ -126,9 +126,9 @@ impl Service {
         hosted: &Arc<Hosted>,
         key: Option<&IdempotencyKey>,
     ) -> Result<Start<R>, Error> {
-        self.may_write(call, hosted).await?;
         let mut is_caught_up = false;
         loop {
+            self.may_write(call, hosted).await?;
             let writer = call
                 .bound(
                     "while waiting for other mutations of the index",
@@ -136,6 +136,10 @@ impl Service {
                 )
                 .await?
                 .map_err(|error| registry_error(hosted.name(), error))?;
+            if !self.is_compared(hosted) {
+                // The members changed while this call waited for others.
+                continue;
+            }
             let recalled = match recalled(hosted, &writer, key) {
                 // The records that this server lacks, or those that the journal has not accepted, may make it right.
                 Err(Error::SessionRefused { .. }) if !is_caught_up => {

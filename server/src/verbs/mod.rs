@@ -13,6 +13,6 @@ pub(crate) use codec::{Form, invalid};
 pub(crate) use dispatch::dispatch;
 pub(crate) use message::Named;
 pub(crate) use request::Request;
-pub(crate) use verb::Target;
 #[cfg(test)]
-pub(crate) use verb::{IndexVerb, PointVerb, Verb};
+pub(crate) use verb::{IndexVerb, PointVerb};
+pub(crate) use verb::{Target, Verb};

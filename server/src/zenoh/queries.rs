@@ -33,7 +33,7 @@ use crate::{
     observe::{CallRecord, Ending, Times},
     service::{Call, Error, Peer, Unavailability},
     status::{self, Status},
-    verbs::{Form, Request, Target, dispatch},
+    verbs::{Form, Request, Target, Verb, dispatch},
 };
 
 const MAX_MESSAGE_BYTES: &str = "zenoh.max_message_bytes";
@@ -81,20 +81,31 @@ impl Queries {
             let status = status::from_error(&Error::Unavailable { why });
             return self.refuse(query, form, under_way, status);
         }
-        let Ok(place) = Arc::clone(&self.places).try_acquire_owned() else {
+        let target = Target::of(&self.prefix, query.key_expr().as_str());
+        let verb = target.ok().map(|target| target.verb);
+        let mut flow = self.flows.of_reader();
+        if verb.is_some_and(|verb| matches!(verb, Verb::OfServer(_))) {
+            flow = Arc::clone(flow.admin());
+        }
+        // A link has no more places than it leaves to the others.
+        let is_greedy = flow.under_way() > self.places.available_permits();
+        let place = Arc::clone(&self.places).try_acquire_owned();
+        let Some(place) = place.ok().filter(|_| !is_greedy) else {
             self.shared.admission.count_excess();
-            let status =
-                status::too_many_calls("zenoh.max_calls", self.max_calls, "try again later");
+            let advice = match is_greedy {
+                true => "wait for some of the answers to this link, or try again later",
+                false => "try again later",
+            };
+            let status = status::too_many_calls("zenoh.max_calls", self.max_calls, advice);
             return self.refuse(query, form, under_way, status);
         };
-        let flow = self.flows.of_reader();
         let held = flow.hold();
         let bytes = query.payload().map_or(0, |payload| payload.len());
         if !held.take(bytes.saturating_add(CALL_BYTES)) {
             let status = status::too_many_bytes(flow.max_bytes());
             return self.refuse(query, form, under_way, status);
         }
-        let is_short = self.is_short(&query);
+        let is_short = bytes <= inline::MAX_BYTES && verb.is_some_and(Verb::is_search);
         let mut turns = flow.turns();
         // A short search waits for its link, and must not have a turn meanwhile.
         if !is_short && let Err(late) = turns.request() {
@@ -150,13 +161,6 @@ impl Queries {
             // Blocks the link of a caller that does not read its refusals.
             refused.send();
         }
-    }
-
-    /// True for a search whose request is small enough to parse in no time.
-    fn is_short(&self, query: &Query) -> bool {
-        let bytes = query.payload().map_or(0, |payload| payload.len());
-        let target = Target::of(&self.prefix, query.key_expr().as_str());
-        bytes <= inline::MAX_BYTES && target.is_ok_and(|target| target.verb.is_search())
     }
 
     async fn answer(self: Arc<Self>, accepted: Accepted) -> Response {

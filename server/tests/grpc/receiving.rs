@@ -81,8 +81,8 @@ async fn half_sent_requests_of_a_connection_hold_its_share_at_most() {
 async fn half_sent_requests_of_all_connections_hold_the_bytes_of_the_server_at_most() {
     let server = small_server().await;
     let (mut answers, mut held) = (FuturesUnordered::new(), Vec::new());
-    // Twelve times 88 kB are less than 1.1 MB.
-    for _ in 0..13 {
+    // Six times 88 kB are less than half of 1.1 MB, and the other half is for connections that hold little.
+    for _ in 0..7 {
         let mut connection = Connection::open(server.address).await;
         let (answer, body) = half_send(&mut connection).await;
         answers.push(answer);
@@ -94,6 +94,34 @@ async fn half_sent_requests_of_all_connections_hold_the_bytes_of_the_server_at_m
     let whole = insert("line", &[0.0; 10_000]);
     while let Err(status) = server.points().insert(whole.clone()).await {
         expect_too_many(&status);
+    }
+    server.stop().await.unwrap().unwrap();
+}
+
+/// Calls of headers alone on six connections would hold all bytes, of calls on points or of those on indices.
+#[tokio::test]
+async fn greedy_connections_leave_room_for_others() {
+    let server = small_server().await;
+    for (rpc, index) in [
+        ("PointService/Insert", "first"),
+        ("IndexService/CreateIndex", "second"),
+    ] {
+        let (mut connections, mut bodies) = (Vec::new(), Vec::new());
+        for _ in 0..6 {
+            let mut connection = Connection::open(server.address).await;
+            let answers = FuturesUnordered::new();
+            for _ in 0..32 {
+                let request = connection.request(rpc);
+                let (answer, body) = connection.begin(request).await.unwrap();
+                answers.push(async { status(answer).await.unwrap() });
+                bodies.push(body);
+            }
+            connections.push((connection, answers));
+        }
+        let (_, answers) = connections.last_mut().unwrap();
+        expect_too_many(&answers.next().await.unwrap());
+        server.points().knn(knn("line", &[0.0], 1)).await.unwrap();
+        server.create_line(index).await;
     }
     server.stop().await.unwrap().unwrap();
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use futures_util::future::join_all;
+use futures_util::{StreamExt, future::join_all, stream::FuturesUnordered};
 use prost::Message;
 use serde_json::{Value, json};
 use wayfold_proto::v1;
@@ -228,6 +228,37 @@ async fn calls_beyond_the_limit_are_refused() {
     assert_eq!(reply.unwrap()["points"]["states"], json!([[1.0, 2.0]]));
     let free = async { while robot.json("arm/info", Value::Null).await.is_err() {} };
     tokio::time::timeout(MAX_WAIT, free).await.unwrap();
+}
+
+/// A link has no more places than it leaves to the others.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn calls_of_one_link_leave_places_to_another() {
+    let (server, locator) = server_with(&[], &[("WAYFOLD_ZENOH__MAX_CALLS", "4")]);
+    let (greedy, other) = (
+        Robot::connect(&locator).await,
+        Robot::connect(&locator).await,
+    );
+    let mut stubs = wayfold_tests::Stubs::connect(server.uri()).await;
+    stubs.create("arm", "R2").await;
+    let uid = stubs.describe("arm").await.revision.unwrap().uid;
+    // They wait until the insert below takes effect.
+    let at = json!({ "uid": uid, "number": 1 });
+    let at = json!({ "ids": [0], "min_revision": at });
+    let waiting = (0..4).map(|_| greedy.json("arm/get?timeout_ms=60000", at.clone()));
+    let mut waiting: FuturesUnordered<_> = waiting.collect();
+    let refused = waiting.next().await.unwrap().unwrap_err();
+    assert_eq!(reason(&refused), (8, "TOO_MANY_CALLS"));
+    assert!(refused.to_string().contains("this link"), "{refused}");
+    other.json("arm/info", Value::Null).await.unwrap();
+    let request = v1::InsertRequest {
+        index_name: "arm".into(),
+        states: Some(wayfold_tests::row_states(&[1.0, 2.0], 2)),
+        ..Default::default()
+    };
+    stubs.insert(request).await;
+    while let Some(reply) = waiting.next().await {
+        reply.unwrap();
+    }
 }
 
 /// Each is refused with a message, and the server goes on answering others.

@@ -135,10 +135,7 @@ pub(crate) async fn list(context: &mut Context) -> Result<(), Failure> {
         print_table(&indexes, output)?;
     }
     for index in &damaged {
-        output.text(format_args!(
-            "{} cannot be read: {}",
-            index.name, index.error
-        ))?;
+        output.text(format_args!("{} is damaged: {}", index.name, index.error))?;
     }
     check(indexes.len(), damaged.len())
 }

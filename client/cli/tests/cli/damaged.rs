@@ -104,7 +104,7 @@ async fn an_index_that_cannot_be_read_is_listed_and_can_be_deleted() {
     );
     assert_eq!(
         rows[3..],
-        [format!("leg cannot be read: {message} (DATA_LOSS)")]
+        [format!("leg is damaged: {message} (DATA_LOSS)")]
     );
 
     let deleted = server.json(&["delete", "leg"]).line();

@@ -98,7 +98,8 @@ async fn an_answer_is_counted_from_the_time_it_is_made() {
     // More than a flow may hold.
     const BYTES: usize = 1 << 28;
     let (shared, under_way) = (shared(), TaskTracker::new());
-    let has_room = || shared.admission.admin().hold().has_room();
+    let (max, other) = (shared.admission.bytes().1 as usize, shared.admission.open());
+    let has_room = || other.hold().take(max / 8);
     assert!(has_room());
     let answer = call(&shared, &under_way, || {
         Response::new(Body::new(Full::new(Bytes::from(vec![0; BYTES]))))

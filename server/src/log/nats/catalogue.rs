@@ -41,7 +41,6 @@ const SET_TIME: Duration = Duration::from_secs(5);
 
 /// A key's value: the index of a name, and those that had it before.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 struct CatalogueValue {
     name: String,
     /// The uid and [`Entry::content`]; None if the index was deleted.
@@ -141,8 +140,62 @@ impl NatsCatalogue {
     /// The value that names an index and its revision, as far as this server knows.
     fn named(&self, uid: Uid) -> Option<(CatalogueValue, u64)> {
         let known = self.known.borrow();
-        let found = known.values().find(|(named, _)| named.is(uid));
-        found.cloned()
+        known.values().find(|(named, _)| named.is(uid)).cloned()
+    }
+
+    /// Changes the entry of an index, again as long as other changes come first and it is still there.
+    fn until_unchanged(
+        &self,
+        uid: Option<Uid>,
+        change: impl Fn() -> Result<(), LogError>,
+    ) -> Result<(), LogError> {
+        let is_there = || uid.is_some_and(|uid| self.named(uid).is_some());
+        for _ in 1..MAX_ATTEMPTS {
+            match change() {
+                Err(LogError::NameTaken { .. }) if is_there() => {}
+                changed => return changed,
+            }
+        }
+        change()
+    }
+
+    fn claim_once(&self, entry: &Entry, replaced: Option<Uid>) -> Result<(), LogError> {
+        let before = self.known.borrow().get(&entry.name).cloned();
+        let (mut deleted, revision) = match before {
+            // The index that has the name may be newer than the one that is to be replaced.
+            Some((named, _))
+                if named.index.is_some() && !replaced.is_some_and(|it| named.is(it)) =>
+            {
+                return Err(LogError::NameTaken { name: named.name });
+            }
+            Some((mut named, revision)) => {
+                let index = named.index.take();
+                named.deleted.extend(index.map(|(uid, _)| uid));
+                (named.deleted, revision)
+            }
+            None => (Vec::new(), 0),
+        };
+        let replaced = replaced.map(|uid| uid.to_string());
+        deleted.extend(replaced.filter(|uid| !deleted.contains(uid)));
+        let unanswered = self.unanswered.lock().get(&entry.name).cloned();
+        deleted.extend(unanswered.unwrap_or_default());
+        let named = CatalogueValue {
+            name: entry.name.clone(),
+            index: Some((entry.uid.to_string(), entry.content())),
+            deleted: newest(deleted),
+            contradicted: None,
+        };
+        let claimed = self.runtime.block_on(self.set(named, revision));
+        let mut unanswered = self.unanswered.lock();
+        match &claimed {
+            Ok(()) => drop(unanswered.remove(&entry.name)),
+            Err(LogError::NameTaken { .. }) => {}
+            Err(_) => {
+                let uids = unanswered.entry(entry.name.clone()).or_default();
+                uids.push(entry.uid.to_string());
+            }
+        }
+        claimed
     }
 
     /// The value of a name and its revision, of the bucket's leader.
@@ -187,20 +240,15 @@ impl Catalogue for NatsCatalogue {
             let Some((uid, content)) = &named.index else {
                 continue;
             };
-            let uid = uid.parse().ok();
-            let entry = uid.and_then(|uid| Entry::of(uid, named.name.clone(), content));
-            let Some(entry) = entry else {
-                warn!(
-                    ?named,
-                    "this version cannot read an index of the catalogue in NATS"
-                );
+            let of = |uid| Entry::of(uid, named.name.clone(), content);
+            let Some(entry) = uid.parse().ok().and_then(of) else {
+                warn!(?named, "this version cannot read an index of NATS");
                 continue;
             };
-            let uid = entry.uid;
             if !stored.contains(&entry.uid)
                 && let Err(error) = self.local.create(entry.clone())
             {
-                warn!(index = entry.name, %uid, %error, "cannot create an index of another server here");
+                warn!(index = entry.name, uid = %entry.uid, %error, "cannot create an index of another server here");
             }
             entries.push(entry);
         }
@@ -217,58 +265,24 @@ impl Catalogue for NatsCatalogue {
     }
 
     fn claim(&self, entry: &Entry, replaced: Option<Uid>) -> Result<(), LogError> {
-        let before = self.known.borrow().get(&entry.name).cloned();
-        let (mut deleted, revision) = match before {
-            // The index that has the name may be newer than the one that is to be replaced.
-            Some((named, _))
-                if named.index.is_some() && !replaced.is_some_and(|it| named.is(it)) =>
-            {
-                return Err(LogError::NameTaken { name: named.name });
-            }
-            Some((mut named, revision)) => {
-                let index = named.index.take();
-                named.deleted.extend(index.map(|(uid, _)| uid));
-                (named.deleted, revision)
-            }
-            None => (Vec::new(), 0),
-        };
-        let replaced = replaced.map(|uid| uid.to_string());
-        deleted.extend(replaced.filter(|uid| !deleted.contains(uid)));
-        let unanswered = self.unanswered.lock().get(&entry.name).cloned();
-        deleted.extend(unanswered.unwrap_or_default());
-        let named = CatalogueValue {
-            name: entry.name.clone(),
-            index: Some((entry.uid.to_string(), entry.content())),
-            deleted: newest(deleted),
-            contradicted: None,
-        };
-        let claimed = self.runtime.block_on(self.set(named, revision));
-        let mut unanswered = self.unanswered.lock();
-        match &claimed {
-            Ok(()) => drop(unanswered.remove(&entry.name)),
-            Err(LogError::NameTaken { .. }) => {}
-            Err(_) => {
-                let uids = unanswered.entry(entry.name.clone()).or_default();
-                uids.push(entry.uid.to_string());
-            }
-        }
-        claimed
+        self.until_unchanged(replaced, || self.claim_once(entry, replaced))
     }
 
     fn delete(&self, uid: Uid) -> Result<(), LogError> {
-        if let Some((mut named, revision)) = self.named(uid) {
+        let forget = || {
+            let Some((mut named, revision)) = self.named(uid) else {
+                return Ok(());
+            };
             (named.index, named.contradicted) = (None, None);
             named.deleted.push(uid.to_string());
             named.deleted = newest(named.deleted);
-            let name = named.name.clone();
-            let set = self.runtime.block_on(self.set(named, revision));
-            if let Err(error) = set {
-                let known = self.known.borrow();
-                // Another server may have deleted it.
-                if known.get(&name).is_some_and(|(named, _)| named.is(uid)) {
-                    return Err(error);
-                }
-            }
+            self.runtime.block_on(self.set(named, revision))
+        };
+        if let Err(error) = self.until_unchanged(Some(uid), forget)
+            // Otherwise another server has deleted it.
+            && self.named(uid).is_some()
+        {
+            return Err(error);
         }
         if let Err(error) = self.runtime.block_on(self.connection.purge(uid)) {
             warn!(%uid, %error, "the records of a deleted index stay in NATS");
@@ -277,23 +291,14 @@ impl Catalogue for NatsCatalogue {
     }
 
     fn note_contradiction(&self, uid: Uid, revision: u64) -> Result<(), LogError> {
-        // Each other change of the entry takes one more attempt.
-        for _ in 0..MAX_ATTEMPTS {
-            let Some((mut named, at)) = self.named(uid) else {
-                return Ok(());
-            };
-            if named.contradicted.is_some() {
-                return Ok(());
+        let note = || match self.named(uid) {
+            Some((mut named, at)) if named.contradicted.is_none() => {
+                named.contradicted = Some(revision);
+                self.runtime.block_on(self.set(named, at))
             }
-            named.contradicted = Some(revision);
-            match self.runtime.block_on(self.set(named, at)) {
-                Err(LogError::NameTaken { .. }) => {}
-                set => return set,
-            }
-        }
-        Err(LogError::Unreachable {
-            what: "the entry of the index changes all the time".into(),
-        })
+            _ => Ok(()),
+        };
+        self.until_unchanged(Some(uid), note)
     }
 
     fn contradiction(&self, name: &str, uid: Uid) -> Option<u64> {
