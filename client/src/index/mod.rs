@@ -336,7 +336,8 @@ impl Index {
     }
 
     /// Everything that changed after the revision that an earlier answer read, by any thread or process. `None` if the
-    /// index has forgotten some of it, as after 65,536 changes: scan it then.
+    /// index has forgotten some of it, as after 65,536 changes: scan it then, after a search, whose revision is the next
+    /// `since`.
     ///
     /// # Errors
     /// The server cannot be asked.
