@@ -39,10 +39,13 @@ impl Service {
         let Some((owners, peers)) = self.inner.owners.get().zip(self.inner.peers.get()) else {
             return Ok(());
         };
+        if self.is_compared(hosted) {
+            return Ok(());
+        }
         if let Some(why) = hosted.contradiction() {
             return Err(registry_error(hosted.name(), why));
         }
-        if self.is_compared(hosted) || !hosted.follows() {
+        if !hosted.follows() {
             return Ok(());
         }
         let (owners, peers) = (Arc::clone(owners), Arc::clone(peers));
@@ -59,8 +62,8 @@ impl Service {
     /// True if the members have not changed since their records were compared with those of this server, and no server has found
     /// a contradiction.
     pub(super) fn is_compared(&self, hosted: &Hosted) -> bool {
-        let owners = self.inner.owners.get();
-        owners.is_none_or(|owners| {
+        let cluster = self.inner.owners.get().zip(self.inner.peers.get());
+        cluster.is_none_or(|(owners, _)| {
             let compared = hosted.first_write().compared.load(Relaxed);
             compared == owners.changes() && hosted.contradiction().is_none()
         })

@@ -55,7 +55,10 @@ pub enum NotForwarded {
 }
 
 /// The reasons of refusals that lie with the owner and not with the call. None of them changed anything.
-const REASONS_OF_OWNER: [&str; 8] = [
+const REASONS_OF_OWNER: [&str; 10] = [
+    // Others may have room.
+    "MEMORY_FULL",
+    "DISK_FULL",
     "STARTING",
     "STOPPING",
     // The owner has not heard of the index, or of its deletion.

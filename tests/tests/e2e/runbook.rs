@@ -15,12 +15,13 @@ use rand_chacha::ChaCha8Rng;
 use tokio::{task, time::timeout};
 use tonic::Code;
 use wayfold::{Client, Index};
-use wayfold_proto::v1::{CreateIndexRequest, create_index_request::SpaceForm};
-use wayfold_tests::{Content, Signal, Stubs, page};
+use wayfold_proto::v1::{CreateIndexRequest, InsertRequest, create_index_request::SpaceForm};
+use wayfold_tests::{Content, Signal, Stubs, page, row_states};
 
 use crate::{
     healing::{JOINS, latest_content, two},
     journal_loss::{Cluster, MAX_WAIT, insert, insert_until_acknowledged},
+    metrics::figures,
 };
 
 const SERVERS: usize = 3;
@@ -136,6 +137,42 @@ async fn a_planner_goes_on_while_servers_are_killed() {
         (*id, state)
     });
     assert!(stored.eq(tree));
+}
+
+/// Some of the indices belong to the server whose memory is above its watermark.
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn inserts_go_on_while_the_memory_of_their_owner_is_full() {
+    let cluster = Cluster::empty();
+    let full = [
+        ("WAYFOLD_MEMORY__LIMIT_BYTES", "1000000000"),
+        ("WAYFOLD_MEMORY__HIGH_PERCENT", "1"),
+        ("WAYFOLD_MEMORY__LOW_PERCENT", "1"),
+    ];
+    let mut servers = [cluster.start_with(0, &full), cluster.start(1)];
+    for server in &mut servers {
+        server.log_until(JOINS);
+    }
+    let pages = servers[0].pages();
+    let [full, other] = &servers;
+    let (mut refusing, mut stubs) = (
+        Stubs::connect(full.uri()).await,
+        Stubs::connect(other.uri()).await,
+    );
+    let insert = |index: &str| InsertRequest {
+        index_name: index.to_owned(),
+        states: Some(row_states(&[0.5], 1)),
+        ..Default::default()
+    };
+    for number in 0..16 {
+        let index = format!("arm-{number}");
+        stubs.create(&index, "R1").await;
+        refusing.find(&index).await;
+        stubs.insert(insert(&index)).await;
+    }
+    let refused = refusing.points.insert(insert("arm-0")).await;
+    let owns = figures(&pages)["wayfold_index_owned{index=\"arm-0\"}"] == 1.0;
+    assert_eq!(refused.is_err(), owns, "{refused:?}");
 }
 
 /// Asserts that a server refuses to insert a point of this id and to create an index, and reads the points before.

@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use tokio::sync::watch;
 use tonic::{Code, Status, transport::Endpoint};
 use wayfold_proto::v1::{GetRequest, ScanRequest};
-use wayfold_tests::{Content, INCLUDE_ALL, Stubs, history::Operation, number, revision};
+use wayfold_tests::{Content, INCLUDE_ALL, Refusal, Stubs, history::Operation, number, revision};
 
 use super::history::{History, points, scan};
 use crate::clients::Writer;
@@ -139,8 +139,11 @@ impl Client {
         }
     }
 
-    /// Only refusals that leave the outcome open are expected: a point that a client knows is there.
+    /// Only refusals that leave the outcome open are expected, since a point that a client knows is there, and those of a server
+    /// whose disk a fault has filled.
     fn check_refusal(&mut self, refusal: &Status) {
+        let is_full = || Refusal::of(refusal).reason == "DISK_FULL";
+        let is_full = refusal.code() == Code::ResourceExhausted && is_full();
         let is_expected = matches!(
             refusal.code(),
             Code::Unavailable
@@ -150,7 +153,7 @@ impl Client {
                 | Code::DeadlineExceeded
                 | Code::DataLoss
         );
-        assert!(is_expected, "{refusal:?}");
+        assert!(is_expected || is_full, "{refusal:?}");
         self.data_losses += u64::from(refusal.code() == Code::DataLoss);
     }
 }
