@@ -25,6 +25,13 @@ def built():
     return pathlib.Path(executables[0]).parent
 
 
+def wait(process, seconds):
+    """Waits this long, and fails at once if the process ends meanwhile."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(seconds)
+        raise RuntimeError(f"{process.args[0]} has ended by itself")
+
+
 class Process:
     """A process, which can be killed and started again."""
 
@@ -101,7 +108,7 @@ class Nats(contextlib.ExitStack):
             with contextlib.suppress(OSError):
                 return urllib.request.urlopen(f"{self.pages[at]}/healthz").read()
             assert time.monotonic() < until, "a server of NATS does not come back"
-            time.sleep(0.2)
+            wait(self.processes[at].process, 0.2)
 
 
 class Server(Process):
@@ -145,7 +152,7 @@ class Cluster(contextlib.ExitStack):
             if heard == [str(SERVERS)] * SERVERS and len(own) == 1:
                 return own[0]
             assert time.monotonic() < until, "the servers do not find each other"
-            time.sleep(0.2)
+            wait(self.servers[0].process, 0.2)
 
     def others(self):
         own = self.owner()

@@ -38,7 +38,7 @@ pub(crate) const CALL_BYTES: usize = 8 * 1024;
 /// The interval of the lines about refused calls.
 const REPORT_INTERVAL: Duration = Duration::from_secs(10);
 
-/// A flow holds at most this part of all bytes, and all calls of administration hold as much beside them.
+/// A flow holds at most this part of all bytes. The calls of administration have a budget of the same size.
 const SHARES: usize = 4;
 
 /// `[admission]`

@@ -116,10 +116,8 @@ impl Registry {
         let Some(hosted) = self.by_uid(uid) else {
             return;
         };
-        let why = contradiction(uid, revision, member);
-        if hosted.close_again(why.clone()) {
-            error!(index = hosted.name(), error = %why, "two servers contradict each other");
-            hosted.note_contradiction(revision);
+        if hosted.close_again(contradiction(uid, revision, member)) {
+            hosted.contradicted(revision, member);
         }
     }
 

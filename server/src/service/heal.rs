@@ -220,7 +220,7 @@ async fn heal_index(
                     registry.contradicted(uid, revision, &by);
                     Ok(())
                 };
-                // The close is no request that a member could refuse.
+                // The task only closes the index: its result is always Ok.
                 let _ = blocking(registry, close, index.uid).await;
                 let why = format!("{member} has another record of revision {revision}");
                 return Err(why.into());

@@ -166,7 +166,7 @@ async fn contradict(more: u64, chosen: usize) {
     let log = server.stop(Signal::Kill).stderr;
     assert!(!log.contains(HEALED), "{log}");
 
-    // Alone, the other one does not go on either: nobody has chosen.
+    // The other server refuses writes too, also alone: no operator has chosen.
     let other = cluster.start(1);
     let mut others = Stubs::connect(other.uri()).await;
     refuse(&mut others, 4000).await;

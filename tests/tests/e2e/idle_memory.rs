@@ -1,5 +1,5 @@
-//! A server at rest gives memory back: that of its merges, that of levels which no reader sees any more, and that of
-//! stored points which were overwritten beside an idle index.
+//! A server at rest gives back the memory of its merges, of levels that no reader sees any more, and of payloads that were
+//! overwritten while another index was idle.
 
 use std::{process::Command, time::Duration};
 
@@ -54,7 +54,7 @@ async fn a_server_at_rest_takes_little_more_than_its_points() {
     timeout(MAX_WAIT, shrinking).await.unwrap();
 }
 
-/// The inserts beside an idle index. Each replaces the payloads of the same points.
+/// The number of inserts. Each replaces the payloads of the same points.
 const INSERTS: u8 = 192;
 const POINTS: u64 = 32;
 const PAYLOAD_BYTES: usize = 64 * 1024;

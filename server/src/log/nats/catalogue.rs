@@ -47,7 +47,7 @@ struct CatalogueValue {
     index: Option<(String, String)>,
     /// The uids of the newest deleted indices, oldest first.
     deleted: Vec<String>,
-    /// A revision of which two servers have applied different records: nothing is written to the index any more.
+    /// Two servers have applied different records of this revision. The index takes no writes any more.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     contradicted: Option<u64>,
 }

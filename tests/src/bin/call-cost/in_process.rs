@@ -25,7 +25,7 @@ const CALLS: usize = 20;
 /// The turns of a round.
 const TURNS: usize = 2_000;
 
-/// What a contestant has that the first one has not.
+/// The contestants. Each is named after its addition to the first one.
 const CONTESTANTS: [&str; 6] = [
     "",
     "admission",

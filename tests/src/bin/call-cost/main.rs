@@ -7,8 +7,8 @@
 //! same difference between two contestants that are equal shows how far it can be trusted.
 //!
 //! `in_process` makes `Knn` calls through the server's layer around them and its service, without a connection:
-//! nothing but the code of a call. Admission cannot be left out of a call, so one contestant admits each call twice. `end_to_end` makes them to servers in other processes, and takes the processor time of
-//! each server.
+//! nothing but the code of a call. Admission cannot be left out of a call, so one contestant admits each call twice.
+//! `end_to_end` makes them to servers in other processes, and takes the processor time of each server.
 
 mod end_to_end;
 mod in_process;

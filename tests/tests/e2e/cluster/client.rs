@@ -142,8 +142,8 @@ impl Client {
     /// Only refusals that leave the outcome open are expected, since a point that a client knows is there, and those of a server
     /// whose disk a fault has filled.
     fn check_refusal(&mut self, refusal: &Status) {
-        let is_full = || Refusal::of(refusal).reason == "DISK_FULL";
-        let is_full = refusal.code() == Code::ResourceExhausted && is_full();
+        let is_full =
+            refusal.code() == Code::ResourceExhausted && Refusal::of(refusal).reason == "DISK_FULL";
         let is_expected = matches!(
             refusal.code(),
             Code::Unavailable
