@@ -35,6 +35,8 @@ struct ControlledLog {
     memory: MemoryLog,
     synced: watch::Sender<u64>,
     fails: Arc<AtomicBool>,
+    /// True while its points take no records.
+    is_full: AtomicBool,
     /// The thread that last appended to it.
     appended_by: Mutex<Option<ThreadId>>,
 }
@@ -45,6 +47,7 @@ impl ControlledLog {
             memory: MemoryLog::new(),
             synced: watch::Sender::new(0),
             fails: Arc::default(),
+            is_full: AtomicBool::new(false),
             appended_by: Mutex::new(None),
         })
     }
@@ -89,6 +92,10 @@ impl PointStore for ControlledLog {
     forward_points!(memory);
 
     fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
+        if self.is_full.load(Ordering::Relaxed) {
+            let what = "no space left".into();
+            return Err(LogError::Storage { what });
+        }
         self.memory.apply(uid, records)
     }
 
@@ -279,4 +286,20 @@ async fn an_index_whose_log_fails_takes_no_more_and_still_answers() {
         log.synced.send_replace(9);
     }
     assert_eq!(everything(&service).await.points.unwrap().ids, [0]);
+}
+
+/// The record of the mutation is in the journal: it was no bug of the server.
+#[tokio::test]
+async fn a_mutation_whose_record_cannot_be_applied_says_that_the_store_failed() {
+    let log = ControlledLog::new();
+    let service = service_with(log.clone(), Limits::default());
+    create(&service, "arm", "R1").await;
+    log.synced.send_replace(9);
+    log.is_full.store(true, Ordering::Relaxed);
+    for _ in 0..2 {
+        let answer = service.insert(&CALL, insertion(&[[1.0]], &[])).await;
+        let error = answer.unwrap_err();
+        assert_eq!(error.code(), Code::Unavailable, "{error}");
+        assert!(error.to_string().contains("no space left"), "{error}");
+    }
 }
