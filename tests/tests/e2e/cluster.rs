@@ -3,7 +3,8 @@
 //!
 //! A run is a sequence of rounds, each with servers, clients and a seed of its own. In every second round the journal is not
 //! trimmed. A round ends if JetStream has stopped for good, by the logs of its own servers: then reads go on, and the copies
-//! have all that was acknowledged. `tests/cluster/run` starts it.
+//! have all that was acknowledged. While a server of NATS is away and the store of another one was damaged, nothing need be
+//! acknowledged; once all run again it must be. `tests/cluster/run` starts it.
 
 mod client;
 mod clock;
@@ -20,6 +21,7 @@ mod suffer;
 
 use std::{
     cell::Cell,
+    collections::BTreeSet,
     env,
     sync::Arc,
     time::{Duration, Instant},
@@ -33,7 +35,7 @@ use wayfold_tests::Stubs;
 
 use client::{Client, Scene};
 use disk::Disk;
-use fault::Fault;
+use fault::{Fault, Needs};
 use history::History;
 use judge::Judge;
 use record::Record;
@@ -113,6 +115,8 @@ impl Run {
             }
         };
         let mut suffered = 0;
+        // The servers of NATS whose stores are damaged: two of three copies are no majority until they have caught up.
+        let mut damaged = BTreeSet::new();
         for number in faults.clone().take_while(|_| !stalled.get()) {
             suffered += 1;
             let fault = Fault::of(number, &self.kinds, &mut random);
@@ -123,8 +127,21 @@ impl Run {
             let what = cluster
                 .suffer(fault, of, &mut random, async || reach_more(20).await)
                 .await;
+            // A cut chooses its server of NATS itself.
+            let is_other = |it: &usize| *it != of || fault.needs() == Needs::Network;
+            let lacks_majority =
+                stalled.get() && fault.takes_nats() && damaged.iter().any(is_other);
+            if lacks_majority {
+                // All of them run again.
+                stalled.set(false);
+                reach_more(20).await;
+            }
+            if fault.damages_nats() {
+                damaged.insert(of);
+            }
             self.record.append(&json!({
                 "seed": self.seed, "fault": number, "kind": format!("{fault:?}"), "of": of, "what": what,
+                "lacked_majority": lacks_majority,
                 "acknowledged": *acknowledged.borrow(), "seconds": began.elapsed().as_secs_f32(),
             }));
         }

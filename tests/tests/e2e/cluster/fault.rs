@@ -108,6 +108,24 @@ impl Fault {
         }
     }
 
+    /// True if it may leave damage in the store of a server of NATS.
+    pub(super) fn damages_nats(self) -> bool {
+        matches!(
+            self,
+            Fault::Flip | Fault::Cut | Fault::PowerNats | Fault::PowerBoth
+        )
+    }
+
+    /// True if a server of NATS is away during the fault.
+    pub(super) fn takes_nats(self) -> bool {
+        use Fault::{CutMinority, CutNats, FullNats, KillNats, PauseNats};
+        self.damages_nats()
+            || matches!(
+                self,
+                KillNats | PauseNats | FullNats | CutNats | CutMinority
+            )
+    }
+
     /// The faults of a list of their names, or of one of the words `plain` (without root), `disks`, `partitions`, `all`.
     pub(super) fn parse(list: &str) -> Vec<Self> {
         let named = |name: &str| {
