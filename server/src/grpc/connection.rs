@@ -39,7 +39,8 @@ const PREFACE_BYTES: usize = 24;
 /// A connection that reads on after a shorter pause keeps up with its client, whatever that sends.
 const SHORT_PAUSE: Duration = Duration::from_millis(1);
 
-/// Bytes that a connection reads before others have their turn: about fifty small calls.
+/// Bytes after which a connection lets others have their turn: about fifty small calls. HTTP/2 asks for more after each call
+/// that it hands on, so one poll of its task may read several times as many.
 const MAX_READ_BYTES: usize = 8 * 1024;
 
 /// The same while no call comes with them. Requests as large take their own time to come: they do not wait.
