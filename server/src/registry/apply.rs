@@ -23,7 +23,7 @@ use wayfold_index::Forest;
 use super::{
     Hosted, Published, RegistryError,
     commit::{MAX_INLINE_BYTES, MAX_INLINE_POINTS},
-    in_flight::{notify, notify_failed},
+    in_flight::notify,
     stopped::is_damage,
 };
 use crate::log::{Effects, LogError, Receipt, Record, RecordPosition, RecordStream, View};
@@ -221,15 +221,14 @@ impl Hosted {
         if position == published {
             return Ok(());
         }
-        // Refusals count before readers see the records that caused them.
+        let view = view(records)?;
+        self.swap_in(&mut applied);
+        for record in records {
+            self.apply_record(&mut applied.forest, record)?;
+        }
+        // Refusals count before readers see the records that caused them. If the records cannot be applied, the calls get
+        // that error from the loop.
         let decided = self.in_flight.lock().decide(records);
-        let view = match self.apply_all(&mut applied, records, view) {
-            Ok(view) => view,
-            Err(why) => {
-                notify_failed(decided, &why);
-                return Err(why);
-            }
-        };
         self.publish(&Arc::new(Published {
             snapshot: applied.forest.snapshot(),
             revision: position.revision,
@@ -242,21 +241,6 @@ impl Hosted {
             warn!(index = self.name(), %error, "cannot trim the log");
         }
         Ok(())
-    }
-
-    /// Applies records to the points of the log and to the forest.
-    fn apply_all(
-        &self,
-        applied: &mut AppliedForest,
-        records: &[Arc<Record>],
-        view: impl FnOnce(&[Arc<Record>]) -> Result<Arc<dyn View>, LogError>,
-    ) -> Result<Arc<dyn View>, RegistryError> {
-        let view = view(records)?;
-        self.swap_in(applied);
-        for record in records {
-            self.apply_record(&mut applied.forest, record)?;
-        }
-        Ok(view)
     }
 
     /// Fails if the last of these records is not the one that was applied at its revision: the journal has lost that. Its

@@ -172,10 +172,3 @@ pub(super) fn notify(decided: Notifications) {
         let _ = waiting.send(decision);
     }
 }
-
-/// Notifies calls whose records are decided and cannot be applied here.
-pub(super) fn notify_failed(decided: Notifications, why: &RegistryError) {
-    for (waiting, _) in decided {
-        let _ = waiting.send(Decision::Failed(why.clone()));
-    }
-}

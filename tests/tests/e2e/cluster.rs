@@ -136,6 +136,10 @@ impl Run {
                 stalled.set(false);
                 reach_more(20).await;
             }
+            if fault.takes_nats() && !lacks_majority {
+                // The others have caught up: writing went on with them.
+                damaged.retain(|it| *it == of || fault.needs() == Needs::Network);
+            }
             if fault.damages_nats() {
                 damaged.insert(of);
             }
