@@ -7,6 +7,7 @@
 
 mod copied;
 mod disk;
+mod entry_lost_in_nats;
 #[expect(dead_code, reason = "only the suite of the service holds up reads")]
 mod fault;
 mod fjall;

@@ -4,6 +4,8 @@
 //! The bucket keeps the names and uids of deleted indices. A server deletes an index of its point store only if the bucket
 //! names it as deleted. It keeps an index that the bucket does not name, and does not serve it.
 
+mod value;
+
 use std::{
     collections::{BTreeMap, BTreeSet},
     sync::Arc,
@@ -15,7 +17,6 @@ use base64::{Engine as _, engine::general_purpose::URL_SAFE_NO_PAD};
 use bytes::Bytes;
 use futures_util::StreamExt;
 use parking_lot::Mutex;
-use serde::{Deserialize, Serialize};
 use tokio::{
     runtime::Handle,
     sync::watch,
@@ -24,33 +25,18 @@ use tokio::{
 use tokio_util::task::AbortOnDropHandle;
 use tracing::{debug, warn};
 
+use self::value::{CatalogueValue, newest, read};
 use super::{
     NatsError, RETRY_INTERVAL,
     connection::{Connection, found, patiently, unreachable, within},
 };
 use crate::log::{Catalogue, Entry, LogError, LostIndex, Uid};
 
-/// The most deleted indices of a name that are remembered.
-const MAX_DELETED: usize = 1000;
-
 /// The attempts to change an entry that other servers change too.
 const MAX_ATTEMPTS: usize = 10;
 
 /// The time in which a bucket without a leader gets one.
 const SET_TIME: Duration = Duration::from_secs(5);
-
-/// A key's value: the index of a name, and those that had it before.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct CatalogueValue {
-    name: String,
-    /// The uid and [`Entry::content`]; None if the index was deleted.
-    index: Option<(String, String)>,
-    /// The uids of the newest deleted indices, oldest first.
-    deleted: Vec<String>,
-    /// Two servers have applied different records of this revision. The index takes no writes any more.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    contradicted: Option<u64>,
-}
 
 /// The values by name, each with the revision of its key.
 type CatalogueValues = BTreeMap<String, (CatalogueValue, u64)>;
@@ -108,14 +94,16 @@ impl NatsCatalogue {
     }
 
     /// Sets the key of a name, which has this revision (0 if it does not exist). [`LogError::NameTaken`] if another server
-    /// has changed it since. It waits a moment for a bucket without a leader, as at a start of NATS.
+    /// has changed it since. It waits a moment for a bucket without a leader, as at a start of NATS, and sets it again if
+    /// NATS has lost what this server knows.
     async fn set(&self, named: CatalogueValue, revision: u64) -> Result<(), LogError> {
         let key = key(&named.name);
         let value = Bytes::from(serde_json::to_vec(&named).map_err(unreachable)?);
         let (until, mut attempts) = (Instant::now() + SET_TIME, interval(RETRY_INTERVAL));
+        let mut expected = revision;
         let now = loop {
             attempts.tick().await;
-            let update = self.bucket.update(&key, value.clone(), revision);
+            let update = self.bucket.update(&key, value.clone(), expected);
             let error = match within(async { update.await.map_err(unreachable) }).await {
                 Ok(now) => break now,
                 Err(error) => error,
@@ -123,18 +111,27 @@ impl NatsCatalogue {
             // Another server was first, or the answer was lost. A repetition takes effect once: it expects the revision.
             match self.newest(&named.name).await {
                 Ok(Some((found, now))) if found == named => break now,
-                Ok(Some((found, now))) if now > revision => {
-                    note(&self.known, found, now);
-                    self.changed.send_replace(());
+                Ok(Some((found, now))) if now > revision || !named.follows(&found) => {
+                    self.note(found, now, revision);
                     return Err(LogError::NameTaken { name: named.name });
                 }
-                _ if Instant::now() < until => {}
-                newest => return Err(newest.err().unwrap_or(error)),
+                newest if Instant::now() >= until => return Err(newest.err().unwrap_or(error)),
+                Ok(older) => expected = older.map_or(0, |(_, now)| now),
+                Err(_) => {}
             }
         };
-        note(&self.known, named, now);
-        self.changed.send_replace(());
+        self.note(named, now, revision);
         Ok(())
+    }
+
+    /// Notes what has come after the revision `known`, or in its place if NATS has lost that.
+    fn note(&self, named: CatalogueValue, revision: u64, known: u64) {
+        if revision <= known {
+            self.known
+                .send_modify(|known| drop(known.remove(&named.name)));
+        }
+        note(&self.known, named, revision);
+        self.changed.send_replace(());
     }
 
     /// The value that names an index and its revision, as far as this server knows.
@@ -315,20 +312,6 @@ impl Catalogue for NatsCatalogue {
     }
 }
 
-impl CatalogueValue {
-    fn is(&self, uid: Uid) -> bool {
-        let index = self.index.as_ref();
-        index.is_some_and(|(own, _)| *own == uid.to_string())
-    }
-}
-
-/// The newest uids of deleted indices that are remembered.
-fn newest(mut deleted: Vec<String>) -> Vec<String> {
-    let forgotten = deleted.len().saturating_sub(MAX_DELETED);
-    deleted.drain(..forgotten);
-    deleted
-}
-
 /// The key of a name: NATS does not allow all characters.
 fn key(name: &str) -> String {
     URL_SAFE_NO_PAD.encode(name)
@@ -337,10 +320,11 @@ fn key(name: &str) -> String {
 /// Notes a value unless a newer one is known; true if that changed anything.
 fn note(known: &watch::Sender<CatalogueValues>, named: CatalogueValue, revision: u64) -> bool {
     known.send_if_modified(|known| {
-        if known
-            .get(&named.name)
-            .is_some_and(|(_, known)| *known >= revision)
-        {
+        // NATS gives a revision again if it has lost the value that had it.
+        let is_older = |(before, at): &(CatalogueValue, u64)| {
+            *at >= revision && (*before == named || !named.follows(before))
+        };
+        if known.get(&named.name).is_some_and(is_older) {
             return false;
         }
         known.insert(named.name.clone(), (named, revision));
@@ -390,11 +374,4 @@ async fn follow(
         }
         debug!("the catalogue in NATS cannot be followed now");
     }
-}
-
-fn read(value: &Bytes) -> Option<CatalogueValue> {
-    let named = serde_json::from_slice(value);
-    named
-        .inspect_err(|error| warn!(%error, "the catalogue in NATS has an entry that is not one of Wayfold's"))
-        .ok()
 }
