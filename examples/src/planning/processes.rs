@@ -379,10 +379,8 @@ impl Process {
 
     /// Starts its work.
     pub fn begin(&mut self) -> Result<(), PlanningError> {
-        let Some(input) = &mut self.input else {
-            return Ok(());
-        };
-        let written = input.write_all(b"go\n");
+        let mut input = self.input.iter_mut();
+        let written = input.try_for_each(|input| input.write_all(b"go\n"));
         written.map_err(|problem| lost(self.number, problem))
     }
 

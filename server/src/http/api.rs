@@ -138,7 +138,7 @@ pub(super) async fn answer(Of(api): Of<Arc<Api>>, request: HttpRequest) -> Respo
         turns.give_up();
         let body = receive(body, &held).await?;
         received = arrived.elapsed();
-        let working = ask(&api.shared, &call, target, &body);
+        let working = ask(&api.shared, &call, target, parts.uri.query(), &body);
         turns.run(working).await.map_err(status::overloaded)?
     };
     let in_time = tokio::time::timeout(MAX_TIME, AssertUnwindSafe(answering).catch_unwind());
@@ -211,6 +211,7 @@ async fn ask(
     shared: &Shared,
     call: &Call,
     target: Result<Target<'_>, Error>,
+    query: Option<&str>,
     body: &[u8],
 ) -> Result<Vec<u8>, Status> {
     let answered = async {
@@ -221,6 +222,10 @@ async fn ask(
                 target.verb.name()
             );
             return Err(invalid("key", "READ_ONLY", text));
+        }
+        if let Some(query) = query {
+            let text = format!("{query:?}: the fields of a request go into its body");
+            return Err(invalid("address", "UNKNOWN_PARAMETER", text));
         }
         let arrived = Instant::now();
         let (request, _) = Request::of(Form::Json, target.index, [], body.into(), arrived)?;

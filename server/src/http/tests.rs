@@ -185,6 +185,7 @@ async fn verbs_that_read_answer_as_over_zenoh() {
         ),
         ("delete", json!({ "index_name": "arm" }), 400, "READ_ONLY"),
         ("arm/fly", json!({}), 400, "UNKNOWN_KEY"),
+        ("arm/log?from=0", json!({}), 400, "UNKNOWN_PARAMETER"),
     ] {
         let (status, refused) = post(&mut router, key, body).await;
         assert_eq!(status.as_u16(), expected, "{key} {refused}");

@@ -271,15 +271,15 @@ impl Registry {
         limits: &[IndexLimit],
     ) -> Result<(Arc<Hosted>, bool), RegistryError> {
         let _change = self.change_lock.lock();
+        if let Some(hosted) = self.find(name, &space, payload_encoding)? {
+            return Ok((hosted, false));
+        }
         let entry = Entry {
             uid: Uid::unique(),
             name: name.into(),
             space,
             payload_encoding,
         };
-        if let Some(hosted) = self.find(&entry)? {
-            return Ok((hosted, false));
-        }
         for limit in limits {
             limit.check(self.indexes.read().keys())?;
         }
@@ -287,7 +287,7 @@ impl Registry {
         match self.host.log.catalogue.create(entry.clone()) {
             Err(LogError::NameTaken { .. }) => {
                 self.adopt_changes()?;
-                let found = self.find(&entry)?;
+                let found = self.find(name, &entry.space, payload_encoding)?;
                 // Another server may have deleted it again.
                 return found.map(|it| (it, false)).ok_or(RegistryError::Deleted);
             }
@@ -305,22 +305,27 @@ impl Registry {
         Ok((hosted, true))
     }
 
-    /// The index of the entry's name, if there is one. [`RegistryError::Exists`] if it has another space, or if both
-    /// declare other payload encodings.
-    fn find(&self, entry: &Entry) -> Result<Option<Arc<Hosted>>, RegistryError> {
-        let hosted = match self.get(&entry.name) {
+    /// The index of this name, if there is one. [`RegistryError::Exists`] if it has another space, or if both declare other
+    /// payload encodings.
+    pub(crate) fn find(
+        &self,
+        name: &str,
+        space: &Space,
+        payload_encoding: PayloadEncoding,
+    ) -> Result<Option<Arc<Hosted>>, RegistryError> {
+        let hosted = match self.get(name) {
             Ok(hosted) => hosted,
             Err(RegistryError::Deleted) => return Ok(None),
             Err(damaged) => return Err(damaged),
         };
-        if *hosted.space() != entry.space {
+        if hosted.space() != space {
             return Err(RegistryError::Exists {
                 what: "space",
                 existing: hosted.space().to_string(),
-                requested: entry.space.to_string(),
+                requested: space.to_string(),
             });
         }
-        let declared = [hosted.payload_encoding(), entry.payload_encoding];
+        let declared = [hosted.payload_encoding(), payload_encoding];
         if declared[0] != declared[1] && !declared.contains(&PayloadEncoding::Unspecified) {
             let [existing, requested] = declared.map(|it| it.as_str_name().into());
             return Err(RegistryError::Exists {

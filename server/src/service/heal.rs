@@ -4,6 +4,8 @@
 //! A copy is taken only if no reader goes backwards, if the member has applied the same records as this server as far as
 //! both know them, and if the journal has the newest record of the copy.
 
+mod draft;
+
 use std::{
     collections::{HashMap, HashSet},
     sync::Arc,
@@ -16,20 +18,15 @@ use tokio::{
     time::{Instant, MissedTickBehavior, interval, timeout},
 };
 use tracing::{debug, warn};
-use wayfold_proto::{
-    snapshot::{Content, Header, Reader},
-    v1,
-};
 
+use self::draft::Draft;
 use super::{
     Service,
-    member::{CopyKind, CopyOperations, CopyParts, CopyRequest, Peers},
-    restore::stored,
-    session_pages::add_restored,
+    member::{CopyKind, CopyParts, CopyRequest, Peers},
 };
 use crate::{
-    log::{Operation, Origin, RecordPosition, Sessions, Uid},
-    registry::{Registry, Restore, Stopped},
+    log::{LogError, Uid},
+    registry::{Registry, Stopped},
 };
 
 /// The time between two checks of the indices.
@@ -278,15 +275,7 @@ async fn copy_from(
             "the journal does not have its record of revision {revision}"
         )));
     }
-    let mut draft = Draft {
-        service: service.clone(),
-        uid: index.uid,
-        position,
-        reader: Reader::new(),
-        restore: None,
-        sessions: Sessions::default(),
-        operations: Vec::new(),
-    };
+    let mut draft = Draft::new(service, index.uid, position);
     let rest = async {
         while !draft.is_whole(start.operations) {
             let part = next(&mut parts).await?;
@@ -312,7 +301,7 @@ async fn next(parts: &mut CopyParts) -> Result<CopyKind, Failure> {
 /// Asks the log through the registry on a thread that may block.
 async fn blocking<T: Send + 'static>(
     registry: &Arc<Registry>,
-    ask: impl FnOnce(&Registry, Uid) -> Result<T, crate::log::LogError> + Send + 'static,
+    ask: impl FnOnce(&Registry, Uid) -> Result<T, LogError> + Send + 'static,
     uid: Uid,
 ) -> Result<T, Failure> {
     let registry = Arc::clone(registry);
@@ -322,83 +311,6 @@ async fn blocking<T: Send + 'static>(
 
 fn out_of_order() -> Failure {
     Failure::Other("a part of its copy is not the one that belongs there".into())
-}
-
-/// The part of a copy that has arrived.
-struct Draft {
-    service: Service,
-    uid: Uid,
-    position: RecordPosition,
-    reader: Reader,
-    /// Set by the header.
-    restore: Option<Restore>,
-    sessions: Sessions,
-    operations: Vec<Arc<Operation>>,
-}
-
-impl Draft {
-    /// True if it has all points and sessions, and this many operations.
-    fn is_whole(&self, operations: u64) -> bool {
-        self.reader.is_done() && self.operations.len() as u64 >= operations
-    }
-
-    /// Adds the next part. Blocks.
-    fn read(&mut self, part: CopyKind) -> Result<(), Failure> {
-        match part {
-            CopyKind::Snapshot(part) => self.read_snapshot(&part),
-            CopyKind::Operations(page) if self.reader.is_done() => self.remember(page),
-            _ => Err(out_of_order()),
-        }
-    }
-
-    fn read_snapshot(&mut self, part: &v1::SnapshotPart) -> Result<(), Failure> {
-        match (self.reader.read(part)?, &mut self.restore) {
-            (Content::Header(header), None) => self.begin(&header),
-            (Content::Points(points, modified), Some(restore)) => {
-                Ok(restore.add(&stored(points, &modified))?)
-            }
-            (Content::Sessions(sessions), Some(_)) => {
-                let limits = self.service.limits();
-                Ok(add_restored(&mut self.sessions, sessions, limits)?)
-            }
-            (Content::Trailer, Some(_)) => Ok(()),
-            // The reader refuses these.
-            _ => Err(out_of_order()),
-        }
-    }
-
-    fn begin(&mut self, header: &Header) -> Result<(), Failure> {
-        if header.uid != self.uid.to_string() || header.revision != self.position.revision {
-            return Err(Failure::Other("its copy is that of another index".into()));
-        }
-        let origin = Origin {
-            revision: header.revision,
-            next_id: header.next_id,
-            digest: self.position.digest,
-        };
-        let restore = self.service.registry()?.replace(self.uid, origin)?;
-        if *restore.space() != header.space {
-            return Err(Failure::Other("its copy has another space".into()));
-        }
-        self.restore = Some(restore);
-        Ok(())
-    }
-
-    fn remember(&mut self, page: CopyOperations) -> Result<(), Failure> {
-        for operation in page.operations {
-            let operation = operation.operation().ok_or_else(out_of_order)?;
-            self.operations.push(Arc::new(operation));
-        }
-        Ok(())
-    }
-
-    /// Puts the copy in the place of the index. Blocks.
-    fn host(self) -> Result<(), Failure> {
-        let restore = self.restore.ok_or_else(out_of_order)?;
-        let registry = self.service.registry()?;
-        registry.host_replaced(restore, self.sessions, self.operations)?;
-        Ok(())
-    }
 }
 
 #[cfg(test)]

@@ -88,7 +88,13 @@ impl Service {
         call: &Call,
         request: v1::CreateIndexRequest,
     ) -> Result<v1::CreateIndexResponse, Error> {
-        self.accept(call, Role::Admin, Some(&request.name))?;
+        // Whoever may read an index finds it; only to create one takes the role.
+        let refused = self.accept(call, Role::Admin, Some(&request.name)).err();
+        if let Some(refused) = &refused
+            && self.index(call, Role::Read, &request.name, "").is_err()
+        {
+            return Err(refused.clone());
+        }
         let mut violations = Violations::default();
         check_name(&request.name, &mut violations);
         let space = read_space(request.space_form, &mut violations);
@@ -107,21 +113,31 @@ impl Service {
             });
         };
         let (name, limits) = (request.name.clone(), self.index_limits(&call.caller));
-        let created =
-            self.blocking(move |registry| registry.create(&name, space, payload_encoding, &limits));
-        let (hosted, created) = created.await?.map_err(|error| match error {
-            RegistryError::Exists {
-                what,
-                existing,
-                requested,
-            } => Error::IndexExists {
+        let may_create = refused.is_none();
+        let created = self.blocking(move |registry| match may_create {
+            true => registry.create(&name, space, payload_encoding, &limits),
+            false => match registry.find(&name, &space, payload_encoding)? {
+                Some(hosted) => Ok((hosted, false)),
+                None => Err(RegistryError::Deleted),
+            },
+        });
+        let (hosted, created) = created.await?.map_err(|error| match (error, refused) {
+            (RegistryError::Deleted, Some(refused)) => refused,
+            (
+                RegistryError::Exists {
+                    what,
+                    existing,
+                    requested,
+                },
+                _,
+            ) => Error::IndexExists {
                 name: request.name.clone(),
                 what,
                 existing,
                 requested,
             },
-            RegistryError::TooManyIndexes { setting, max } => too_many_indexes(setting, max),
-            error => registry_error(&request.name, error),
+            (RegistryError::TooManyIndexes { setting, max }, _) => too_many_indexes(setting, max),
+            (error, _) => registry_error(&request.name, error),
         })?;
         Ok(v1::CreateIndexResponse {
             index: Some(describe(&hosted, &hosted.published())),

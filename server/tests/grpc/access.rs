@@ -254,6 +254,35 @@ fn with_token<Q>(token: &str, message: Q) -> Request<Q> {
     request
 }
 
+/// A planner that may not create indices opens one that exists by the same call.
+#[tokio::test]
+async fn whoever_may_read_an_index_finds_it_by_creating_it() {
+    let directory = tempfile::tempdir().unwrap();
+    let server = start(&directory.path().join("identities.toml")).await;
+    let create = async |token: &str, name: &str, space: &str| {
+        let request = v1::CreateIndexRequest {
+            name: name.into(),
+            space_form: Some(v1::create_index_request::SpaceForm::SpaceText(space.into())),
+            ..Default::default()
+        };
+        let request = with_token(token, request);
+        server.indices().create_index(request).await
+    };
+    let created = create("admin", "arm", "R1").await.unwrap().into_inner();
+    assert!(created.created);
+    for token in ["reader", "writer"] {
+        let found = create(token, "arm", "R1").await.unwrap().into_inner();
+        assert_eq!((found.created, found.index), (false, created.index.clone()));
+        let other = create(token, "arm", "R2").await.unwrap_err();
+        assert_eq!(reason(&other, Code::AlreadyExists), "INDEX_EXISTS");
+        let missing = create(token, "arm-2", "R1").await.unwrap_err();
+        assert_eq!(reason(&missing, Code::PermissionDenied), "ROLE_TOO_LOW");
+    }
+    let unseen = create("admin of the leg", "arm", "R1").await.unwrap_err();
+    assert_eq!(reason(&unseen, Code::PermissionDenied), "INDEX_NOT_ALLOWED");
+    server.stop().await.unwrap().unwrap();
+}
+
 #[tokio::test]
 async fn lists_show_what_the_identity_may_see_and_a_watch_ends_with_its_rights() {
     let directory = tempfile::tempdir().unwrap();

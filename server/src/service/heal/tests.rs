@@ -12,8 +12,8 @@ use wayfold_index::PointRef;
 use super::*;
 use crate::{
     log::{
-        Catalogue, Effects, Entry, Journal, Log, LogError, MemoryLog, Outcome, PointStore, Record,
-        Retention, StoredPoint,
+        Catalogue, Effects, Entry, Journal, Log, MemoryLog, Operation, Origin, Outcome, PointStore,
+        Record, Retention, Sessions, StoredPoint,
     },
     registry::{Hosted, RegistryError, RegistryOptions},
     service::{
