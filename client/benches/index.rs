@@ -1,8 +1,13 @@
 //! `Index::in_memory` beside the bare forest, in turns in one process: the nearest of 50,000 points, and an RRT's mix
-//! (insert one, find its nearest) up to 50,000. Prints the medians of the rounds and their ratio, bare over index: 1.0
-//! is no cost.
+//! (find the nearest of a state, insert it) up to 50,000. Prints the medians of the rounds, of their times and of their
+//! ratio, bare over index: 1.0 is no cost.
+//!
+//!     cargo bench -p wayfold --bench index [-- --json FILE]
 
-use std::time::{Duration, Instant};
+use std::{
+    env, fs,
+    time::{Duration, Instant},
+};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -11,27 +16,31 @@ use wayfold_index::{Forest, ForestOptions, Points, Search};
 
 const POINTS: usize = 50_000;
 const SEARCHES: usize = 50_000;
-const ROUNDS: usize = 9;
+const ROUNDS: usize = 15;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let arguments: Vec<String> = env::args().collect();
     // `cargo test --benches` only asks if it runs.
-    let (points, searches, rounds) = match std::env::args().any(|argument| argument == "--bench") {
+    let (points, searches, rounds) = match arguments.iter().any(|argument| argument == "--bench") {
         true => (POINTS, SEARCHES, ROUNDS),
         false => (500, 500, 1),
     };
+    let json = arguments.iter().position(|argument| argument == "--json");
+    let json = json.map(|at| arguments.get(at + 1).expect("a file after --json"));
+    let mut rows = Vec::new();
     println!("space  work    bare ns  index ns  inline ns  bare/index  bare/inline");
     for (name, space) in [("R3", "R3"), ("SE3", "R3*SO3:0.15")] {
         let space: Space = space.parse()?;
-        let rows = uniform(&space, points, 1);
+        let states = uniform(&space, points, 1);
         let queries = uniform(&space, searches, 2);
         let (mut search, mut mix) = (Times::default(), Times::default());
         let (mut forest, index, inline) = (
-            bare(&space, &rows)?,
+            bare(&space, &states)?,
             Index::in_memory(&space)?,
             Index::in_memory_inline(&space)?,
         );
         forest.settle();
-        for row in &rows {
+        for row in &states {
             index.insert(&row[..])?;
             inline.insert(&row[..])?;
         }
@@ -49,13 +58,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                     .iter()
                     .for_each(|row| drop(inline.nearest(&row[..])))
             }));
-            mix.bare.push(time(|| drop(bare_mix(&space, &rows))));
+            mix.bare.push(time(|| drop(bare_mix(&space, &states))));
             let (index, inline) = (Index::in_memory(&space)?, Index::in_memory_inline(&space)?);
-            mix.index.push(time(|| index_mix(&index, &rows)));
-            mix.inline.push(time(|| index_mix(&inline, &rows)));
+            mix.index.push(time(|| index_mix(&index, &states)));
+            mix.inline.push(time(|| index_mix(&inline, &states)));
         }
-        search.print(name, "nearest", queries.len());
-        mix.print(name, "mix", rows.len());
+        rows.push(search.print(name, "nearest", queries.len()));
+        rows.push(mix.print(name, "mix", states.len()));
+    }
+    if let Some(file) = json {
+        fs::write(file, format!("[{}]\n", rows.join(",\n")))?;
     }
     Ok(())
 }
@@ -69,19 +81,30 @@ struct Times {
 }
 
 impl Times {
-    fn print(&mut self, space: &str, work: &str, count: usize) {
-        let median = |times: &mut Vec<Duration>| {
-            times.sort();
-            times[times.len() / 2].as_nanos() as f64 / count as f64
+    /// Prints a row of the table, and returns it as JSON.
+    fn print(&self, space: &str, work: &str, count: usize) -> String {
+        let time = |times: &[Duration]| {
+            median(times.iter().map(Duration::as_nanos).map(|ns| ns as f64)) / count as f64
         };
-        let (bare, index) = (median(&mut self.bare), median(&mut self.index));
-        let inline = median(&mut self.inline);
-        let ratios = (bare / index, bare / inline);
+        let ratio = |times: &[Duration]| {
+            let rounds = self.bare.iter().zip(times);
+            median(rounds.map(|(bare, index)| bare.as_secs_f64() / index.as_secs_f64()))
+        };
+        let [bare, index, inline] = [&self.bare, &self.index, &self.inline].map(|it| time(it));
+        let (to_index, to_inline) = (ratio(&self.index), ratio(&self.inline));
         println!(
-            "{space:5}  {work:7} {bare:7.0}  {index:8.0}  {inline:9.0}  {:10.3}  {:11.3}",
-            ratios.0, ratios.1
+            "{space:5}  {work:7} {bare:7.0}  {index:8.0}  {inline:9.0}  {to_index:10.3}  {to_inline:11.3}"
         );
+        format!(
+            "{{\"space\": \"{space}\", \"work\": \"{work}\", \"bare_ns\": {bare}, \"index_ns\": {index}, \"inline_ns\": {inline}, \"ratio\": {to_index}, \"inline_ratio\": {to_inline}}}"
+        )
     }
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
 }
 
 fn time(work: impl FnOnce()) -> Duration {
