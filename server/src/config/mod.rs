@@ -197,6 +197,7 @@ impl IndexConfig {
             merge_threads: self.merge_threads,
             window_bytes: self.window_bytes,
             window: Duration::from_secs(self.window_seconds),
+            operations: limits.operations(),
             counts_payloads: limits.max_payload_bytes_per_index > 0,
         }
     }

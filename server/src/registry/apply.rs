@@ -166,7 +166,10 @@ impl Hosted {
             error @ LogError::Unconfirmed { .. } => self.settle(record, error).await?,
             error => return Err(error.into()),
         };
-        let head = self.journal_has(base, head).await?;
+        // Records before this one may have been acknowledged since it was submitted.
+        let published = self.published().view.position();
+        let known = [base, published].into_iter().max_by_key(|it| it.revision);
+        let head = self.journal_has(known.unwrap_or(base), head).await?;
         Ok(self.superseded(record, head))
     }
 

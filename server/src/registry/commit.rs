@@ -8,7 +8,7 @@ use std::sync::{
 use tokio::sync::oneshot;
 
 use super::{
-    Hosted, OperationWindow, RegistryError, WriteGuard, apply::AwaitedReceipt, in_flight::Decision,
+    Hosted, RegistryError, WriteGuard, apply::AwaitedReceipt, in_flight::Decision,
 };
 use crate::log::{Effects, LogError, Operation, Receipt, Record};
 
@@ -48,14 +48,12 @@ impl Hosted {
         self: &Arc<Self>,
         writer: WriteGuard,
         effects: Effects,
-        window: OperationWindow,
     ) -> Result<CommitOutcome, RegistryError> {
         if !effects.stored().is_empty() {
             self.host
                 .watermarks
                 .admit(STORED_COPIES * effects.bytes() as u64)?;
         }
-        self.operations.lock().set_window(window);
         let is_small = effects.len() <= MAX_INLINE_POINTS && effects.bytes() <= MAX_INLINE_BYTES;
         // The log reads a point before it replaces or removes it.
         let submitted = if is_small && effects.only_adds() && !self.host.log.journal.is_busy() {
@@ -127,10 +125,8 @@ impl Hosted {
     }
 
     /// Remembers an operation that changed nothing.
-    pub fn remember(&self, operation: Arc<Operation>, window: OperationWindow) {
-        let mut operations = self.operations.lock();
-        operations.set_window(window);
-        operations.remember(operation);
+    pub fn remember(&self, operation: Arc<Operation>) {
+        self.operations.lock().remember(operation);
     }
 
     fn submit(

@@ -296,7 +296,8 @@ impl Registry {
         let forest = self.host.options.forest(&entry.space);
         let view = self.host.log.points.view(entry.uid)?;
         let sizes = PayloadSizes::new(self.host.options.counts_payloads);
-        let hosted = Hosted::new(&self.host, &entry, (forest, sizes), view, Operations::new());
+        let operations = Operations::new(self.host.options.operations);
+        let hosted = Hosted::new(&self.host, &entry, (forest, sizes), view, operations);
         // Its journal begins here.
         let _ = hosted.oldest_at_start.set(1);
         let state = IndexState::Hosted(Arc::clone(&hosted));

@@ -5,7 +5,7 @@ use std::{collections::HashMap, sync::Arc};
 use crate::log::{BoundedQueue, Operation};
 
 /// The bounds on the operations that an index remembers. The newest operation is always remembered.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OperationWindow {
     /// The maximum number of operations.
     pub count: usize,
@@ -13,12 +13,13 @@ pub struct OperationWindow {
     pub bytes: usize,
 }
 
-impl OperationWindow {
-    /// No bound. A restart uses it: the log bounds its operations, and the next mutation sets the configured window.
-    const UNBOUNDED: Self = Self {
-        count: usize::MAX,
-        bytes: usize::MAX,
-    };
+impl Default for OperationWindow {
+    fn default() -> Self {
+        Self {
+            count: 10_000,
+            bytes: 16 * 1024 * 1024,
+        }
+    }
 }
 
 /// The newest operations, by id.
@@ -29,10 +30,10 @@ pub(super) struct Operations {
 }
 
 impl Operations {
-    /// No operations, and no bound.
-    pub(super) fn new() -> Self {
+    /// No operations, and these bounds.
+    pub(super) fn new(window: OperationWindow) -> Self {
         Self {
-            window: OperationWindow::UNBOUNDED,
+            window,
             by_id: HashMap::new(),
             newest: BoundedQueue::default(),
         }
@@ -46,11 +47,6 @@ impl Operations {
     /// The bytes of all operations (see [`Operation::bytes`]).
     pub(super) fn bytes(&self) -> u64 {
         self.newest.window().bytes
-    }
-
-    /// Sets the bounds, for the next operation.
-    pub(super) fn set_window(&mut self, window: OperationWindow) {
-        self.window = window;
     }
 
     pub(super) fn recall(&self, id: &str) -> Option<&Arc<Operation>> {
@@ -85,8 +81,7 @@ mod tests {
     }
 
     fn remembered(sizes: &[usize], window: OperationWindow) -> Vec<bool> {
-        let mut operations = Operations::new();
-        operations.set_window(window);
+        let mut operations = Operations::new(window);
         for (at, &bytes) in sizes.iter().enumerate() {
             operations.remember(operation(&at.to_string(), bytes));
         }
@@ -112,13 +107,12 @@ mod tests {
 
     #[test]
     fn the_response_is_remembered_as_it_was() {
-        let mut operations = Operations::new();
+        let mut operations = Operations::new(OperationWindow { count: 1, bytes: 0 });
         let done = Arc::new(Operation {
             id: "op".into(),
             fingerprint: [7; 32],
             response: Bytes::from_static(b"response"),
         });
-        operations.set_window(OperationWindow { count: 1, bytes: 0 });
         operations.remember(Arc::clone(&done));
         assert_eq!(operations.recall("op"), Some(&done));
         assert_eq!(operations.recall("other"), None);

@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use wayfold_index::{Forest, ForestOptions, Space};
 
+use super::OperationWindow;
+
 /// Options of the registry, for all its indices.
 #[derive(Clone, Copy, Debug)]
 pub struct RegistryOptions {
@@ -17,6 +19,8 @@ pub struct RegistryOptions {
     pub window_bytes: usize,
     /// The age above which each index forgets records.
     pub window: Duration,
+    /// The operations that each index remembers.
+    pub operations: OperationWindow,
     /// True if the sizes of payloads are kept for their quota.
     pub counts_payloads: bool,
 }
@@ -29,6 +33,7 @@ impl Default for RegistryOptions {
             merge_threads: 2,
             window_bytes: 64 * 1024 * 1024,
             window: Duration::from_secs(3600),
+            operations: OperationWindow::default(),
             counts_payloads: false,
         }
     }

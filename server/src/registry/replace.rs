@@ -60,7 +60,7 @@ impl Registry {
         } = restore;
         let points = loader.len();
         let forest = loader.finish(origin.revision).map_err(unloaded)?;
-        let mut remembered = Operations::new();
+        let mut remembered = Operations::new(host.options.operations);
         for operation in &operations {
             remembered.remember(Arc::clone(operation));
         }

@@ -40,7 +40,7 @@ fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError>
         .points
         .load(entry.uid, &mut |point| stored.push(point))?;
     let (forest, sizes) = stored.finish(view.revision())?;
-    let mut operations = Operations::new();
+    let mut operations = Operations::new(host.options.operations);
     for operation in host.log.points.operations(entry.uid)? {
         operations.remember(operation);
     }

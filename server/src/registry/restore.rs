@@ -96,7 +96,7 @@ impl Registry {
             &entry,
             (forest, payload_sizes),
             view,
-            Operations::new(),
+            Operations::new(host.options.operations),
         );
         info!(index = entry.name, uid = %entry.uid, revision = origin.revision, points, "restored an index");
         let state = IndexState::Hosted(Arc::clone(&hosted));

@@ -33,7 +33,7 @@ pub(super) fn is_damage(why: &RegistryError) -> bool {
                 | LogError::Trimmed { .. }
                 | LogError::Contradicted { .. }
         )
-    )
+    ) || revision_before(why).is_some()
 }
 
 fn contradiction(uid: Uid, revision: u64, member: &str) -> RegistryError {

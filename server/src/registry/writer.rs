@@ -152,7 +152,7 @@ impl Writer {
     }
 
     /// The count of refusals at which the pending records were submitted.
-    pub(super) fn refusals(&self) -> u64 {
+    pub(crate) fn refusals(&self) -> u64 {
         self.refusals
     }
 

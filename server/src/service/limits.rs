@@ -6,6 +6,7 @@ use serde::Deserialize;
 use wayfold_index::Space;
 
 use super::Error;
+use crate::registry::OperationWindow;
 
 /// Limits that protect the server and its clients; a call that exceeds one is refused with the limit's name and value.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
@@ -51,6 +52,16 @@ pub struct Limits {
     pub min_revision_wait: Duration,
 }
 
+impl Limits {
+    /// The operations that an index remembers.
+    pub fn operations(&self) -> OperationWindow {
+        OperationWindow {
+            count: self.max_operations,
+            bytes: self.max_operation_bytes,
+        }
+    }
+}
+
 impl Default for Limits {
     fn default() -> Self {
         Self {
@@ -61,8 +72,8 @@ impl Default for Limits {
             max_indexes: 10_000,
             max_scan_seconds: 300,
             max_held_scans: 64,
-            max_operations: 10_000,
-            max_operation_bytes: 16 * 1024 * 1024,
+            max_operations: OperationWindow::default().count,
+            max_operation_bytes: OperationWindow::default().bytes,
             max_sessions: 65_536,
             max_session_idle_seconds: 7 * 24 * 3600,
             max_reserved_ids: 1 << 20,

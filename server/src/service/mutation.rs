@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     log::{Batch, Digest, Effects, Operation, StoredPoint},
-    registry::{CommitOutcome, Hosted, OperationWindow, WriteGuard},
+    registry::{CommitOutcome, Hosted, WriteGuard},
 };
 
 /// Bytes of a request digested between two pauses.
@@ -228,17 +228,13 @@ impl Service {
             refused(call, hosted, writer, error).await?;
             return Ok(CommitOutcome::Refused);
         }
-        let window = OperationWindow {
-            count: self.limits().max_operations,
-            bytes: self.limits().max_operation_bytes,
-        };
         if let Some(key) = key {
             key.mark(&mut effects, response.encode_to_vec().into());
         }
         if effects.is_empty() {
             let remember = || {
                 if let Some(operation) = effects.operation() {
-                    hosted.remember(Arc::clone(operation), window);
+                    hosted.remember(Arc::clone(operation));
                 }
             };
             // A concurrent retry finds the operation, and waits for the same records. Beside other servers the response
@@ -258,7 +254,7 @@ impl Service {
             }
             false => "after the mutation was logged; it takes place",
         };
-        call.bound(doing, hosted.commit(writer, effects, window))
+        call.bound(doing, hosted.commit(writer, effects))
             .await?
             .map_err(|error| registry_error(hosted.name(), error))
     }

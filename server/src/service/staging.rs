@@ -194,10 +194,9 @@ mod tests {
     use super::*;
     use crate::{
         log::MemoryLog,
-        registry::{CommitOutcome, OperationWindow, Registry, RegistryOptions},
+        registry::{CommitOutcome, Registry, RegistryOptions},
     };
 
-    const WINDOW: OperationWindow = OperationWindow { count: 1, bytes: 0 };
 
     fn point(id: u64, revision: u64, row: &[f64]) -> PointRef<'_> {
         PointRef {
@@ -244,7 +243,7 @@ mod tests {
                     union.insert(point).unwrap();
                     let mut effects = Effects::new(1);
                     effects.store(point, Outcome::Inserted, Bytes::new());
-                    let mut commit = Box::pin(hosted.commit(writer, effects, WINDOW));
+                    let mut commit = Box::pin(hosted.commit(writer, effects));
                     if slot >= published {
                         // Submitted at the first poll, and published once the apply loop runs.
                         assert!(poll!(&mut commit).is_pending());

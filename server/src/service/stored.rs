@@ -49,6 +49,8 @@ pub(super) struct ReadAhead<T> {
     takes_new: bool,
     /// The revision that `points` are of.
     revision: u64,
+    /// The writer's count of refusals when it caught up last: its values may be those of records that were refused since.
+    refusals: Option<u64>,
     /// By id; None: no point is stored.
     points: HashMap<u64, Option<T>>,
 }
@@ -63,6 +65,7 @@ impl<T: Send + 'static> ReadAhead<T> {
             projection: Arc::new(projection),
             takes_new,
             revision: 0,
+            refusals: None,
             points: HashMap::new(),
         }
     }
@@ -106,11 +109,13 @@ impl<T: Send + 'static> ReadAhead<T> {
     /// enough, it forgets all values and returns false.
     pub(super) fn catch_up(&mut self, hosted: &Hosted, writer: &Writer) -> bool {
         let before = std::mem::replace(&mut self.revision, writer.revision());
+        let refusals = self.refusals.replace(writer.refusals());
         if self.points.is_empty() && !self.takes_new {
             return true;
         }
+        let are_void = refusals.is_some_and(|it| it != writer.refusals());
         let records = hosted.records_since(before, writer);
-        let Some(records) = records else {
+        let Some(records) = records.filter(|_| !are_void) else {
             self.points.clear();
             return false;
         };

@@ -2,6 +2,7 @@
 //! are not revisions, and it loses requests and answers. Each server has its own point store.
 
 mod every_request;
+mod refused_records;
 mod stream;
 
 use std::{
@@ -49,6 +50,7 @@ fn server_over(
     };
     let options = RegistryOptions {
         window_bytes: WINDOW_BYTES,
+        operations: limits.operations(),
         ..options()
     };
     let registry = Registry::new(log, options);
@@ -204,7 +206,11 @@ async fn a_point_store_forgets_old_records_and_operations() {
         max_operations: 5,
         ..Limits::default()
     };
-    let (service, ..) = server_over(&stream, Arc::clone(&points), limits);
+    let (service, ..) = server_over(&stream, Arc::clone(&points), limits.clone());
+    // It evaluates none of the mutations.
+    let followed = Arc::new(MemoryLog::new());
+    followed.create(entry.clone()).unwrap();
+    let (follower, ..) = server_over(&stream, Arc::clone(&followed), limits);
     for number in 0..100 {
         let request = v1::InsertRequest {
             operation_id: number.to_string(),
@@ -216,7 +222,8 @@ async fn a_point_store_forgets_old_records_and_operations() {
         assert!(bytes.sum::<usize>() <= WINDOW_BYTES);
         assert!(points.operations(entry.uid).unwrap().len() <= 5);
     }
-    settled(&stream, &entry, &[&service]).await;
+    settled(&stream, &entry, &[&service, &follower]).await;
+    assert!(followed.operations(entry.uid).unwrap().len() <= 5);
 }
 
 /// Inserts a state once the index is available again; returns the revision.

@@ -228,12 +228,15 @@ impl Task {
                 // The newest message may be this one, if an earlier acknowledgement was lost.
                 PublishErrorKind::WrongLastSequence => {
                     let newest = self.read_newest().await?;
-                    return match newest.last == last.position() {
-                        true => Ok(()),
-                        false => Err(Refusal::Fenced {
-                            head: newest.last.revision,
-                        }),
-                    };
+                    if newest.last == last.position() {
+                        return Ok(());
+                    }
+                    if newest.sequence != expected.sequence {
+                        let head = newest.last.revision;
+                        return Err(Refusal::Fenced { head });
+                    }
+                    // This was read from the past: NATS has just refused its number.
+                    attempts.tick().await;
                 }
                 // No server has received it: the stream has no leader now.
                 PublishErrorKind::StreamNotFound => {

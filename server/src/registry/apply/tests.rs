@@ -10,7 +10,7 @@ use tokio_stream::wrappers::UnboundedReceiverStream;
 use super::*;
 use crate::{
     log::{Catalogue, Journal, Log, Operation, PointStore, Retention, Uid, Window},
-    registry::{CommitOutcome, OperationWindow, Registry, RegistryOptions},
+    registry::{CommitOutcome, Registry, RegistryOptions, in_flight::Decision},
     testing::recorded,
 };
 
@@ -97,11 +97,7 @@ impl Server {
 
     async fn commit(&self) {
         let writer = self.hosted.write().await.unwrap();
-        let window = OperationWindow {
-            count: 9,
-            bytes: 900,
-        };
-        let committed = self.hosted.commit(writer, effects("own"), window).await;
+        let committed = self.hosted.commit(writer, effects("own")).await;
         assert_eq!(committed.unwrap(), CommitOutcome::Done);
     }
 
@@ -204,4 +200,31 @@ async fn applied_records_may_be_forgotten_before_the_journal_brings_them() {
     server.brings(slice::from_ref(&next));
     server.hosted.reached(4).await.unwrap();
     server.commit().await;
+}
+
+/// NATS answers from the past: the records before the one without a receipt have been acknowledged since.
+#[tokio::test(start_paused = true)]
+async fn a_stale_end_of_the_journal_does_not_void_a_record_that_it_has() {
+    let server = Server::start();
+    let base = server.hosted.published().view.position();
+    for _ in 0..2 {
+        server.commit().await;
+    }
+    let hosted = &server.hosted;
+    let record = others(hosted.published().view.position());
+    let decision = {
+        let mut in_flight = hosted.in_flight.lock();
+        let refusals = in_flight.refusals();
+        in_flight.add(record.position(), refusals).unwrap()
+    };
+    server.journal.submitted.lock().push(Arc::clone(&record));
+    let stale = LogError::Fenced {
+        uid: hosted.uid(),
+        expected: 2,
+        head: 1,
+    };
+    let arrival = hosted.not_accepted(&record, base, stale).await.unwrap();
+    server.brings(&[record]);
+    arrival.await.unwrap();
+    assert!(matches!(decision.await, Ok(Decision::Published)));
 }

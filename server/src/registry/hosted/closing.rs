@@ -27,18 +27,27 @@ impl Hosted {
                 view: Arc::clone(view),
             }));
             stored == position
-        } else if stored.revision > position.revision {
+        } else if let Some(later) = stored.revision.checked_sub(position.revision) {
             let journal = &self.host.log.journal;
             let records = journal.read(self.uid, Some(position.revision), usize::MAX);
-            records.is_ok_and(|records| {
-                let applied = self.apply_now(applied, &records, |_| Ok(Arc::clone(view)));
-                applied.is_ok() && self.published().view.position() == stored
+            records.is_ok_and(|mut records| {
+                // A journal elsewhere may have more than the store.
+                records.truncate(later as usize);
+                let last = records.last().map(|last| last.position());
+                let applied = || self.apply_now(applied, &records, |_| Ok(Arc::clone(view)));
+                last == Some(stored) && applied().is_ok()
             })
         } else {
             false
         };
         if is_resumed {
-            let refusals = self.in_flight.lock().refusals();
+            // A call may have submitted a record while the index closed: no receipt will decide it.
+            let why = self.closed().unwrap_or(RegistryError::Stopped);
+            let (failed, refusals) = {
+                let mut in_flight = self.in_flight.lock();
+                (in_flight.fail(&why), in_flight.refusals())
+            };
+            notify(failed);
             writer.catch_up(self.published(), self.last_change.load(Relaxed), refusals);
             let hosted = Arc::downgrade(self);
             let mut apply_loop = self.apply_loop.lock();

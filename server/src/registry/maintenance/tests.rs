@@ -13,9 +13,9 @@ use super::*;
 use crate::{
     log::{
         Catalogue, Effects, Journal, Log, MemoryLog, Origin, Outcome, PointStore, Receipt, Record,
-        RecordStream, Retention, Sessions, Uid, Window,
+        RecordPosition, RecordStream, Retention, Sessions, Uid, Window,
     },
-    registry::{CommitOutcome, OperationWindow, RegistryOptions},
+    registry::{CommitOutcome, RegistryOptions, in_flight::Decision},
     testing::recorded,
 };
 
@@ -170,6 +170,60 @@ async fn a_contradicted_index_does_not_resume() {
     assert!(hosted.follows());
 }
 
+/// The store had failed in the middle of a pack, and the journal has more.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_index_resumes_at_the_revision_of_its_store() {
+    let (journal, _registry, hosted) = stopped(false).await;
+    let (uid, local) = (hosted.uid(), &journal.local);
+    let mut position = local.view(uid).unwrap().position();
+    let records = [(), (), ()].map(|()| {
+        let record = Arc::new(Record::after(position, Effects::new(1)));
+        position = record.position();
+        local.submit(uid, Arc::clone(&record)).unwrap();
+        record
+    });
+    journal.head.store(APPLIED + 3, SeqCst);
+    let stored = local.apply(uid, &records[..1]).unwrap();
+    let resuming = Arc::clone(&hosted);
+    let resumed =
+        tokio::task::spawn_blocking(move || (resuming.resume(&stored), resuming.published()));
+    let (resumed, published) = resumed.await.unwrap();
+    assert!(resumed && published.revision > APPLIED);
+    assert_eq!(published.revision, published.view.position().revision);
+    hosted.reached(APPLIED + 3).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_record_that_was_submitted_while_the_index_closed_does_not_block_later_ones() {
+    let (journal, registry, hosted) = stopped(false).await;
+    let position = RecordPosition {
+        revision: APPLIED + 1,
+        digest: [1; 32],
+    };
+    let submitted = {
+        let mut in_flight = hosted.in_flight.lock();
+        let refusals = in_flight.refusals();
+        in_flight.add(position, refusals).unwrap()
+    };
+    journal.head.store(APPLIED, SeqCst);
+    registry.resume_unsettled(&hosted).await;
+    assert!(matches!(submitted.await, Ok(Decision::Failed(_))));
+    assert_eq!(hosted.in_flight.lock().len(), 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_index_whose_points_cannot_be_read_may_take_a_copy() {
+    let (_journal, registry, hosted) = stopped(false).await;
+    let uid = hosted.uid();
+    hosted.close(RegistryError::Log(LogError::Unreadable {
+        uid,
+        what: "a block has another checksum".into(),
+    }));
+    assert!(registry.has_damage());
+    let stopped = registry.stopped().pop().unwrap();
+    assert_eq!((stopped.uid, stopped.min_revision), (uid, APPLIED));
+}
+
 /// A catalogue whose registry adopts a claim before the claim is answered.
 struct Adopted {
     local: Arc<MemoryLog>,
@@ -247,8 +301,7 @@ async fn an_idle_index_holds_no_former_revision() {
         Bytes::new(),
     );
     let writer = hosted.write().await.unwrap();
-    let window = OperationWindow { count: 0, bytes: 0 };
-    let committed = hosted.commit(writer, effects, window).await.unwrap();
+    let committed = hosted.commit(writer, effects).await.unwrap();
     assert_eq!(committed, CommitOutcome::Done);
     // The second call finds that no mutation came since the first.
     hosted.merge_if_idle();

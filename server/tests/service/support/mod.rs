@@ -32,7 +32,11 @@ pub(crate) fn service() -> Service {
 }
 
 pub(crate) fn service_with(log: impl Into<Log>, limits: Limits) -> Service {
-    let service = Service::new(Registry::new(log, options()), limits);
+    let options = RegistryOptions {
+        operations: limits.operations(),
+        ..options()
+    };
+    let service = Service::new(Registry::new(log, options), limits);
     service.set_ready();
     service
 }
@@ -47,6 +51,10 @@ pub(crate) fn restarted_with(
     options: RegistryOptions,
     limits: Limits,
 ) -> Service {
+    let options = RegistryOptions {
+        operations: limits.operations(),
+        ..options
+    };
     let registry = Registry::new(log, options);
     registry.replay().unwrap();
     let service = Service::new(registry, limits);

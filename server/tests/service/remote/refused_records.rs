@@ -1,0 +1,48 @@
+//! Values of records that the journal refused.
+
+use tokio::task::yield_now;
+use wayfold_proto::v1;
+
+use super::{Stream, named_arm, points_at, server};
+use crate::support::*;
+
+/// The same state with another payload.
+fn replacing(payload: &'static str) -> v1::InsertRequest {
+    v1::InsertRequest {
+        payloads: vec![payload.into()],
+        on_conflict: v1::OnConflict::Replace.into(),
+        ..insertion(&[[1.0]], &[7])
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_insert_forgets_the_payloads_of_refused_records() {
+    let (stream, entry) = (Stream::new(14, 0.0), named_arm());
+    let (one, _, journal) = server(&stream, &entry);
+    let (other, ..) = server(&stream, &entry);
+    one.insert(&CALL, replacing("old")).await.unwrap();
+    points_at(&other, entry.uid, 1).await;
+    let held = journal.hold().await;
+    let mut calls = Vec::new();
+    // The second one changes nothing, as long as the first is where it seems to be.
+    for request in [insertion(&[[2.0]], &[8]), replacing("old")] {
+        let service = one.clone();
+        calls.push(tokio::spawn(
+            async move { service.insert(&CALL, request).await },
+        ));
+        for _ in 0..20 {
+            yield_now().await;
+        }
+    }
+    other.insert(&CALL, replacing("new")).await.unwrap();
+    drop(held);
+    let mut last = 0;
+    for call in calls {
+        last = call.await.unwrap().unwrap().revision.number();
+    }
+    for service in [&one, &other] {
+        let points = points_at(service, entry.uid, last).await;
+        let at = points.ids.iter().position(|id| *id == 7).unwrap();
+        assert_eq!(points.payloads[at], "old");
+    }
+}
