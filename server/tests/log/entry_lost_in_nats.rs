@@ -68,6 +68,23 @@ fn an_entry_that_nats_has_lost_can_still_be_changed() {
     });
 }
 
+#[ignore = "needs nats-server"]
+#[test]
+fn an_entry_that_nats_has_lost_is_written_again() {
+    let (server, entry) = (NatsServer::start(), entry("arm"));
+    let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
+    let log = connect(&runtime, &server);
+    log.catalogue.create(entry.clone()).unwrap();
+    log.catalogue.note_contradiction(entry.uid, 3).unwrap();
+    let mut changes = log.catalogue.changes().unwrap();
+    changes.mark_unchanged();
+    runtime.block_on(lose(&server));
+    runtime.block_on(changes.changed()).unwrap();
+    let started = connect(&runtime, &server).catalogue;
+    assert_eq!(started.indexes().unwrap(), [entry.clone()]);
+    assert_eq!(started.contradiction("arm", entry.uid), Some(3));
+}
+
 /// The name was given to another index after the loss: the server that knows the lost one does not take it back.
 #[ignore = "needs nats-server"]
 #[test]
