@@ -79,14 +79,21 @@ impl Service {
                 writer.index_pending();
             }
             let prefetch = prefetch.as_ref().filter(|prefetch| prefetch.holds(&writer));
-            let mut evaluation = Evaluation::new(
+            let evaluation = Evaluation::new(
                 &insertion,
                 &hosted,
                 &writer,
                 self.limits(),
                 prefetch,
                 &payloads,
-            )?;
+            );
+            let mut evaluation = match evaluation {
+                Ok(evaluation) => evaluation,
+                Err(error) => {
+                    refused(call, &hosted, writer, error).await?;
+                    continue;
+                }
+            };
             insertion.evaluate(&mut evaluation, &mut pace).await?;
             let unread = std::mem::take(&mut evaluation.unread);
             if unread.is_empty() {

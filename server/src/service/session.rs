@@ -12,7 +12,7 @@ use wayfold_proto::{END_OF_IDS, v1};
 use super::{
     Call, Error, Limits, Service,
     check::{self, Violations},
-    mutation::{IdempotencyKey, Start},
+    mutation::{IdempotencyKey, Start, refused},
     read_view::revision,
 };
 use crate::{
@@ -45,10 +45,19 @@ impl Service {
                 Start::Remembered(response) => return Ok(response),
                 Start::Writing(writer) => writer,
             };
-            let ended = ended(&writer, limits)?;
             let session = writer.revision() + 1;
             let mut effects = Effects::new(hosted.space().coordinates());
-            let reserved = reserve(&hosted, &writer, &effects, request.reserve_count, limits)?;
+            let evaluated = ended(&writer, limits).and_then(|ended| {
+                let count = request.reserve_count;
+                Ok((ended, reserve(&hosted, &writer, &effects, count, limits)?))
+            });
+            let (ended, reserved) = match evaluated {
+                Ok(evaluated) => evaluated,
+                Err(error) => {
+                    refused(call, &hosted, writer, error).await?;
+                    continue;
+                }
+            };
             let response = v1::OpenSessionResponse {
                 session,
                 reserved: Some(block(&reserved)),

@@ -94,14 +94,17 @@ impl Service {
             };
             writer.index_pending();
             let evaluated = steps.net(&hosted, &writer, &stored, &mut pace).await;
-            let (effects, missing) = match evaluated {
+            let evaluated = evaluated.and_then(|(effects, missing)| {
+                let reserved = reserve(&hosted, &writer, &effects, reserve_count, self.limits())?;
+                Ok((effects, missing, reserved))
+            });
+            let (effects, missing, reserved) = match evaluated {
                 Ok(evaluated) => evaluated,
                 Err(error) => {
                     refused(call, &hosted, writer, error).await?;
                     continue;
                 }
             };
-            let reserved = reserve(&hosted, &writer, &effects, reserve_count, self.limits())?;
             let response = v1::WriteResponse {
                 reserved: Some(block(&reserved)),
                 missing_count: missing,

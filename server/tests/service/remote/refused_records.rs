@@ -1,9 +1,15 @@
-//! Values of records that the journal refused.
+//! Values of records that the journal refused, and refusals by such values.
+
+use std::sync::Arc;
 
 use tokio::task::yield_now;
 use wayfold_proto::v1;
+use wayfold_server::{
+    log::{Catalogue, MemoryLog},
+    service::{Code, Limits},
+};
 
-use super::{Stream, named_arm, points_at, server};
+use super::{Stream, named_arm, points_at, server, server_over};
 use crate::support::*;
 
 /// The same state with another payload.
@@ -45,4 +51,25 @@ async fn an_insert_forgets_the_payloads_of_refused_records() {
         let at = points.ids.iter().position(|id| *id == 7).unwrap();
         assert_eq!(points.payloads[at], "old");
     }
+}
+
+/// A session may have ended in records that this server lacks.
+#[tokio::test]
+async fn a_full_table_of_sessions_is_refused_only_after_a_record() {
+    let (stream, entry) = (Stream::new(15, 0.0), named_arm());
+    let points = Arc::new(MemoryLog::new());
+    points.create(entry.clone()).unwrap();
+    let limits = Limits {
+        max_sessions: 1,
+        ..Limits::default()
+    };
+    let (service, ..) = server_over(&stream, points, limits);
+    let request = || v1::OpenSessionRequest {
+        index_name: "arm".into(),
+        ..Default::default()
+    };
+    service.open_session(&CALL, request()).await.unwrap();
+    let refused = service.open_session(&CALL, request()).await.unwrap_err();
+    assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");
+    assert_eq!(stream.records(entry.uid).len(), 2);
 }
