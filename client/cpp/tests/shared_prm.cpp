@@ -316,6 +316,12 @@ void flush_in_time(const std::string &uri, pid_t server) {
     go_on(server);
     planner.prm->flush();
     CHECK(wayfold::Index::remote(uri, "stopped").size() == 50);
+    // It waits for no neighbour that was removed before the graph had it.
+    struct Late : wayfold::SharedPRM {
+        static auto pairs() { return &Late::late_; }
+    };
+    ((*planner.prm).*Late::pairs()).emplace_back(*planner.prm->id(0), 1 << 30);
+    planner.prm->flush(std::chrono::seconds(5));
 }
 
 // The planner makes the index, of the space that it flattens itself; client/cpp/check looks at what it declares.

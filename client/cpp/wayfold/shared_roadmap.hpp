@@ -302,7 +302,10 @@ private:
             }
             const auto other = vertices_.find(other_id);
             if (other == vertices_.end()) {
-                waiting.emplace_back(id, other_id);
+                // The graph never gets a point that was removed before.
+                if (index_.get(other_id).has_value()) {
+                    waiting.emplace_back(id, other_id);
+                }
                 continue;
             }
             // The strategy decides about it as about a neighbour that it finds.

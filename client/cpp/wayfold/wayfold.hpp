@@ -73,7 +73,8 @@ public:
         return all;
     }
     // Every write from the first one on that the server refused for good, in order; the copy shows them no more. The
-    // index takes writes again then.
+    // index takes writes again then. The server may have taken the first batch of them: after the reconnection look if
+    // its points are there. Store a put again without an id that the index assigned: it is the ended session's.
     std::vector<UnsentWrite> take_unsent() const {
         wayfold_unsent *unsent = nullptr;
         detail::check(wayfold_index_take_unsent(raw(), &unsent));
@@ -265,7 +266,8 @@ public:
         detail::check(
             wayfold_index_search(raw(), states, count, width_, &search.raw(), k, ids, distances, found, nullptr));
     }
-    // Answers a search of many states, rows one after the other, which see the same points.
+    // Answers a search of many states, rows one after the other, which see the same points. A remote index divides more
+    // than 1,000 states, or a large answer, among calls, which may see different revisions.
     std::vector<std::vector<Neighbor>> search_many(const double *states, std::size_t count,
                                                    const Search &search) const {
         if (count == 0) {

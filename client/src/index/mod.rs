@@ -286,8 +286,8 @@ impl Index {
         self.ask(state, &search.scaled()?, found)
     }
 
-    /// Answers a search of many states, which see the same points. A remote index divides more than 1,000 states
-    /// among calls, which may see different revisions.
+    /// Answers a search of many states, which see the same points. A remote index divides more than 1,000 states, or a
+    /// large answer, among calls, which may see different revisions.
     ///
     /// # Errors
     /// Those of [`Index::search`] for any of the states.

@@ -89,8 +89,9 @@ impl<'a> InsertOptions<'a> {
     ///
     /// A shared index looks in its copy: of two processes that store the same id at once, the later one replaces the
     /// point. Ids in a block that the server reserved for another process are refused, which ends the writes of this
-    /// one until [`Index::take_unsent`](crate::Index::take_unsent): keep given ids far above those that the index
-    /// assigns.
+    /// one until [`Index::take_unsent`](crate::Index::take_unsent). Choose a range above all assigned ids, well below
+    /// 2^63, then store and flush its last id first: the server assigns only greater ids from then on, and the ids
+    /// below it stay the caller's.
     pub fn id(mut self, id: u64) -> InsertOptions<'a> {
         self.id = Some(id);
         self

@@ -100,6 +100,9 @@ impl Index {
 
     /// Every write from the first one on that the server refused for good, in order; the copy shows them no more. After
     /// this call the index takes writes again, in a new session.
+    ///
+    /// The server may have taken the first batch of them: after the reconnection look whether its points are there. Store
+    /// a put again without its id if the index assigned it: the id stays reserved for the session that ended.
     pub fn take_unsent(&self) -> Vec<UnsentWrite> {
         self.shared
             .as_ref()

@@ -117,6 +117,9 @@ pub unsafe extern "C" fn wayfold_index_status(
 /// Reads every write from the first one on that the server refused for good, in order; the copy shows them no more. The
 /// index takes writes again then. Free them with `wayfold_unsent_free`.
 ///
+/// The server may have taken the first batch of them: after the reconnection look whether its points are there. Store a
+/// put again without its id if the index assigned it: the id stays reserved for the session that ended.
+///
 /// Thread-safe.
 ///
 /// # Safety

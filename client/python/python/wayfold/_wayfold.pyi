@@ -234,7 +234,11 @@ class Index:
     def search(self, state: _States, search: Search) -> SearchResult:
         """Answers any search."""
     def search_many(self, states: _States, search: Search) -> list[tuple[_Ids, _Floats]]:
-        """Answers a search of many states, which see the same points: ids and distances of each."""
+        """Answers a search of many states, which see the same points: ids and distances of each.
+
+        A remote index divides more than 1,000 states, or a large answer, among calls, which may see different
+        revisions.
+        """
     def search_each(self, states: _States, searches: Sequence[Search]) -> list[tuple[_Ids, _Floats]]:
         """Answers a search for each of many states, which see the same points. A remote index takes only one search."""
     def scan(self) -> StoredPoints:
@@ -287,7 +291,11 @@ class Index:
     def wait_meanwhile(self, timeout: float) -> MeanwhileAnswers:
         """Acts like `meanwhile`, but waits for an answer, at most `timeout` seconds, if one is to come."""
     def take_unsent(self) -> list[UnsentWrite]:
-        """Every write from the first one on that the server refused for good, in order."""
+        """Every write from the first one on that the server refused for good, in order.
+
+        The server may have taken the first batch of them: after the reconnection look whether its points are there.
+        Store a put again without its id if the index assigned it: the id stays reserved for the session that ended.
+        """
     def close(self, timeout: float = 30.0) -> list[UnsentWrite]:
         """Takes no more writes, waits for the pending ones, and returns those that are not acknowledged in time."""
     def __enter__(self) -> Self: ...

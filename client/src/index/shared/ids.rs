@@ -12,7 +12,7 @@ pub(super) struct ReservedIds {
     left: VecDeque<Range<u64>>,
     /// All blocks of the session, to tell its ids from those of others.
     blocks: Vec<Range<u64>>,
-    /// Ids that the caller gave since the last block: the server may reserve a block around them before it has them.
+    /// Ids above all blocks that the caller gave: the server may reserve a block around them before it has them.
     given: Vec<u64>,
     /// Ids of `left` that the caller gave.
     skipped: HashSet<u64>,
@@ -23,8 +23,10 @@ impl ReservedIds {
         if block.is_empty() {
             return;
         }
-        let given = self.given.drain(..).filter(|id| block.contains(id));
+        let given = self.given.iter().filter(|id| block.contains(id));
         self.skipped.extend(given);
+        // Blocks ascend, so the next one may be around the ids above this one.
+        self.given.retain(|id| *id >= block.end);
         self.left.push_back(block.clone());
         self.blocks.push(block);
     }
@@ -82,5 +84,16 @@ mod tests {
         assert_eq!(given, [0, 1, 10, 12]);
         assert!(ids.contain(11) && !ids.contain(50));
         assert_eq!(ids.len(), 0);
+    }
+
+    #[test]
+    fn an_id_above_a_block_is_not_given_again_in_the_next_block() {
+        let mut ids = ReservedIds::default();
+        ids.give(21);
+        ids.add(10..12);
+        ids.add(20..23);
+        assert_eq!(ids.len(), 4);
+        let given: Vec<u64> = std::iter::from_fn(|| ids.next()).collect();
+        assert_eq!(given, [10, 11, 20, 22]);
     }
 }

@@ -12,8 +12,8 @@ const MAX_BYTES: usize = 16 << 20;
 /// The most points of others that wait for open searches, 32 bytes each.
 const MAX_ARRIVALS: usize = 1 << 20;
 
-/// The most neighbours of an answer that no distance bounds. One that is missed has as many nearer ones, which came while
-/// the copy was read again.
+/// The most neighbours of a superset that no distance bounds: the nearest ones. It may miss a neighbour if `k` is about
+/// this number or greater.
 const MAX_SUPERSET: usize = 1 << 16;
 
 /// The most distances that the thread of all calls computes at once: about a millisecond.
@@ -122,7 +122,7 @@ pub(super) struct OpenSearches {
     open: usize,
     /// The points that others stored since the oldest open search.
     stored: VecDeque<Arrival>,
-    /// The last change by which another writer removed or moved a point.
+    /// The last change by which another writer removed or moved a point, or gave it another tag.
     departure: u64,
     answers: VecDeque<Meanwhile>,
     /// The bytes of all answers.
@@ -139,7 +139,7 @@ pub(super) struct Answerable {
     searches: Vec<OpenSearch>,
     /// The changes of each point, the oldest first, and the point.
     arrived: Vec<(Vec<Change>, Point)>,
-    /// The last change by which another writer removed or moved a point.
+    /// The last change by which another writer removed or moved a point, or gave it another tag.
     departure: u64,
     snapshot: Option<ForestSnapshot>,
 }
@@ -170,7 +170,8 @@ impl OpenSearches {
         }
     }
 
-    /// Another writer removed or moved a point, as change number `at` of the copy: it may have been in an answer.
+    /// Another writer removed or moved a point or gave it another tag, as change number `at` of the copy: the point may
+    /// have been in an answer.
     pub(super) fn depart(&mut self, at: u64) {
         self.departure = at;
     }
@@ -281,7 +282,9 @@ impl Answerable {
                 return false;
             };
             let is_new = later.clone().any(|(_, old_tag)| old_tag.is_none());
-            passes(point.tag) && (is_new || !old_tag.is_some_and(passes))
+            // Another writer may have stored a point under the same id.
+            let is_other = point.id != open.id;
+            is_other && passes(point.tag) && (is_new || !old_tag.is_some_and(passes))
         });
         let neighbors = unseen.map(|(_, point)| Neighbor {
             distance: space.distance(&open.row, &point.row),
@@ -298,8 +301,8 @@ impl Answerable {
         neighbors
     }
 
-    /// All points within the bound or, if a point of the insert's answer has left or moved, the [`MAX_SUPERSET`] nearest
-    /// within the radius.
+    /// All points within the bound. If there is no bound, or a point of the insert's answer has left or moved: the
+    /// [`MAX_SUPERSET`] nearest within the radius.
     fn superset(&self, open: &OpenSearch, space: &Space) -> Vec<Neighbor> {
         let Some(points) = &self.snapshot else {
             return Vec::new();
@@ -310,7 +313,7 @@ impl Answerable {
                     && space.distance(&open.row, &point.row) == found.distance
             })
         };
-        let mut search = match open.found.iter().all(stays) {
+        let mut search = match open.bound.is_finite() && open.found.iter().all(stays) {
             true => Search::nearest_r(open.bound),
             false => Search {
                 radius: open.radius,
@@ -331,41 +334,61 @@ mod tests {
 
     use super::*;
 
-    /// The insert of 0 found the point 1 at distance 1. While the copy was read again, the point stayed, left, moved or
-    /// lost its tag; the point 2, at distance 3, is its nearest neighbour then.
+    /// The neighbours after a reload of a point 0, whose insert found `found`. The other points are ids, tags and places.
+    fn superset(
+        search: &Search<'_>,
+        found: &[Neighbor],
+        others: impl Iterator<Item = (u64, u64, f64)>,
+    ) -> Vec<u64> {
+        let space: Space = "R1".parse().unwrap();
+        let mut points = Points::new(1);
+        for (id, tag, x) in others.chain([(0, 1, 0.0)]) {
+            points.push(id, tag, 1, &[x]);
+        }
+        let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
+        forest.apply(1, &points, &[]).unwrap();
+        let mut open = OpenSearch::new((0, 0), &[0.0], search, found, 1);
+        open.reloaded();
+        let answerable = Answerable {
+            searches: vec![open],
+            arrived: Vec::new(),
+            departure: 0,
+            snapshot: Some(forest.snapshot()),
+        };
+        let answer = answerable.answers(&space).next().unwrap();
+        assert!(answer.is_superset);
+        let ids = answer.neighbors.iter().map(|neighbor| neighbor.id);
+        ids.collect()
+    }
+
+    const NEAREST: Neighbor = Neighbor {
+        distance: 1.0,
+        id: 1,
+    };
+
+    /// The insert found the point 1 at distance 1. While the copy was read again, the point stayed, left, moved or lost
+    /// its tag; the point 2, at distance 3, is the nearest neighbour then.
     #[test]
     fn a_reload_misses_no_neighbour_in_place_of_one_that_left() {
-        let space: Space = "R1".parse().unwrap();
         let mut search = Search::nearest_k(1);
         (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
-        let found = [Neighbor {
-            distance: 1.0,
-            id: 1,
-        }];
         let answer = |first: Option<(u64, f64)>| {
-            let mut points = Points::new(1);
-            let others = [(0, 1, 0.0), (2, 1, 3.0)];
-            for (id, tag, x) in first.map(|(tag, x)| (1, tag, x)).into_iter().chain(others) {
-                points.push(id, tag, 1, &[x]);
-            }
-            let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
-            forest.apply(1, &points, &[]).unwrap();
-            let mut open = OpenSearch::new((0, 0), &[0.0], &search, &found, 1);
-            open.reloaded();
-            let answerable = Answerable {
-                searches: vec![open],
-                arrived: Vec::new(),
-                departure: 0,
-                snapshot: Some(forest.snapshot()),
-            };
-            let answer = answerable.answers(&space).next().unwrap();
-            assert!(answer.is_superset);
-            let ids = answer.neighbors.iter().map(|neighbor| neighbor.id);
-            ids.collect::<Vec<u64>>()
+            let first = first.map(|(tag, x)| (1, tag, x));
+            superset(&search, &[NEAREST], first.into_iter().chain([(2, 1, 3.0)]))
         };
         assert_eq!(answer(Some((1, 1.0))), [1]);
         assert_eq!(answer(None), [2]);
         assert_eq!(answer(Some((1, 5.0))), [2, 1]);
         assert_eq!(answer(Some((0, 1.0))), [2]);
+    }
+
+    /// The copy had fewer points than the search asked for.
+    #[test]
+    fn a_superset_without_a_bound_has_a_limit() {
+        let count = MAX_SUPERSET as u64 + 10;
+        let others = (1..=count).map(|id| (id, 0, id as f64));
+        let found = superset(&Search::nearest_k(2), &[NEAREST], others);
+        // One of them is the point itself.
+        assert!(found.iter().copied().eq(1..MAX_SUPERSET as u64));
     }
 }

@@ -92,8 +92,8 @@ impl OpenShared {
         self
     }
 
-    /// The most bytes of pending writes: 16 MiB unless set. A write that exceeds them waits, as does one without an id of its
-    /// own once the ids that the server has reserved are spent.
+    /// The most bytes of writes that are not yet acknowledged and back from the feed: 16 MiB unless set. A write that
+    /// exceeds them waits, as does one without an id of its own once the ids that the server has reserved are spent.
     pub fn max_pending_bytes(mut self, bytes: usize) -> OpenShared {
         self.max_pending_bytes = bytes;
         self

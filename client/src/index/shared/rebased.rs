@@ -7,6 +7,7 @@
 use std::collections::VecDeque;
 
 use super::batch::Step;
+use crate::index::local::NewRow;
 
 /// The content of a point: its tag and its row.
 pub(super) type Content = (u64, Vec<f64>);
@@ -59,6 +60,12 @@ impl RebasedPoint {
             Step::SetTag(tag) => Change::SetTag(tag),
             Step::SetPayload(_) => Change::SetPayload,
         });
+    }
+
+    /// True if the published point has another tag or state than this row.
+    pub(super) fn is_changed_by(&self, row: &NewRow<'_>) -> bool {
+        let base = self.base.as_ref();
+        base.is_some_and(|(tag, state)| *tag != row.tag || state != row.row)
     }
 
     /// The oldest pending write is published now. If `base` `is_newer`, it has that write already. True if no write is

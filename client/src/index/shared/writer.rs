@@ -95,10 +95,9 @@ impl Writer {
         self.max_batch_bytes = MAX_BATCH_BYTES.min(max_request_bytes / 2);
     }
 
-    /// Begins a session, whose first batch is number 1.
+    /// Begins a session, whose first batch is number 1. `ids` keeps those that the caller gave since the last session.
     pub(super) fn open(&mut self, session: u64, reserved: Option<v1::IdBlock>) {
         self.session = Some(session);
-        self.ids.clear();
         self.next_number = 1;
         self.reserve(reserved);
     }

@@ -11,16 +11,14 @@ fn space() -> Space {
     "R1".parse().expect("a space")
 }
 
+fn block(first_id: u64, id_count: u64) -> Option<v1::IdBlock> {
+    Some(v1::IdBlock { first_id, id_count })
+}
+
 /// A writer in session 1, with ids from 100 on, and an empty copy.
 fn writer() -> (Writer, LocalPoints) {
     let mut writer = Writer::new(1);
-    writer.open(
-        1,
-        Some(v1::IdBlock {
-            first_id: 100,
-            id_count: 50,
-        }),
-    );
+    writer.open(1, block(100, 50));
     (writer, LocalPoints::new(&space()))
 }
 
@@ -38,6 +36,16 @@ fn insert(writer: &mut Writer, points: &mut LocalPoints, row: f64) -> u64 {
     id
 }
 
+/// Inserts a point at 0, whose search found the point 1 at distance 1.
+fn insert_near_1(writer: &mut Writer, points: &mut LocalPoints, search: &Search<'_>) {
+    let id = insert(writer, points, 0.0);
+    let found = [Neighbor {
+        distance: 1.0,
+        id: 1,
+    }];
+    writer.ask(id, &[0.0], search, &found, points.read_revision().0);
+}
+
 /// Another writer's record.
 fn foreign(writer: &mut Writer, points: &mut LocalPoints, id: u64, tag: u64, row: f64) {
     let row = [row];
@@ -50,6 +58,34 @@ fn foreign(writer: &mut Writer, points: &mut LocalPoints, id: u64, tag: u64, row
     writer
         .apply([stored].into_iter(), &[], points)
         .expect("a state");
+}
+
+/// Another writer's record that gives a stored point another tag.
+fn foreign_tag(writer: &mut Writer, points: &mut LocalPoints, id: u64, tag: u64) {
+    let row = points.get(id).expect("a point").row;
+    let stored = NewRow {
+        id,
+        tag,
+        row: &row,
+        is_new: false,
+    };
+    writer
+        .apply([stored].into_iter(), &[], points)
+        .expect("a state");
+}
+
+/// The answers to the searches of a batch of session 1, which the feed has reached.
+fn confirmed(writer: &mut Writer, points: &mut LocalPoints, number: u64) -> Vec<Meanwhile> {
+    let named = writer.confirm(1, number, points).expect("a batch");
+    let named = named.expect("an own batch").into_iter();
+    named
+        .flat_map(|it| it.answers(&space()).collect::<Vec<_>>())
+        .collect()
+}
+
+fn neighbor_ids(answer: &Meanwhile) -> Vec<u64> {
+    let neighbors = answer.neighbors.iter();
+    neighbors.map(|neighbor| neighbor.id).collect()
 }
 
 /// A copy that was read again, with these points.
@@ -169,13 +205,8 @@ fn a_question_is_answered_when_its_point_is_published() {
     let (mut writer, mut points) = writer();
     let ask = |writer: &mut Writer, points: &mut LocalPoints, row: f64| {
         let id = insert(writer, points, row);
-        writer.ask(
-            id,
-            &[row],
-            &Search::nearest_k(1),
-            &[],
-            points.read_revision().0,
-        );
+        let at = points.read_revision().0;
+        writer.ask(id, &[row], &Search::nearest_k(1), &[], at);
         id
     };
     foreign(&mut writer, &mut points, 1, 0, 0.0);
@@ -183,14 +214,7 @@ fn a_question_is_answered_when_its_point_is_published() {
     foreign(&mut writer, &mut points, 2, 0, 1.5);
     foreign(&mut writer, &mut points, 3, 0, 1.25);
     writer.next(1, 0).expect("a batch");
-    let answers = writer
-        .confirm(1, 1, &mut points)
-        .expect("a batch")
-        .expect("an own batch");
-    let answers: Vec<_> = answers
-        .into_iter()
-        .flat_map(|it| it.answers(&space()).collect::<Vec<_>>())
-        .collect();
+    let answers = confirmed(&mut writer, &mut points, 1);
     assert_eq!(answers.len(), 1);
     assert_eq!((answers[0].id, answers[0].neighbors.len()), (first, 1));
     assert_eq!(answers[0].points_before, 3);
@@ -209,22 +233,10 @@ fn a_question_is_answered_when_its_point_is_published() {
     );
     let answers = writer.acknowledge(2, 40, 30, &mut points).expect("a batch");
     assert!(answers.is_empty());
-    let answers = writer
-        .confirm(1, 2, &mut points)
-        .expect("a batch")
-        .expect("an own batch");
-    let answers: Vec<_> = answers
-        .into_iter()
-        .flat_map(|it| it.answers(&space()).collect::<Vec<_>>())
-        .collect();
+    let answers = confirmed(&mut writer, &mut points, 2);
     assert_eq!((answers[0].id, answers[0].is_superset), (second, true));
     assert_eq!(answers[0].points_before, 3);
-    let found: Vec<u64> = answers[0]
-        .neighbors
-        .iter()
-        .map(|neighbor| neighbor.id)
-        .collect();
-    assert_eq!(found, [4, first, 1]);
+    assert_eq!(neighbor_ids(&answers[0]), [4, first, 1]);
 }
 
 /// A point of an earlier session, whose batch the feed has not named yet, is changed in the next session.
@@ -279,13 +291,8 @@ fn an_answer_counts_the_points_before_its_own() {
         .expect("a point");
     let ask = |writer: &mut Writer, points: &mut LocalPoints| {
         let id = insert(writer, points, 1.0);
-        writer.ask(
-            id,
-            &[1.0],
-            &Search::nearest_r(0.1),
-            &[],
-            points.read_revision().0,
-        );
+        let at = points.read_revision().0;
+        writer.ask(id, &[1.0], &Search::nearest_r(0.1), &[], at);
         id
     };
     let first = ask(&mut writer, &mut points);
@@ -300,11 +307,7 @@ fn an_answer_counts_the_points_before_its_own() {
         .apply(std::iter::empty(), &[1, 3], &mut points)
         .expect("points");
     writer.next(1, 0).expect("a batch");
-    let answers = writer.confirm(1, 1, &mut points).expect("a batch");
-    let answers = answers.expect("an own batch").into_iter();
-    let answers: Vec<_> = answers
-        .flat_map(|it| it.answers(&space()).collect::<Vec<_>>())
-        .collect();
+    let answers = confirmed(&mut writer, &mut points, 1);
     let counts: Vec<_> = answers.iter().map(|it| (it.id, it.points_before)).collect();
     assert_eq!(counts, [(first, 2), (second, 3)]);
     assert!(answers[0].neighbors.is_empty());
@@ -333,23 +336,65 @@ fn answers_that_no_one_takes_are_dropped() {
 fn a_point_that_takes_the_place_of_a_removed_neighbor_is_answered() {
     let (mut writer, mut points) = writer();
     foreign(&mut writer, &mut points, 1, 0, 1.0);
-    let id = insert(&mut writer, &mut points, 0.0);
-    let found = [Neighbor {
-        distance: 1.0,
-        id: 1,
-    }];
-    let at = points.read_revision().0;
-    writer.ask(id, &[0.0], &Search::nearest_k(1), &found, at);
+    insert_near_1(&mut writer, &mut points, &Search::nearest_k(1));
     writer
         .apply(std::iter::empty(), &[1], &mut points)
         .expect("a point");
     foreign(&mut writer, &mut points, 2, 0, 2.0);
     writer.next(1, 0).expect("a batch");
-    let answers = writer.confirm(1, 1, &mut points).expect("a batch");
-    let answers = answers.expect("an own batch").into_iter();
-    let answers: Vec<_> = answers
-        .flat_map(|it| it.answers(&space()).collect::<Vec<_>>())
-        .collect();
-    let ids = answers[0].neighbors.iter().map(|neighbor| neighbor.id);
-    assert_eq!(ids.collect::<Vec<_>>(), [2]);
+    let answers = confirmed(&mut writer, &mut points, 1);
+    assert_eq!(neighbor_ids(&answers[0]), [2]);
+}
+
+/// A pending write of its own may hide the neighbor from the writer before it learns of the tag.
+#[test]
+fn a_point_that_takes_the_place_of_a_neighbor_with_another_tag_is_answered() {
+    let mut search = Search::nearest_k(1);
+    (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
+    for is_hidden in [false, true] {
+        let (mut writer, mut points) = writer();
+        foreign(&mut writer, &mut points, 1, 1, 1.0);
+        insert_near_1(&mut writer, &mut points, &search);
+        if is_hidden {
+            let tag = Step::SetTag(0);
+            writer.change(1, &tag, &mut points).expect("a point");
+        }
+        foreign_tag(&mut writer, &mut points, 1, 0);
+        foreign(&mut writer, &mut points, 2, 1, 3.0);
+        writer.next(1, 0).expect("a batch");
+        let answers = confirmed(&mut writer, &mut points, 1);
+        assert_eq!(neighbor_ids(&answers[0]), [2], "{is_hidden}");
+    }
+}
+
+/// Two writers store the same id at once.
+#[test]
+fn a_point_is_no_neighbor_of_its_own() {
+    let (mut writer, mut points) = writer();
+    let own = put(0, &[0.0]);
+    writer.change(5, &own, &mut points).expect("a state");
+    let at = points.read_revision().0;
+    writer.ask(5, &[0.0], &Search::nearest_k(1), &[], at);
+    foreign(&mut writer, &mut points, 5, 0, 0.5);
+    foreign(&mut writer, &mut points, 6, 0, 2.0);
+    writer.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writer, &mut points, 1);
+    assert_eq!(neighbor_ids(&answers[0]), [6]);
+}
+
+/// The writes that a refusal gave back are stored again before the next session is open, which reserves their ids.
+#[test]
+fn ids_that_the_caller_gave_between_sessions_are_not_given_again() {
+    let (mut writer, mut points) = writer();
+    let why = Arc::new(Error::Closed);
+    writer.refuse(why, &mut points).expect("a copy");
+    writer.take_unsent();
+    let own = put(0, &[1.0]);
+    for id in [0, 3] {
+        writer.ids.give(id);
+        writer.change(id, &own, &mut points).expect("a state");
+    }
+    writer.open(2, block(0, 5));
+    let given: Vec<u64> = std::iter::from_fn(|| writer.ids.next()).collect();
+    assert_eq!(given, [1, 2, 4]);
 }

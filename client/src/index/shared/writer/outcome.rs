@@ -125,7 +125,13 @@ impl Writer {
         let mut plain = Vec::new();
         for row in stored {
             let held = if row.is_new { None } else { points.get(row.id) };
-            if row.is_new && points.forest.contains(row.id) {
+            let is_departure = match (self.rebased.get(&row.id), &held) {
+                // A later pending write may hide the point that an insert found.
+                (Some(rebased), _) => rebased.is_changed_by(&row),
+                (None, Some(held)) => held.tag != row.tag,
+                (None, None) => row.is_new && points.forest.contains(row.id),
+            };
+            if is_departure {
                 self.open_searches.depart(at);
             }
             self.open_searches
