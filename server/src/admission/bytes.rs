@@ -27,19 +27,15 @@ impl ByteBudget {
         self.max
     }
 
-    /// Takes room for more bytes, until they are given back; false if there is not enough.
-    pub(super) fn take(&self, bytes: usize) -> bool {
-        self.take_within(self.max, bytes)
+    /// Takes room for more bytes, until they are given back; false if there is not enough, which counts as no refusal.
+    pub(super) fn try_take(&self, bytes: usize) -> bool {
+        self.try_take_within(self.max, bytes)
     }
 
     /// The same if at most `most` bytes are held then.
-    pub(super) fn take_within(&self, most: usize, bytes: usize) -> bool {
+    pub(super) fn try_take_within(&self, most: usize, bytes: usize) -> bool {
         let add = |held: usize| held.checked_add(bytes).filter(|held| *held <= most);
-        let taken = self.held.fetch_update(Relaxed, Relaxed, add).is_ok();
-        if !taken {
-            self.refuse();
-        }
-        taken
+        self.held.fetch_update(Relaxed, Relaxed, add).is_ok()
     }
 
     /// The bytes that are held.

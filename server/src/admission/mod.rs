@@ -164,7 +164,10 @@ impl Admission {
     pub(crate) fn refused(&self, excess: u64) -> [(&'static str, u64); 4] {
         [
             ("OVERLOADED", self.turns.refused()),
-            ("TOO_MANY_BYTES", self.all.refused()),
+            (
+                "TOO_MANY_BYTES",
+                self.all.refused() + self.of_admin.refused(),
+            ),
             ("TOO_MANY_CALLS", excess + self.others.excess.load(Relaxed)),
             ("TOO_SLOW", self.others.slow.load(Relaxed)),
         ]
@@ -271,16 +274,25 @@ pub(crate) struct HeldBytes {
 }
 
 impl HeldBytes {
-    /// Holds more bytes; false if there is no room for them.
+    /// Holds more bytes; false if there is no room for them, which counts as a refusal.
     #[must_use]
     pub(crate) fn take(&self, bytes: usize) -> bool {
+        let taken = self.try_take(bytes);
+        if !taken {
+            self.flow.all.refuse();
+        }
+        taken
+    }
+
+    /// The same, without a count: the call may wait for room and try again.
+    #[must_use]
+    pub(crate) fn try_take(&self, bytes: usize) -> bool {
         let Flow { all, own, .. } = &*self.flow;
         let most = self.flow.most_of_all(own.held().saturating_add(bytes));
-        if !all.take_within(most, bytes) {
+        if !all.try_take_within(most, bytes) {
             return false;
         }
-        if !own.take(bytes) {
-            all.refuse();
+        if !own.try_take(bytes) {
             all.release(bytes);
             return false;
         }
@@ -318,5 +330,20 @@ impl Drop for HeldBytes {
     fn drop(&mut self) {
         self.release(self.held.load(Relaxed));
         self.flow.under_way.fetch_sub(1, Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+
+    #[test]
+    fn refusals_of_calls_of_administration_count() {
+        let admission = Admission::new(&Config::default().admission, 1, 0);
+        let flow = admission.open();
+        assert!(!flow.hold().take(usize::MAX));
+        assert!(!flow.admin().hold().take(usize::MAX));
+        assert_eq!(admission.refused(0)[1], ("TOO_MANY_BYTES", 2));
     }
 }

@@ -27,6 +27,9 @@ use super::{
 /// The pause after a failure of the listener, which fails while the process has no file descriptors left.
 const ACCEPT_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
+/// Time in which a finished connection must send what is left in its buffer of TLS.
+const FLUSH_TIME: Duration = Duration::from_secs(10);
+
 /// Time that a finished connection waits for its client to close.
 const LINGER: Duration = Duration::from_secs(2);
 
@@ -78,6 +81,7 @@ pub(crate) fn incoming(
                     PREFACE_BYTES,
                     Box::pin(sleep_until(Instant::now() + PREFACE_TIME)),
                 )),
+                flushing: None,
                 lingering: None,
             };
             Some((Ok(connection), (listener, connections, tls, cut)))
@@ -132,12 +136,16 @@ pub(crate) struct Connection {
     paused: Option<Instant>,
     /// The bytes of the preface that are missing, and the end of the wait for them.
     preface: Option<(usize, Pin<Box<Sleep>>)>,
+    /// Set once this side shuts down: the end of the wait for the bytes that are left.
+    flushing: Option<Pin<Box<Sleep>>>,
     /// Set once this side has sent everything: the end of the wait for the other.
     lingering: Option<Pin<Box<Sleep>>>,
     open: Open,
 }
 
 impl Connection {
+    /// Fails once the connection is cut or its preface is late. Every poll begins with it: over TLS, bytes may wait in the
+    /// buffer of the socket, and then the server only flushes or shuts down.
     fn check(&mut self, context: &mut Context<'_>) -> io::Result<()> {
         if self.cut.as_mut().poll(context).is_ready() {
             return Err(io::Error::new(
@@ -158,13 +166,26 @@ impl Connection {
 }
 
 impl Connection {
+    /// Sends what is left, and the end of this side.
+    fn finish(&mut self, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.check(context)?;
+        let end = || Box::pin(sleep_until(Instant::now() + FLUSH_TIME));
+        let flushing = self.flushing.get_or_insert_with(end);
+        if flushing.as_mut().poll(context).is_ready() {
+            return Poll::Ready(Err(io::Error::new(
+                io::ErrorKind::TimedOut,
+                "the client did not read the end of its answers",
+            )));
+        }
+        Pin::new(&mut self.socket).poll_shutdown(context)
+    }
+
     /// Writes, and lets others have their turn after [`MAX_WRITTEN_BYTES`].
     fn write_some(
         &mut self,
         context: &mut Context<'_>,
         write: impl FnOnce(Pin<&mut Socket>, &mut Context<'_>) -> Poll<io::Result<usize>>,
     ) -> Poll<io::Result<usize>> {
-        // A client that no longer reads keeps a connection here.
         self.check(context)?;
         if self.written_bytes >= MAX_WRITTEN_BYTES {
             self.written_bytes = 0;
@@ -262,6 +283,7 @@ impl AsyncWrite for Connection {
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.check(context)?;
         Pin::new(&mut self.socket).poll_flush(context)
     }
 
@@ -269,13 +291,11 @@ impl AsyncWrite for Connection {
     /// update suffices) is reset, and its client loses the answers that it has not read.
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         let this = &mut *self;
-        let lingering = match &mut this.lingering {
-            Some(lingering) => lingering,
-            none => {
-                ready!(Pin::new(&mut this.socket).poll_shutdown(context))?;
-                none.insert(Box::pin(sleep_until(Instant::now() + LINGER)))
-            }
-        };
+        if this.lingering.is_none() {
+            ready!(this.finish(context))?;
+        }
+        let end = || Box::pin(sleep_until(Instant::now() + LINGER));
+        let lingering = this.lingering.get_or_insert_with(end);
         if lingering.as_mut().poll(context).is_ready() || this.cut.as_mut().poll(context).is_ready()
         {
             return Poll::Ready(Ok(()));
@@ -292,88 +312,4 @@ impl AsyncWrite for Connection {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::pin::pin;
-
-    use futures_util::{StreamExt, poll};
-    use tokio::{
-        io::{AsyncReadExt, AsyncWriteExt},
-        time::advance,
-    };
-
-    use super::*;
-    use crate::{admission::Admission, config::Config};
-
-    /// A connection to a listener of its own, and its peer, which has sent some bytes.
-    async fn connection(sent: &[u8]) -> (Connection, TcpStream) {
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let address = listener.local_addr().unwrap();
-        let mut peer = TcpStream::connect(address).await.unwrap();
-        peer.write_all(sent).await.unwrap();
-        let mut incoming = Box::pin(incoming(
-            listener,
-            Connections::new(1, 1, Admission::new(&Config::default().admission, 1, 0)),
-            None,
-            CancellationToken::new(),
-        ));
-        let connection = incoming.next().await.unwrap().unwrap();
-        (connection, peer)
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_connection_without_a_preface_is_closed() {
-        for sent in [&b""[..], b"PRI * HTTP/2.0"] {
-            let (mut connection, _peer) = connection(sent).await;
-            let mut received = Vec::new();
-            let error = connection.read_to_end(&mut received).await.unwrap_err();
-            assert_eq!(error.kind(), io::ErrorKind::TimedOut);
-            assert_eq!(received, sent);
-        }
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_connection_with_a_preface_may_be_silent() {
-        let (mut connection, _peer) = connection(&[0; PREFACE_BYTES]).await;
-        let mut received = [0; PREFACE_BYTES];
-        connection.read_exact(&mut received).await.unwrap();
-        let silence = timeout(100 * PREFACE_TIME, connection.read(&mut received));
-        assert!(silence.await.is_err());
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_client_that_reads_its_answer_slowly_gives_signs_of_life() {
-        const STEP: Duration = Duration::from_secs(1);
-        let (mut connection, mut peer) = connection(&[0; PREFACE_BYTES]).await;
-        connection
-            .read_exact(&mut [0; PREFACE_BYTES])
-            .await
-            .unwrap();
-        let activity = connection.open.activity().clone();
-        // Without an answer, bytes that leave are those of HTTP/2 itself.
-        let opened = activity.silence();
-        advance(STEP).await;
-        connection.write_all(b"ping").await.unwrap();
-        assert_eq!(activity.silence(), opened + STEP);
-        let _answer = activity.send();
-        connection.write_all(b"a part").await.unwrap();
-        assert_eq!(activity.silence(), Duration::ZERO);
-        // The client reads nothing: the rest of the answer waits.
-        let part = vec![0; 1024 * 1024];
-        let mut left = b"ping".len() + b"a part".len();
-        // One pending write lets others have their turn; after a second, the socket has no room.
-        let mut pending = 0;
-        while pending < 2 {
-            match poll!(pin!(connection.write(&part))) {
-                Poll::Ready(written) => (left, pending) = (left + written.unwrap(), 0),
-                Poll::Pending => pending += 1,
-            }
-        }
-        advance(STEP).await;
-        assert!(poll!(pin!(connection.write(&part))).is_pending());
-        assert_eq!(activity.silence(), STEP);
-        // It reads again.
-        peer.read_exact(&mut vec![0; left]).await.unwrap();
-        connection.write_all(&part[..1]).await.unwrap();
-        assert_eq!(activity.silence(), Duration::ZERO);
-    }
-}
+mod tests;

@@ -150,13 +150,13 @@ impl Connections {
     }
 
     async fn place(&self) -> OwnedSemaphorePermit {
-        let mut is_given_up = false;
         loop {
             if let Ok(place) = Arc::clone(&self.places).try_acquire_owned() {
                 return place;
             }
-            is_given_up = is_given_up || self.give_one_up();
-            // The place of the connection that was given up, or of another that ends.
+            self.give_one_up();
+            // The place of the connection that was given up, or of another that ends. If none ends in time, the next one
+            // is given up.
             let free = Arc::clone(&self.places).acquire_owned();
             if let Ok(Ok(place)) = timeout(MIN_IDLE, free).await {
                 return place;
@@ -165,8 +165,8 @@ impl Connections {
     }
 
     /// Gives up the first connection without calls or, if that was opened or called just now, the one with calls that is
-    /// silent for the longest time; false if there is none.
-    fn give_one_up(&self) -> bool {
+    /// silent for the longest time.
+    fn give_one_up(&self) {
         let open = self.open.lock();
         let idle = open
             .values()
@@ -188,7 +188,6 @@ impl Connections {
             debug!(peer = ?state.peer, "an idle or silent connection makes room for another");
             state.cut.cancel();
         }
-        given_up.is_some()
     }
 
     /// Cuts each connection whose client reads nothing of its answers for `most`.
@@ -351,5 +350,17 @@ mod tests {
         drop(silent);
         third.await;
         assert!(!cuts[1].is_cancelled());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_cut_connection_that_does_not_end_is_not_the_only_one_cut() {
+        let admission = Admission::new(&Config::default().admission, 1, 0);
+        let connections = Connections::new(2, 1, admission);
+        let cuts = [CancellationToken::new(), CancellationToken::new()];
+        let _first = connections.open(None, cuts[0].clone()).await;
+        let _second = connections.open(None, cuts[1].clone()).await;
+        let third = connections.open(None, CancellationToken::new());
+        assert!(timeout(10 * MIN_IDLE, third).await.is_err());
+        assert!(cuts.iter().all(CancellationToken::is_cancelled));
     }
 }

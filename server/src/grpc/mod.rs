@@ -42,6 +42,8 @@ use member_service::MemberFace;
 use point_service::{PointFace, TolerantPointServer};
 use stream_knn::KnnStreams;
 pub use tls::TlsError;
+#[cfg(test)]
+pub(crate) use tls::testing as tls_testing;
 pub(crate) use tls::{Client, Socket, Tls};
 
 use crate::{config::GrpcConfig, faces::Shared, lifecycle::PhaseWatch};
@@ -63,6 +65,9 @@ pub enum GrpcError {
 /// The calls of a connection that may be cancelled before the server looks at them; one more cuts it.
 const MAX_PENDING_RESETS: usize = 2_048;
 
+/// The largest request for health or reflection. Strangers may send them, and no budget counts their bytes.
+const MAX_OPEN_REQUEST_BYTES: usize = 4 * 1024;
+
 /// The most lasting streams of a connection with `max_calls`: streams must not take the places of calls that end, which
 /// would wait in the client without a word.
 fn max_streams(max_calls: u32) -> usize {
@@ -80,7 +85,8 @@ pub(crate) async fn serve(
     under_way: TaskTracker,
     cut: CancellationToken,
 ) -> Result<(), GrpcError> {
-    let health = HealthServer::new(HealthFace::new(phases.clone(), shared.service.clone()));
+    let health = HealthServer::new(HealthFace::new(phases.clone(), shared.service.clone()))
+        .max_decoding_message_size(MAX_OPEN_REQUEST_BYTES);
     // Sent messages have no limit: the service refuses a large answer before a mutation takes effect, and a second
     // limit here could only fail a call that took effect.
     let indices = IndexServiceServer::new(IndexFace {
@@ -88,8 +94,10 @@ pub(crate) async fn serve(
         max_message_bytes: config.max_message_bytes,
     })
     .max_decoding_message_size(config.max_message_bytes);
-    let (reflection, reflection_alpha) =
-        (descriptors().build_v1()?, descriptors().build_v1alpha()?);
+    let reflection = descriptors().build_v1()?;
+    let reflection = reflection.max_decoding_message_size(MAX_OPEN_REQUEST_BYTES);
+    let reflection_alpha = descriptors().build_v1alpha()?;
+    let reflection_alpha = reflection_alpha.max_decoding_message_size(MAX_OPEN_REQUEST_BYTES);
     let keepalive = (config.keepalive_interval_ms > 0)
         .then(|| Duration::from_millis(config.keepalive_interval_ms));
     let max_calls = callers.max_calls(config);

@@ -122,10 +122,10 @@ impl UnreadAnswers {
             return (read, (held, others));
         };
         let bytes = self.service.most_answer_bytes(request);
-        let taken = poll_fn(|_| match held.take(bytes) {
+        let taken = poll_fn(|_| match held.try_take(bytes) {
             true => Poll::Ready(true),
-            // One clone is this one's, and one the stream's.
-            false if Arc::strong_count(&others) <= 2 => Poll::Ready(false),
+            // One clone is this one's, and one the stream's. No answer is left that could make room.
+            false if Arc::strong_count(&others) <= 2 => Poll::Ready(held.take(bytes)),
             // The stream polls this again after another answer has left it.
             false => Poll::Pending,
         });
@@ -282,5 +282,51 @@ impl Decoder for TolerantDecoder {
         // A message that does not parse leaves bytes behind, and the next one begins after them.
         bytes.advance(bytes.remaining());
         Ok(Some(message))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use futures_util::poll;
+
+    use super::*;
+    use crate::config::Config;
+
+    fn refused(admission: &Admission) -> u64 {
+        let of_bytes = |(reason, calls)| (reason == "TOO_MANY_BYTES").then_some(calls);
+        admission.refused(0).into_iter().find_map(of_bytes).unwrap()
+    }
+
+    #[tokio::test]
+    async fn a_stream_that_waits_for_room_counts_no_refusal() {
+        let admission = Admission::new(&Config::default().admission, 1, 0);
+        let unread = UnreadAnswers {
+            service: Service::starting(Default::default()),
+            flow: admission.open(),
+            others: Arc::new(()),
+        };
+        // Without k, an answer may have any size.
+        let hold = || {
+            unread
+                .clone()
+                .hold(ReadOutcome::Request(v1::KnnRequest::default()))
+        };
+        let mut held = Vec::new();
+        let mut next = loop {
+            let mut next = Box::pin(hold());
+            match poll!(next.as_mut()) {
+                Poll::Ready((_, first)) => held.push(first),
+                Poll::Pending => break next,
+            }
+            assert!(held.len() < 10_000);
+        };
+        assert!(poll!(next.as_mut()).is_pending());
+        assert_eq!(refused(&admission), 0);
+        // Nothing of its own stream is left that could make room: it is refused.
+        let all: Vec<_> = held.into_iter().map(|(held, _other)| held).collect();
+        let (read, _) = next.await;
+        assert!(matches!(read, ReadOutcome::Bad(_)));
+        assert_eq!(refused(&admission), 1);
+        drop(all);
     }
 }

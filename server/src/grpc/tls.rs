@@ -339,6 +339,9 @@ impl AsyncWrite for TlsSocket {
 }
 
 #[cfg(test)]
+pub(crate) mod testing;
+
+#[cfg(test)]
 mod tests {
     use rcgen::{CertificateParams, DnType, KeyPair, date_time_ymd};
 

@@ -86,7 +86,9 @@ impl ConnectionSlots {
 
     fn give_one_up(&self) {
         let open = self.open.lock();
-        let silent = open.values().min_by_key(|connection| connection.active_at);
+        // A connection that is cut may take a while to end, and is not cut again.
+        let open = open.values().filter(|it| !it.cut.is_cancelled());
+        let silent = open.min_by_key(|connection| connection.active_at);
         if let Some(connection) =
             silent.filter(|connection| connection.active_at.elapsed() >= MIN_SILENCE)
         {
@@ -127,6 +129,8 @@ impl BoundedConnection {
         }
     }
 
+    /// Fails once the connection is cut or its time is over. Every poll begins with it: over TLS, bytes may wait in the
+    /// buffer of the socket, and then the server only flushes or shuts down.
     fn check(&mut self, context: &mut Context<'_>) -> io::Result<()> {
         if self.cut.as_mut().poll(context).is_ready() {
             return Err(io::ErrorKind::ConnectionAborted.into());
@@ -165,23 +169,30 @@ impl AsyncWrite for BoundedConnection {
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.check(context)?;
         Pin::new(&mut self.socket).poll_flush(context)
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.check(context)?;
         Pin::new(&mut self.socket).poll_shutdown(context)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::pin::pin;
+
+    use futures_util::{future::join, poll};
     use tokio::{
         io::{AsyncReadExt, AsyncWriteExt},
         net::{TcpListener, TcpStream},
+        time::{advance, pause},
     };
+    use tokio_rustls::client::TlsStream;
 
     use super::*;
-    use crate::grpc::Tls;
+    use crate::grpc::{Tls, tls_testing};
 
     /// A connection that takes a slot, and its client.
     async fn connect(
@@ -221,10 +232,10 @@ mod tests {
     async fn a_connection_that_takes_answers_goes_on() {
         let (_client, mut bounded) = connect(&listen().await, &ConnectionSlots::new(1)).await;
         for _ in 0..4 {
-            tokio::time::advance(MAX_STALL / 2).await;
+            advance(MAX_STALL / 2).await;
             bounded.write_all(b"more").await.unwrap();
         }
-        tokio::time::advance(MAX_STALL).await;
+        advance(MAX_STALL).await;
         let ended = bounded.write_all(b"more").await.unwrap_err();
         assert_eq!(ended.kind(), io::ErrorKind::TimedOut);
     }
@@ -234,7 +245,7 @@ mod tests {
         let (listener, slots) = (listen().await, ConnectionSlots::new(2));
         let (_live, mut live) = connect(&listener, &slots).await;
         let (_silent, mut silent) = connect(&listener, &slots).await;
-        tokio::time::advance(MIN_SILENCE).await;
+        advance(MIN_SILENCE).await;
         live.write_all(b"an answer").await.unwrap();
         // A connection that is cut ends at its next poll, and frees its slot.
         let ended = tokio::spawn(async move { silent.read_u8().await.unwrap_err().kind() });
@@ -243,5 +254,60 @@ mod tests {
         assert!(began.elapsed() < MAX_STALL);
         assert_eq!(ended.await.unwrap(), io::ErrorKind::ConnectionAborted);
         live.write_all(b"another").await.unwrap();
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_cut_connection_that_does_not_end_is_not_the_only_one_cut() {
+        let slots = ConnectionSlots::new(2);
+        let held = [slots.take().await, slots.take().await];
+        assert!(timeout(10 * MIN_SILENCE, slots.take()).await.is_err());
+        assert!(held.iter().all(|slot| slot.cut.is_cancelled()));
+    }
+
+    /// A connection over TLS that has written more than its socket takes, and its client, which reads nothing.
+    async fn unread_connection() -> (BoundedConnection, TlsStream<TcpStream>) {
+        let (tls, connector) = tls_testing::pair();
+        let listener = listen().await;
+        let client = TcpStream::connect(listener.local_addr().unwrap()).await;
+        let (socket, _) = listener.accept().await.unwrap();
+        let socket = Tls::accept(Some(&tls), socket, None);
+        let mut bounded = BoundedConnection::new(socket, ConnectionSlots::new(1).take().await);
+        let opening = async {
+            let mut client = tls_testing::connect(&connector, client.unwrap()).await;
+            client.write_all(b"G").await.unwrap();
+            client
+        };
+        let (client, read) = join(opening, bounded.read_u8()).await;
+        assert_eq!(read.unwrap(), b'G');
+        tls_testing::fill(&mut bounded).await;
+        (bounded, client)
+    }
+
+    async fn assert_ends(bounded: &mut BoundedConnection, kind: io::ErrorKind) {
+        for ended in [
+            poll!(pin!(bounded.flush())),
+            poll!(pin!(bounded.shutdown())),
+        ] {
+            let Poll::Ready(Err(error)) = ended else {
+                panic!("{ended:?}");
+            };
+            assert_eq!(error.kind(), kind);
+        }
+    }
+
+    #[tokio::test]
+    async fn a_cut_ends_a_connection_that_waits_for_its_client_to_read() {
+        let (mut bounded, _client) = unread_connection().await;
+        assert!(poll!(pin!(bounded.flush())).is_pending());
+        bounded.slot.cut.cancel();
+        assert_ends(&mut bounded, io::ErrorKind::ConnectionAborted).await;
+    }
+
+    #[tokio::test]
+    async fn a_connection_ends_after_its_time_while_its_client_reads_nothing() {
+        let (mut bounded, _client) = unread_connection().await;
+        pause();
+        advance(MAX_STALL).await;
+        assert_ends(&mut bounded, io::ErrorKind::TimedOut).await;
     }
 }

@@ -12,7 +12,7 @@ mod verb;
 pub(crate) use codec::{Form, invalid};
 pub(crate) use dispatch::dispatch;
 pub(crate) use message::Named;
-pub(crate) use request::Request;
+pub(crate) use request::{MAX_TIMEOUT, Request};
 #[cfg(test)]
 pub(crate) use verb::{IndexVerb, PointVerb};
 pub(crate) use verb::{Target, Verb};

@@ -15,6 +15,10 @@ use crate::{observe, service::Error};
 /// The parameter for the time that the caller waits.
 const TIMEOUT: &str = "timeout_ms";
 
+/// The longest time that a caller waits; a longer one counts as this. A caller may leave without a word, and its call keeps
+/// its place until the deadline.
+pub(crate) const MAX_TIMEOUT: Duration = Duration::from_secs(60);
+
 /// A larger message is encoded and decoded as blocking work. Well above the bytes answered on Zenoh's own threads.
 const MAX_INLINE_BYTES: usize = 64 * 1024;
 
@@ -58,7 +62,7 @@ impl<'a> Request<'a> {
             parameters,
             payload,
         };
-        Ok((request, deadline.flatten()))
+        Ok((request, deadline))
     }
 
     /// Refuses a mutation without a payload.
@@ -107,13 +111,12 @@ fn at_length<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
     }
 }
 
-fn read_timeout(text: &str, arrived: Instant) -> Result<Option<Instant>, Error> {
+fn read_timeout(text: &str, arrived: Instant) -> Result<Instant, Error> {
     let timeout = text.parse().map_err(|_| {
         let text = format!("{text:?} is not a number of milliseconds");
         invalid(TIMEOUT, "MALFORMED_TIMEOUT", text)
     })?;
-    // A time beyond the clock's range is no deadline.
-    Ok(arrived.checked_add(Duration::from_millis(timeout)))
+    Ok(arrived + Duration::from_millis(timeout).min(MAX_TIMEOUT))
 }
 
 #[cfg(test)]

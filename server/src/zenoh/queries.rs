@@ -33,10 +33,16 @@ use crate::{
     observe::{CallRecord, Ending, Times},
     service::{Call, Error, Peer, Unavailability},
     status::{self, Status},
-    verbs::{Form, Request, Target, Verb, dispatch},
+    verbs::{Form, MAX_TIMEOUT, Request, Target, Verb, dispatch, invalid},
 };
 
 const MAX_MESSAGE_BYTES: &str = "zenoh.max_message_bytes";
+
+/// The largest attachment: a token and the context of a trace.
+const MAX_ATTACHMENT_BYTES: usize = 4 * 1024;
+
+/// The largest selector, which has the parameters. Longer values belong in the payload.
+const MAX_SELECTOR_BYTES: usize = 64 * 1024;
 
 /// Answers queries.
 pub(super) struct Queries {
@@ -81,6 +87,10 @@ impl Queries {
             let status = status::from_error(&Error::Unavailable { why });
             return self.refuse(query, form, under_way, status);
         }
+        let size = QuerySize::of(&query);
+        if let Err(error) = size.check() {
+            return self.refuse(query, form, under_way, status::from_error(&error));
+        }
         let target = Target::of(&self.prefix, query.key_expr().as_str());
         let verb = target.ok().map(|target| target.verb);
         let mut flow = self.flows.of_reader();
@@ -100,7 +110,7 @@ impl Queries {
             return self.refuse(query, form, under_way, status);
         };
         let held = flow.hold();
-        let bytes = query.payload().map_or(0, |payload| payload.len());
+        let bytes = size.all();
         if !held.take(bytes.saturating_add(CALL_BYTES)) {
             let status = status::too_many_bytes(flow.max_bytes());
             return self.refuse(query, form, under_way, status);
@@ -139,9 +149,12 @@ impl Queries {
         under_way: TaskTrackerToken,
         status: Status,
     ) {
-        // Payloads of queries whose refusals no caller reads must not fill the memory.
+        // Queries whose refusals no caller reads must not fill the memory.
         if let Some(payload) = query.payload_mut() {
             *payload = ZBytes::new();
+        }
+        if let Some(attachment) = query.attachment_mut() {
+            *attachment = ZBytes::new();
         }
         let refused = Response {
             query,
@@ -267,9 +280,10 @@ impl Queries {
         let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
         let named = query.parameters().iter();
         let (request, deadline) = Request::of(form, index, named, payload, arrived)?;
-        let default = || arrived.checked_add(self.default_timeout);
         call.has_default_deadline = deadline.is_none();
-        call.deadline = deadline.or_else(default);
+        let default = arrived + self.default_timeout.min(MAX_TIMEOUT);
+        let deadline = deadline.unwrap_or(default);
+        call.deadline = Some(deadline);
         let answered = async {
             if key.is_wild() {
                 let replies =
@@ -281,9 +295,6 @@ impl Queries {
             let limit = self.max_message_bytes;
             let payload = dispatch(&self.shared.service, &call, verb, &request, limit).await?;
             Ok(vec![(query.key_expr().clone().into_owned(), payload)])
-        };
-        let Some(deadline) = call.deadline else {
-            return answered.await;
         };
         let answered = tokio::time::timeout_at(deadline.into(), answered).await;
         answered.unwrap_or(Err(Error::DeadlineExceeded {
@@ -302,6 +313,49 @@ impl Queries {
             MAX_MESSAGE_BYTES,
             limit,
         )
+    }
+}
+
+/// The bytes of the parts of a query.
+struct QuerySize {
+    payload: usize,
+    selector: usize,
+    attachment: usize,
+}
+
+impl QuerySize {
+    fn of(query: &Query) -> Self {
+        let parameters = query.parameters().as_str().len();
+        // A `?` precedes the parameters.
+        let parameters = parameters + usize::from(parameters > 0);
+        Self {
+            payload: query.payload().map_or(0, ZBytes::len),
+            selector: query.key_expr().as_str().len() + parameters,
+            attachment: query.attachment().map_or(0, ZBytes::len),
+        }
+    }
+
+    fn all(&self) -> usize {
+        self.payload + self.selector + self.attachment
+    }
+
+    /// Refuses a large selector or attachment. The payload has a setting.
+    fn check(&self) -> Result<(), Error> {
+        if self.attachment > MAX_ATTACHMENT_BYTES {
+            let text = format!(
+                "it has {} bytes, more than {MAX_ATTACHMENT_BYTES}: send the token and the traceparent only",
+                self.attachment
+            );
+            return Err(invalid("attachment", "ATTACHMENT_TOO_LONG", text));
+        }
+        if self.selector > MAX_SELECTOR_BYTES {
+            let text = format!(
+                "it has {} bytes, more than {MAX_SELECTOR_BYTES}: move parameters into the payload",
+                self.selector
+            );
+            return Err(invalid("selector", "SELECTOR_TOO_LONG", text));
+        }
+        Ok(())
     }
 }
 

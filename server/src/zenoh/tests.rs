@@ -8,7 +8,8 @@ use std::{
 
 use sha2::{Digest, Sha256};
 use tokio::sync::oneshot;
-use zenoh::{Config, Wait, qos::CongestionControl, query::ReplyError};
+use wayfold_proto::v1;
+use zenoh::{Config, Wait, bytes::Encoding, qos::CongestionControl, query::ReplyError};
 
 use super::*;
 use crate::{
@@ -16,7 +17,7 @@ use crate::{
     log::MemoryLog,
     observe::Metrics,
     registry::{Registry, RegistryOptions},
-    service::{Limits, Service},
+    service::{Call, Limits, Service},
     verbs::{IndexVerb, PointVerb},
 };
 
@@ -163,6 +164,77 @@ async fn every_key_refuses_a_query_without_a_right_token() {
     for key in ["wayfold/v1/list", "wayfold/v1/**"] {
         ask(&robot, key, Some("token=secret")).await.unwrap();
     }
+    robot.close().await.unwrap();
+    face.stop().await;
+}
+
+/// A service with the index `arm`, and its uid.
+async fn service_with_index() -> (Service, String) {
+    let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
+    let service = Service::new(registry, Limits::default());
+    service.set_ready();
+    let create = v1::CreateIndexRequest {
+        name: "arm".into(),
+        space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
+        ..Default::default()
+    };
+    let created = service.create_index(&Call::default(), create).await;
+    let index = created.unwrap().index.unwrap();
+    (service, index.revision.unwrap().uid)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn large_attachments_and_selectors_are_refused() {
+    let (service, _) = service_with_index().await;
+    let (face, robot, _) = face_and_robot(service, Identities::default()).await;
+    let info = "wayfold/v1/arm/info";
+    let attachment = |bytes: usize| format!("traceparent={}", "0".repeat(bytes - 12));
+    let selector = |bytes: usize| format!("{info}?_={}", "0".repeat(bytes - info.len() - 3));
+    ask(&robot, &selector(65_536), Some(&attachment(4_096)))
+        .await
+        .unwrap();
+    for (selector, attachment, expected) in [
+        (
+            info.to_owned(),
+            Some(attachment(4_097)),
+            "ATTACHMENT_TOO_LONG",
+        ),
+        (selector(65_537), None, "SELECTOR_TOO_LONG"),
+    ] {
+        let refused = ask(&robot, &selector, attachment.as_deref()).await;
+        let refused = text(&refused.unwrap_err());
+        assert!(refused.contains(expected), "{refused}");
+    }
+    robot.close().await.unwrap();
+    face.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_bytes_of_a_query_are_those_of_its_selector_and_attachment_too() {
+    let (service, uid) = service_with_index().await;
+    let (face, robot, _) = face_and_robot(service, Identities::default()).await;
+    let padding = "0".repeat(50_000);
+    // It waits for a revision that never comes.
+    let payload = format!(r#"{{"ids": [0], "min_revision": {{"uid": "{uid}", "number": 1}}}}"#);
+    let waiting = robot
+        .get(format!("wayfold/v1/arm/get?timeout_ms=2000;_={padding}"))
+        .payload(payload)
+        .encoding(Encoding::APPLICATION_JSON)
+        .attachment("0".repeat(4_000));
+    let waiting = waiting.await.unwrap();
+    let held = async {
+        loop {
+            match face.queries.shared.admission.bytes() {
+                (0, _) => tokio::task::yield_now().await,
+                (held, _) => break held,
+            }
+        }
+    };
+    let held = tokio::time::timeout(Duration::from_secs(60), held).await;
+    assert!(held.unwrap() > 54_000);
+    let refused = waiting.recv_async().await.unwrap().into_result();
+    let refused = text(&refused.unwrap_err());
+    assert!(refused.contains("DEADLINE_EXCEEDED"), "{refused}");
     robot.close().await.unwrap();
     face.stop().await;
 }

@@ -29,7 +29,12 @@ impl Connection {
 
     /// The headers of a call.
     pub fn request(&self, rpc: &str) -> Builder {
-        Request::post(format!("http://{}/wayfold.v1.{rpc}", self.address))
+        self.request_of(&format!("wayfold.v1.{rpc}"))
+    }
+
+    /// The same for a method of any service.
+    pub fn request_of(&self, method: &str) -> Builder {
+        Request::post(format!("http://{}/{method}", self.address))
             .header(header::CONTENT_TYPE, "application/grpc")
             .header(header::TE, "trailers")
     }

@@ -1,6 +1,13 @@
 //! The health service follows the life of the server.
 
-use crate::harness::TestServer;
+use std::time::Duration;
+
+use crate::{
+    bare::{Connection, status},
+    harness::TestServer,
+};
+use bytes::{BufMut, BytesMut};
+use tokio::time::timeout;
 use tonic::Code;
 use tonic_health::pb::{HealthCheckRequest, health_check_response::ServingStatus};
 
@@ -45,4 +52,35 @@ async fn watchers_learn_that_the_server_stops_and_do_not_delay_it() {
         assert!(reports.message().await.unwrap().is_none());
     }
     ended.await.unwrap().unwrap();
+}
+
+/// These methods serve strangers, and their requests are not counted.
+#[tokio::test]
+async fn a_large_request_for_health_or_reflection_ends_at_its_header() {
+    let server = TestServer::start(|_| ()).await;
+    let mut connection = Connection::open(server.address).await;
+    // tonic's reflection ends its stream at a request that it cannot read, and names no error.
+    for (method, code) in [
+        ("grpc.health.v1.Health/Check", Code::OutOfRange),
+        ("grpc.health.v1.Health/Watch", Code::OutOfRange),
+        (
+            "grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
+            Code::Ok,
+        ),
+        (
+            "grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
+            Code::Ok,
+        ),
+    ] {
+        let request = connection.request_of(method);
+        let (answer, mut body) = connection.begin(request).await.unwrap();
+        let mut header = BytesMut::new();
+        header.put_u8(0);
+        header.put_u32(1024 * 1024);
+        body.send_data(header.freeze(), false).unwrap();
+        let ended = timeout(Duration::from_secs(10), status(answer)).await;
+        let ended = ended.expect(method).unwrap();
+        assert_eq!(ended.code(), code, "{method} {ended}");
+    }
+    server.stop().await.unwrap().unwrap();
 }
