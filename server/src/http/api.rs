@@ -29,14 +29,11 @@ use crate::{
     observe::{CallRecord, Ending, Times},
     service::{Call, Code, Error},
     status::{self, Status},
-    verbs::{Form, Named, Request, Target, dispatch, invalid},
+    verbs::{Form, MAX_JSON_BYTES, Named, Request, Target, dispatch, invalid},
 };
 
 /// The keys begin with it.
 pub(super) const PREFIX: &str = "/api/v1";
-
-/// The most bytes of a request. The page asks for the neighbours of one state at a time.
-const MAX_REQUEST_BYTES: usize = 1024 * 1024;
 
 /// The time of a call.
 const MAX_TIME: Duration = Duration::from_secs(10);
@@ -195,8 +192,8 @@ async fn receive(mut body: Body, held: &HeldBytes) -> Result<Bytes, Status> {
                 return Err(refused("UNREADABLE", text));
             }
         };
-        if received.len() + data.len() > MAX_REQUEST_BYTES {
-            let text = format!("it exceeds {MAX_REQUEST_BYTES} bytes");
+        if received.len() + data.len() > MAX_JSON_BYTES {
+            let text = format!("it exceeds {MAX_JSON_BYTES} bytes");
             return Err(refused("TOO_LARGE", text));
         }
         if !held.take(data.len()) {
@@ -229,14 +226,7 @@ async fn ask(
         }
         let arrived = Instant::now();
         let (request, _) = Request::of(Form::Json, target.index, [], body.into(), arrived)?;
-        dispatch(
-            &shared.service,
-            call,
-            target.verb,
-            &request,
-            MAX_REQUEST_BYTES,
-        )
-        .await
+        dispatch(&shared.service, call, target.verb, &request, MAX_JSON_BYTES).await
     };
     answered.await.map_err(|error| status::from_error(&error))
 }

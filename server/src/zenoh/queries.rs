@@ -33,7 +33,7 @@ use crate::{
     observe::{CallRecord, Ending, Times},
     service::{Call, Error, Peer, Unavailability},
     status::{self, Status},
-    verbs::{Form, MAX_TIMEOUT, Request, Target, Verb, dispatch, invalid},
+    verbs::{Form, MAX_JSON_BYTES, MAX_TIMEOUT, Request, Target, Verb, dispatch, invalid},
 };
 
 const MAX_MESSAGE_BYTES: &str = "zenoh.max_message_bytes";
@@ -88,7 +88,7 @@ impl Queries {
             return self.refuse(query, form, under_way, status);
         }
         let size = QuerySize::of(&query);
-        if let Err(error) = size.check() {
+        if let Err(error) = size.check(matches!(form, Ok(Form::Json))) {
             return self.refuse(query, form, under_way, status::from_error(&error));
         }
         let target = Target::of(&self.prefix, query.key_expr().as_str());
@@ -339,8 +339,15 @@ impl QuerySize {
         self.payload + self.selector + self.attachment
     }
 
-    /// Refuses a large selector or attachment. The payload has a setting.
-    fn check(&self) -> Result<(), Error> {
+    /// Refuses a large selector or attachment, and a large payload in JSON. Other payloads have a setting.
+    fn check(&self, is_json: bool) -> Result<(), Error> {
+        if is_json && self.payload > MAX_JSON_BYTES {
+            let text = format!(
+                "it has {} bytes of JSON, more than {MAX_JSON_BYTES}: send Protocol Buffers, or fewer rows",
+                self.payload
+            );
+            return Err(invalid("payload", "JSON_TOO_LONG", text));
+        }
         if self.attachment > MAX_ATTACHMENT_BYTES {
             let text = format!(
                 "it has {} bytes, more than {MAX_ATTACHMENT_BYTES}: send the token and the traceparent only",

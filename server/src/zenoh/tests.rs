@@ -18,7 +18,7 @@ use crate::{
     observe::Metrics,
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
-    verbs::{IndexVerb, PointVerb},
+    verbs::{IndexVerb, MAX_JSON_BYTES, PointVerb},
 };
 
 /// The first reply to a query.
@@ -184,7 +184,7 @@ async fn service_with_index() -> (Service, String) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn large_attachments_and_selectors_are_refused() {
+async fn large_attachments_selectors_and_texts_are_refused() {
     let (service, _) = service_with_index().await;
     let (face, robot, _) = face_and_robot(service, Identities::default()).await;
     let info = "wayfold/v1/arm/info";
@@ -202,6 +202,16 @@ async fn large_attachments_and_selectors_are_refused() {
         (selector(65_537), None, "SELECTOR_TOO_LONG"),
     ] {
         let refused = ask(&robot, &selector, attachment.as_deref()).await;
+        let refused = text(&refused.unwrap_err());
+        assert!(refused.contains(expected), "{refused}");
+    }
+    for (bytes, expected) in [
+        (MAX_JSON_BYTES, "MALFORMED"),
+        (MAX_JSON_BYTES + 1, "JSON_TOO_LONG"),
+    ] {
+        let long = robot.get("wayfold/v1/arm/knn").payload(" ".repeat(bytes));
+        let long = long.encoding(Encoding::APPLICATION_JSON).await.unwrap();
+        let refused = long.recv_async().await.unwrap().into_result();
         let refused = text(&refused.unwrap_err());
         assert!(refused.contains(expected), "{refused}");
     }
