@@ -121,7 +121,9 @@ impl UnreadAnswers {
         let ReadOutcome::Request(request) = &read else {
             return (read, (held, others));
         };
-        let bytes = self.service.most_answer_bytes(request);
+        // It holds the request until it has the answer.
+        let answer = self.service.most_answer_bytes(request);
+        let bytes = answer.max(request.encoded_len());
         let taken = poll_fn(|_| match held.try_take(bytes) {
             true => Poll::Ready(true),
             // One clone is this one's, and one the stream's. No answer is left that could make room.
@@ -328,5 +330,25 @@ mod tests {
         assert!(matches!(read, ReadOutcome::Bad(_)));
         assert_eq!(refused(&admission), 1);
         drop(all);
+    }
+
+    #[tokio::test]
+    async fn a_request_that_is_evaluated_holds_its_bytes() {
+        let admission = Admission::new(&Config::default().admission, 1, 0);
+        let unread = UnreadAnswers {
+            service: Service::starting(Default::default()),
+            flow: admission.open(),
+            others: Arc::new(()),
+        };
+        let request = v1::KnnRequest {
+            states: Some(v1::States {
+                row_count: 1,
+                coordinates: vec![0.5; 100_000],
+            }),
+            k_form: Some(v1::knn_request::KForm::K(1)),
+            ..Default::default()
+        };
+        let (_read, _held) = unread.hold(ReadOutcome::Request(request)).await;
+        assert!(admission.bytes().0 > 800_000);
     }
 }

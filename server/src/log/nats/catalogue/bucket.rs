@@ -91,8 +91,8 @@ impl Bucket {
             // Another server was first, or the answer was lost. A repetition takes effect once: it expects the revision.
             match self.newest(&named.name).await {
                 Ok(Some((found, now))) if found == named => break now,
-                Ok(Some((found, now))) if now > revision || !named.follows(&found) => {
-                    self.note(found, now, revision);
+                Ok(Some((found, now))) if !named.follows(&found) => {
+                    self.note(found, now, Some(revision));
                     return Err(LogError::NameTaken { name: named.name });
                 }
                 newest if Instant::now() >= until => return Err(newest.err().unwrap_or(error)),
@@ -100,18 +100,29 @@ impl Bucket {
                 Err(_) => {}
             }
         };
-        self.note(named, now, revision);
+        self.note(named, now, None);
         Ok(())
     }
 
-    /// Notes what has come after the revision `known`, or in its place if NATS has lost that.
-    fn note(&self, named: CatalogueValue, revision: u64, known: u64) {
-        if revision <= known {
-            self.known
-                .send_modify(|known| drop(known.remove(&named.name)));
+    /// Notes a value, unless what is known may have come after it. A NATS that has lost values gives their revisions again, so
+    /// the content decides first. The value of the revision `lost` gives way to any that the bucket has instead.
+    fn note(&self, named: CatalogueValue, revision: u64, lost: Option<u64>) {
+        let is_changed = self.known.send_if_modified(|known| {
+            let gives_way = |(before, at): &(CatalogueValue, u64)| match () {
+                () if *before == named => revision > *at,
+                () if Some(*at) == lost => true,
+                () if before.follows(&named) => false,
+                () => named.follows(before) || revision > *at,
+            };
+            if known.get(&named.name).is_some_and(|it| !gives_way(it)) {
+                return false;
+            }
+            known.insert(named.name.clone(), (named, revision));
+            true
+        });
+        if is_changed {
+            self.changed.send_replace(());
         }
-        note(&self.known, named, revision);
-        self.changed.send_replace(());
     }
 
     /// The value of a name and its revision, of the bucket's leader.
@@ -131,10 +142,8 @@ impl Bucket {
             // From the first revision on: what changed while there was no connection comes again.
             if let Ok(mut entries) = self.store.watch_all_from_revision(1).await {
                 while let Some(Ok(entry)) = entries.next().await {
-                    if let Some(named) = read(&entry.value)
-                        && note(&self.known, named, entry.revision)
-                    {
-                        self.changed.send_replace(());
+                    if let Some(named) = read(&entry.value) {
+                        self.note(named, entry.revision, None);
                     }
                 }
             }
@@ -148,12 +157,16 @@ impl Bucket {
         comparisons.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             comparisons.tick().await;
-            let known = self.known().clone();
             let Ok(Ok(stored)) = timeout(COMPARE_INTERVAL, read_all(&self.store)).await else {
                 continue;
             };
+            // The watch goes on behind the last revision that it has seen, also in a bucket that begins anew.
+            for (named, revision) in stored.values() {
+                self.note(named.clone(), *revision, None);
+            }
+            let known = self.known().clone();
             for (name, (named, revision)) in known {
-                if stored.get(&name) != Some(&(named.clone(), revision)) {
+                if stored.get(&name).is_none_or(|(found, _)| *found != named) {
                     self.keep_one(named, revision).await;
                 }
             }
@@ -164,13 +177,15 @@ impl Bucket {
     async fn keep_one(&self, named: CatalogueValue, revision: u64) {
         // Another copy of the bucket may lag behind its leader.
         match self.newest(&named.name).await {
-            Ok(Some((found, at))) if at > revision || (at == revision && found == named) => {}
+            Ok(Some((found, _))) if found == named => {}
             Ok(Some((found, at))) if !named.follows(&found) => {
-                warn!(
-                    index = named.name,
-                    "another index has a name whose entry NATS had lost"
-                );
-                self.note(found, at, revision);
+                if !found.follows(&named) {
+                    warn!(
+                        index = named.name,
+                        "another index has a name whose entry NATS had lost"
+                    );
+                }
+                self.note(found, at, Some(revision));
             }
             Ok(_) => {
                 warn!(
@@ -189,21 +204,6 @@ impl Bucket {
 /// The key of a name: NATS does not allow all characters.
 fn key(name: &str) -> String {
     URL_SAFE_NO_PAD.encode(name)
-}
-
-/// Notes a value unless a newer one is known; true if that changed anything.
-fn note(known: &watch::Sender<CatalogueValues>, named: CatalogueValue, revision: u64) -> bool {
-    known.send_if_modified(|known| {
-        // NATS gives a revision again if it has lost the value that had it.
-        let is_older = |(before, at): &(CatalogueValue, u64)| {
-            *at >= revision && (*before == named || !named.follows(before))
-        };
-        if known.get(&named.name).is_some_and(is_older) {
-            return false;
-        }
-        known.insert(named.name.clone(), (named, revision));
-        true
-    })
 }
 
 /// The present content of a bucket.

@@ -32,12 +32,15 @@ impl CatalogueValue {
     /// True if this may have come after `before`: what was deleted stays so, and an index goes, with what is noted of it, only
     /// if it is deleted.
     pub(super) fn follows(&self, before: &Self) -> bool {
-        let is_deleted = |uid| self.deleted.contains(uid);
+        let is_deleted = |uid: &String| self.deleted.contains(uid);
         let is_same = self.index == before.index
             && (before.contradicted.is_none() || before.contradicted == self.contradicted);
         let index = before.index.as_ref();
-        before.deleted.iter().all(is_deleted)
-            && (is_same || index.is_none_or(|(uid, _)| is_deleted(uid)))
+        let is_full = self.deleted.len() >= MAX_DELETED;
+        let deleted = before.deleted.iter();
+        // The oldest may be forgotten.
+        let mut deleted = deleted.skip_while(|uid| is_full && !is_deleted(uid));
+        deleted.all(is_deleted) && (is_same || index.is_none_or(|(uid, _)| is_deleted(uid)))
     }
 }
 
@@ -90,5 +93,19 @@ mod tests {
                 .iter()
                 .any(|it| it.follows(&another) || another.follows(it))
         );
+    }
+
+    #[test]
+    fn a_value_follows_one_whose_oldest_uids_it_has_forgotten() {
+        let uids: Vec<String> = (0..=MAX_DELETED).map(|uid| uid.to_string()).collect();
+        let before = CatalogueValue {
+            deleted: uids[..MAX_DELETED].to_vec(),
+            ..value(Some(&uids[MAX_DELETED]), &[], None)
+        };
+        let after = CatalogueValue {
+            deleted: newest(uids),
+            ..value(Some("new"), &[], None)
+        };
+        assert!(after.follows(&before) && !before.follows(&after));
     }
 }
