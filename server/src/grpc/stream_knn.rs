@@ -294,6 +294,14 @@ mod tests {
     use super::*;
     use crate::config::Config;
 
+    fn unread(admission: &Admission) -> UnreadAnswers {
+        UnreadAnswers {
+            service: Service::starting(Default::default()),
+            flow: admission.open(),
+            others: Arc::new(()),
+        }
+    }
+
     fn refused(admission: &Admission) -> u64 {
         let of_bytes = |(reason, calls)| (reason == "TOO_MANY_BYTES").then_some(calls);
         admission.refused(0).into_iter().find_map(of_bytes).unwrap()
@@ -302,11 +310,7 @@ mod tests {
     #[tokio::test]
     async fn a_stream_that_waits_for_room_counts_no_refusal() {
         let admission = Admission::new(&Config::default().admission, 1, 0);
-        let unread = UnreadAnswers {
-            service: Service::starting(Default::default()),
-            flow: admission.open(),
-            others: Arc::new(()),
-        };
+        let unread = unread(&admission);
         // Without k, an answer may have any size.
         let hold = || {
             unread
@@ -335,11 +339,7 @@ mod tests {
     #[tokio::test]
     async fn a_request_that_is_evaluated_holds_its_bytes() {
         let admission = Admission::new(&Config::default().admission, 1, 0);
-        let unread = UnreadAnswers {
-            service: Service::starting(Default::default()),
-            flow: admission.open(),
-            others: Arc::new(()),
-        };
+        let unread = unread(&admission);
         let request = v1::KnnRequest {
             states: Some(v1::States {
                 row_count: 1,

@@ -7,9 +7,7 @@ use std::sync::{
 
 use tokio::sync::oneshot;
 
-use super::{
-    Hosted, RegistryError, WriteGuard, apply::AwaitedReceipt, in_flight::Decision,
-};
+use super::{Hosted, RegistryError, WriteGuard, apply::AwaitedReceipt, in_flight::Decision};
 use crate::log::{Effects, LogError, Operation, Receipt, Record};
 
 /// A mutation above these sizes, or one that changes existing points, is submitted on a blocking thread. A batch above

@@ -197,7 +197,6 @@ mod tests {
         registry::{CommitOutcome, Registry, RegistryOptions},
     };
 
-
     fn point(id: u64, revision: u64, row: &[f64]) -> PointRef<'_> {
         PointRef {
             id,
