@@ -3,8 +3,10 @@
 //! Each index has a directory of its own. The name of a snapshot holds its time, the uid of the index and the revision,
 //! so the files are the whole state of the schedule: a restarted server goes on with it.
 
+mod files;
+
 use std::{
-    fs::{self, File},
+    fs::{self, File, TryLockError},
     io::{self, BufWriter},
     path::{Path, PathBuf, absolute},
     sync::Arc,
@@ -12,7 +14,6 @@ use std::{
 };
 
 use thiserror::Error;
-use time::OffsetDateTime;
 use tokio::{
     runtime::Handle,
     time::{MissedTickBehavior, interval},
@@ -20,6 +21,7 @@ use tokio::{
 use tracing::{error, info};
 use wayfold_proto::{snapshot::FileWriter, v1};
 
+use self::files::{STAMP_BYTES, SUFFIX, prune, snapshots, stamp};
 use crate::{
     config::SnapshotConfig,
     observe::Metrics,
@@ -31,14 +33,11 @@ use crate::{
 /// The longest time between two checks for indices whose snapshot is due.
 const MAX_CHECK_INTERVAL: Duration = Duration::from_secs(60);
 
-/// The end of the name of a snapshot.
-const SUFFIX: &str = ".snapshot";
+/// The file whose lock the server holds: two servers would take each other's snapshots for their own.
+const LOCK: &str = ".lock";
 
 /// The name of a snapshot that is not whole yet.
 const UNFINISHED: &str = ".unfinished.part";
-
-/// The length of a time such as `20260131T235959Z`.
-const STAMP_BYTES: usize = 16;
 
 /// The snapshots cannot be written where the settings say.
 #[derive(Debug, Error)]
@@ -54,6 +53,15 @@ pub enum SnapshotsError {
         directory: PathBuf,
         /// The problem.
         source: io::Error,
+    },
+    /// Another server writes its snapshots there.
+    #[error(
+        "another server writes its snapshots to {}: set snapshot.dir to a directory of its own",
+        directory.display()
+    )]
+    InUse {
+        /// The directory.
+        directory: PathBuf,
     },
     /// The directory is that of the indices, in it, or around it.
     #[error(
@@ -88,6 +96,7 @@ pub(crate) struct Schedule {
     every: Duration,
     keep: usize,
     disk: Option<Arc<Watermark>>,
+    _lock: File,
 }
 
 impl Schedule {
@@ -105,20 +114,24 @@ impl Schedule {
                 directory: directory.to_owned(),
             });
         }
-        let made = fs::create_dir_all(directory).and_then(|()| {
-            let probe = directory.join(UNFINISHED);
-            File::create(&probe)?;
-            fs::remove_file(probe)
-        });
-        made.map_err(|source| SnapshotsError::Directory {
+        let failed = |source| SnapshotsError::Directory {
             directory: directory.to_owned(),
             source,
+        };
+        let lock = fs::create_dir_all(directory).and_then(|()| File::create(directory.join(LOCK)));
+        let lock = lock.map_err(failed)?;
+        lock.try_lock().map_err(|error| match error {
+            TryLockError::WouldBlock => SnapshotsError::InUse {
+                directory: directory.to_owned(),
+            },
+            TryLockError::Error(source) => failed(source),
         })?;
         Ok(Some(Self {
             directory: directory.to_owned(),
             every: Duration::from_secs(config.every_seconds),
             keep: config.keep,
             disk: watermark::disk(directory, min_free_bytes),
+            _lock: lock,
         }))
     }
 
@@ -141,6 +154,9 @@ impl Schedule {
     /// Takes the snapshots that are due. Blocks.
     fn take_due(&self, service: &Service, metrics: &Metrics, runtime: &Handle, now: SystemTime) {
         for listed in service.listed() {
+            if !service.is_serving() {
+                return;
+            }
             // The lists of the indices and the log tell of damaged ones.
             let IndexEntry::Hosted(hosted) = listed else {
                 continue;
@@ -181,7 +197,7 @@ impl Schedule {
             hosted.uid_text(),
             hosted.published().revision
         );
-        if !self.is_due(before.last().map(String::as_str), &content, now) {
+        if !self.is_due(&before, &content, now) {
             return Ok(None);
         }
         let unfinished = directory.join(UNFINISHED);
@@ -198,33 +214,23 @@ impl Schedule {
         let finish = || {
             file.sync_all()?;
             fs::rename(&unfinished, &path)?;
-            File::open(&directory)?.sync_all()?;
-            // The others are of a deleted index of the name, or of a history that this one lost.
-            let uid = format!("-{}-", hosted.uid_text());
-            let (own, others): (Vec<_>, Vec<_>) =
-                before.iter().partition(|name| name.contains(&uid));
-            let old = own.len().saturating_sub(self.keep.saturating_sub(1));
-            let former = others.len().saturating_sub(self.keep);
-            for name in own.iter().take(old).chain(others.iter().take(former)) {
-                fs::remove_file(directory.join(name))?;
-            }
-            Ok(())
+            File::open(&directory)?.sync_all()
         };
         finish().map_err(failed)?;
+        prune(&directory, hosted.uid_text(), self.keep);
         Ok(Some(path))
     }
 
-    /// True if an index needs a snapshot: its content is not that of the newest one, which is old enough. The newest
-    /// one is no measure if its time is yet to come.
-    fn is_due(&self, newest: Option<&str>, content: &str, now: SystemTime) -> bool {
-        let Some(newest) = newest else {
-            return true;
+    /// True if an index needs a snapshot: none has its content, and the newest one is old enough. A snapshot whose time is
+    /// yet to come is no measure: the clock was ahead.
+    fn is_due(&self, before: &[String], content: &str, now: SystemTime) -> bool {
+        let past = |name: &&String| name[..STAMP_BYTES] <= stamp(now)[..];
+        let is_old = |newest: &String| {
+            now.checked_sub(self.every)
+                .is_none_or(|at| newest[..STAMP_BYTES] <= stamp(at)[..])
         };
-        let (stamped, known) = newest.split_at(STAMP_BYTES);
-        let is_old = now
-            .checked_sub(self.every)
-            .is_none_or(|at| stamped <= &stamp(at)[..]);
-        known != content && (is_old || stamped > &stamp(now)[..])
+        !before.iter().any(|name| name.ends_with(content))
+            && before.iter().rfind(past).is_none_or(is_old)
     }
 
     /// Writes a snapshot, and returns the file with the end of its name.
@@ -283,44 +289,6 @@ fn is_within(inner: &Path, outer: &Path) -> bool {
         .is_some_and(|(inner, outer)| inner.starts_with(outer))
 }
 
-/// A time in UTC, by which names sort.
-fn stamp(at: SystemTime) -> String {
-    let at = OffsetDateTime::from(at);
-    let (date, time) = (at.date(), at.time());
-    format!(
-        "{:04}{:02}{:02}T{:02}{:02}{:02}Z",
-        date.year(),
-        u8::from(date.month()),
-        date.day(),
-        time.hour(),
-        time.minute(),
-        time.second()
-    )
-}
-
-/// The names of the snapshots in a directory, the oldest first. Other files do not count.
-fn snapshots(directory: &Path) -> io::Result<Vec<String>> {
-    let mut names = Vec::new();
-    for entry in fs::read_dir(directory)? {
-        let name = entry?.file_name().into_string();
-        names.extend(name.ok().filter(|name| is_snapshot(name)));
-    }
-    names.sort_unstable();
-    Ok(names)
-}
-
-fn is_snapshot(name: &str) -> bool {
-    let Some((stamped, content)) = name.split_at_checked(STAMP_BYTES) else {
-        return false;
-    };
-    let form = stamped.bytes().enumerate().all(|(at, byte)| match at {
-        8 => byte == b'T',
-        15 => byte == b'Z',
-        _ => byte.is_ascii_digit(),
-    });
-    form && content.starts_with('-') && content.ends_with(SUFFIX)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -331,6 +299,7 @@ mod tests {
             every: HOUR,
             keep,
             disk: None,
+            _lock: tempfile::tempfile().unwrap(),
         }
     }
 
@@ -342,38 +311,21 @@ mod tests {
     }
 
     #[test]
-    fn names_have_the_time_in_utc() {
-        assert_eq!(stamp(now()), "20260131T235959Z");
-    }
-
-    #[test]
     fn a_snapshot_is_due_after_its_time_if_the_content_is_another() {
         let schedule = schedule(Path::new("unused"), 1);
         let content = "-uid-7.snapshot";
-        let due = |newest: Option<&str>| schedule.is_due(newest, content, now());
-        assert!(due(None));
-        assert!(due(Some("20260131T225959Z-uid-6.snapshot")));
-        assert!(due(Some("20260131T225959Z-other-7.snapshot")));
-        assert!(!due(Some("20260131T225959Z-uid-7.snapshot")));
-        assert!(!due(Some("20260131T230000Z-uid-6.snapshot")));
-        // The clock was put back.
-        assert!(due(Some("20270131T230000Z-uid-6.snapshot")));
-    }
-
-    #[test]
-    fn files_of_others_are_no_snapshots() {
-        let directory = tempfile::tempdir().unwrap();
-        let names = [
-            "20260131T235959Z-uid-2.snapshot",
-            "20260130T235959Z-uid-1.snapshot",
-            "20260131T235959Z-uid-3.part",
-            "2026-01-31-before-the-upgrade.snapshot",
-            "notes",
-            "20260131T23595éZ-uid-3.snapshot",
-        ];
-        for name in names {
-            File::create(directory.path().join(name)).unwrap();
-        }
-        assert_eq!(snapshots(directory.path()).unwrap(), [names[1], names[0]]);
+        let due = |before: &[&str]| {
+            let before: Vec<String> = before.iter().map(|name| (*name).into()).collect();
+            schedule.is_due(&before, content, now())
+        };
+        assert!(due(&[]));
+        assert!(due(&["20260131T225959Z-uid-6.snapshot"]));
+        assert!(due(&["20260131T225959Z-other-7.snapshot"]));
+        assert!(!due(&["20260131T225959Z-uid-7.snapshot"]));
+        assert!(!due(&["20260131T230000Z-uid-6.snapshot"]));
+        // The clock was put back: one is due, and the next after its time.
+        let future = "20270131T230000Z-uid-6.snapshot";
+        assert!(due(&[future]));
+        assert!(!due(&["20260131T235900Z-uid-5.snapshot", future]));
     }
 }

@@ -21,6 +21,7 @@ use crate::{
     faces::Addresses,
     observe, pages,
     run::{self, ServerError},
+    snapshots::SnapshotsError,
     zenoh,
 };
 use flags::{Command, Flags};
@@ -59,7 +60,13 @@ pub fn main() -> ExitCode {
     }
     match serve(config) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => fail(&*error, FAILURE_STATUS),
+        Err(error) => {
+            let status = match error.downcast_ref() {
+                Some(ServerError::Snapshots(SnapshotsError::InData { .. })) => USAGE_STATUS,
+                _ => FAILURE_STATUS,
+            };
+            fail(&*error, status)
+        }
     }
 }
 

@@ -10,6 +10,10 @@ const ROWS: usize = 2_000;
 
 /// A server that takes snapshots every second, and keeps two.
 fn server(data: &Path, snapshots: &Path) -> ServerProcess {
+    ServerProcess::ready(Process::spawn(&mut server_command(data, snapshots)))
+}
+
+fn server_command(data: &Path, snapshots: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
     command
         .args(["--grpc", "127.0.0.1:0", "--zenoh", "off", "--data"])
@@ -17,7 +21,7 @@ fn server(data: &Path, snapshots: &Path) -> ServerProcess {
         .env("WAYFOLD_SNAPSHOT__DIR", snapshots)
         .env("WAYFOLD_SNAPSHOT__EVERY_SECONDS", "1")
         .env("WAYFOLD_SNAPSHOT__KEEP", "2");
-    ServerProcess::ready(Process::spawn(&mut command))
+    command
 }
 
 async fn insert(stubs: &mut Stubs, states: &mut States) {
@@ -105,15 +109,32 @@ async fn snapshots_are_taken_kept_and_restored() {
 }
 
 #[test]
+fn two_servers_do_not_share_a_directory() {
+    let directory = tempfile::tempdir().unwrap();
+    let [one, other, snapshots] = ["one", "other", "kept"].map(|name| directory.path().join(name));
+    let first = server(&one, &snapshots);
+    let mut command = server_command(&other, &snapshots);
+    let second = Process::spawn(&mut command).finish();
+    assert_eq!(second.status.code(), Some(1));
+    let text = second.stderr;
+    assert!(
+        text.contains("another server") && text.contains("snapshot.dir"),
+        "{text}"
+    );
+    first.stop(Signal::Terminate);
+}
+
+#[test]
 fn a_directory_that_it_cannot_have_is_named() {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("file");
     fs::write(&file, "").unwrap();
     let data = directory.path().join("data");
-    for (snapshots, part) in [
-        (file.join("kept"), "cannot write"),
-        (data.join("kept"), "in data.dir"),
-        (directory.path().to_owned(), "holds it"),
+    // The first may be another in a moment, and the settings are wrong in the others.
+    for (snapshots, part, status) in [
+        (file.join("kept"), "cannot write", 1),
+        (data.join("kept"), "in data.dir", 2),
+        (directory.path().to_owned(), "holds it", 2),
     ] {
         let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
         command
@@ -121,7 +142,7 @@ fn a_directory_that_it_cannot_have_is_named() {
             .arg(&data)
             .env("WAYFOLD_SNAPSHOT__DIR", snapshots);
         let ended = Process::spawn(&mut command).finish();
-        assert_eq!(ended.status.code(), Some(1));
+        assert_eq!(ended.status.code(), Some(status));
         assert!(ended.stderr.contains("snapshot.dir"), "{}", ended.stderr);
         assert!(ended.stderr.contains(part), "{}", ended.stderr);
     }
