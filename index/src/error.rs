@@ -34,8 +34,8 @@ pub enum PointsError {
 /// The error of a mutation, which changed nothing.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ApplyError {
-    /// The revision is not above the forest's.
-    #[error("revision {revision}, where the forest is at {head} already")]
+    /// The revision is not above the forest's, or is `u64::MAX`.
+    #[error("revision {revision} for a forest at {head}: it is above that and below u64::MAX")]
     Revision {
         /// The mutation's revision.
         revision: u64,

@@ -183,7 +183,7 @@ impl Forest {
     /// points with the same ids. Returns the number of points removed for `removed`.
     ///
     /// # Errors
-    /// `revision` is not above the forest's, the rows are not canonical states of the space, two have the same id, or
+    /// `revision` is not above the forest's or is `u64::MAX`, the rows are not canonical states of the space, two have the same id, or
     /// there are more than [`Points::MAX_POINTS`]; nothing is changed then.
     pub fn apply(
         &mut self,
@@ -192,7 +192,7 @@ impl Forest {
         removed: &[u64],
     ) -> Result<usize, ApplyError> {
         let head = self.head.revision;
-        if revision <= head {
+        if revision <= head || revision > LATEST {
             return Err(ApplyError::Revision { revision, head });
         }
         stored.check(&self.head.space)?;

@@ -142,11 +142,21 @@ fn a_stored_id_is_not_loaded_again() {
 fn a_revision_is_applied_once() {
     let mut forest = Forest::new(space(), ForestOptions::for_space(&space()));
     forest.apply(5, &Points::new(7), &[]).unwrap();
-    for revision in [0, 4, 5] {
+    for revision in [0, 4, 5, u64::MAX] {
         let error = forest.apply(revision, &points(&[(1, &good_row())]), &[]);
         assert_eq!(error, Err(ApplyError::Revision { revision, head: 5 }));
     }
     assert!(forest.is_empty());
+}
+
+#[test]
+fn a_leaf_reserves_no_more_than_the_points_that_there_are() {
+    let row = good_row();
+    for leaf_rows in [1 << 40, usize::MAX / 2, usize::MAX] {
+        let tree = KdTree::new(space(), points(&[(1, &row), (2, &row)]), leaf_rows).unwrap();
+        let found = tree.search(&row, &Search::nearest_k(5)).unwrap();
+        assert_eq!(found.neighbors.len(), 2);
+    }
 }
 
 #[test]
