@@ -166,10 +166,7 @@ impl Hosted {
             error @ LogError::Unconfirmed { .. } => self.settle(record, error).await?,
             error => return Err(error.into()),
         };
-        // Records before this one may have been acknowledged since it was submitted.
-        let published = self.published().view.position();
-        let known = [base, published].into_iter().max_by_key(|it| it.revision);
-        let head = self.journal_has(known.unwrap_or(base), head).await?;
+        let head = self.journal_has(base, head).await?;
         Ok(self.superseded(record, head))
     }
 
@@ -281,24 +278,26 @@ impl Hosted {
         Ok(())
     }
 
-    /// Fails if the journal, which ends at the revision `head`, does not have the applied record `base`. Returns its end.
+    /// Fails if the journal, which ends at the revision `head`, does not have the applied record `base` or ends before the
+    /// newest applied one: records may have been acknowledged since `base`. Returns its end.
     async fn journal_has(
         self: &Arc<Self>,
         base: RecordPosition,
         head: u64,
     ) -> Result<u64, RegistryError> {
+        let applied = base.revision.max(self.published().revision);
         let until = Instant::now() + BEHIND_TIME;
         let mut attempts = interval(SETTLE_INTERVAL);
         let mut head = head;
-        while head < base.revision && Instant::now() < until {
+        while head < applied && Instant::now() < until {
             attempts.tick().await;
             head = self.newest().await.unwrap_or(head);
         }
-        if head < base.revision {
+        if head < applied {
             return Err(RegistryError::Log(LogError::JournalBehind {
                 uid: self.uid(),
                 head,
-                applied: base.revision,
+                applied,
             }));
         }
         // Another record may have taken its place after the journal had lost it.
