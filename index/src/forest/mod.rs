@@ -183,8 +183,8 @@ impl Forest {
     /// points with the same ids. Returns the number of points removed for `removed`.
     ///
     /// # Errors
-    /// `revision` is not above the forest's or is `u64::MAX`, the rows are not canonical states of the space, two have the same id, or
-    /// there are more than [`Points::MAX_POINTS`]; nothing is changed then.
+    /// `revision` is not above the forest's or is `u64::MAX`, the rows are not canonical states of the space, two have the
+    /// same id, or there are more than [`Points::MAX_POINTS`]; nothing is changed then.
     pub fn apply(
         &mut self,
         revision: u64,

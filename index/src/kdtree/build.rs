@@ -24,7 +24,7 @@ impl KdTree {
     /// Acts like [`KdTree::new`], but takes points that were checked, and a space that several trees share.
     pub(crate) fn build(space: Arc<Space>, points: &Points, leaf_rows: usize) -> Self {
         debug_assert_eq!(points.check(&space), Ok(()));
-        // A leaf has room for so many rows.
+        // Each leaf reserves this many rows.
         let leaf_rows = leaf_rows.clamp(1, points.len().max(1));
         let leaves = points.len().div_ceil(leaf_rows);
         let height = height(leaves);

@@ -88,7 +88,7 @@ impl Service {
         call: &Call,
         request: v1::CreateIndexRequest,
     ) -> Result<v1::CreateIndexResponse, Error> {
-        // Whoever may read an index finds it; only to create one takes the role.
+        // A reader finds an index that exists. Only an admin creates one.
         let refused = self.accept(call, Role::Admin, Some(&request.name)).err();
         if let Some(refused) = &refused
             && self.index(call, Role::Read, &request.name, "").is_err()

@@ -160,7 +160,7 @@ impl Bucket {
             let Ok(Ok(stored)) = timeout(COMPARE_INTERVAL, read_all(&self.store)).await else {
                 continue;
             };
-            // The watch goes on behind the last revision that it has seen, also in a bucket that begins anew.
+            // The watch skips the revisions that it has seen, even in a bucket that was created again.
             for (named, revision) in stored.values() {
                 self.note(named.clone(), *revision, None);
             }
