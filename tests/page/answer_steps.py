@@ -99,16 +99,16 @@ def enter_probes_the_point_in_the_middle(page, programs, pictures):
     """Where no point is within a click's reach of the middle, too. In parallel coordinates, it is the line."""
     with running(programs) as server:
         server.command("create", "arm", "--space", "R2")
-        server.insert("arm", [(0, 0), (10, 0), (0, 10), (10, 10), (6, 6)])
+        # The middle is (5, 5), and halfway between the axes about 5.5. The nearest differ, so that no old answer passes.
+        server.insert("arm", [(0, 0), (10, 10), (4, 4), (9, 3)])
         open_index(page, server, "arm")
-        wait_for_count(page, 5)
-        for preset in ("spatial", "parallel"):
+        wait_for_count(page, 4)
+        for preset, nearest in (("spatial", "4, 4"), ("parallel", "9, 3")):
             if preset == "parallel":
                 page.select_option("#axes-preset", "parallel")
-                page.click("#probe-clear")
+                # A line is picked as it was drawn last.
+                expect(page.locator("#axes .upright").first).to_be_attached()
             wait_until_drawn(page)
-            # The axes are those of the next frame.
-            page.evaluate("() => new Promise(drawn => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
             page.locator("#picture").press("Enter")
-            expect(page.locator("#neighbors tr")).to_have_count(5)
-            expect(page.locator("#probe-state")).to_have_value("6, 6")
+            expect(page.locator("#probe-state")).to_have_value(nearest)
+            expect(page.locator("#neighbors tr")).to_have_count(4)
