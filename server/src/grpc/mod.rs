@@ -11,6 +11,7 @@ mod in_process;
 mod index_service;
 mod member_client;
 mod member_service;
+mod message_reader;
 mod point_service;
 mod refusals;
 mod request_body;

@@ -1,13 +1,12 @@
 //! `StreamKnn`: requests are evaluated in parallel and answered in order, and a bad one does not end the stream.
 //!
-//! The generated server ends a stream at a message that does not parse. So this file serves this one method, with a
-//! codec that passes such messages on as refusals.
+//! The generated server ends a stream at a message that does not parse, and holds the buffer of its largest message. So
+//! this file serves this one method, and reads its messages with [`MessageReader`].
 
 use std::{
     future::poll_fn, panic::AssertUnwindSafe, pin::Pin, sync::Arc, task::Poll, time::Duration,
 };
 
-use bytes::Buf;
 use futures_util::{FutureExt, Stream, StreamExt, stream, stream::BoxStream};
 use http::{Request, Response};
 use prost::{DecodeError, Message};
@@ -15,16 +14,16 @@ use tokio_util::task::AbortOnDropHandle;
 use tonic::{
     Status,
     body::Body,
-    codec::{Codec, DecodeBuf, Decoder},
     server::{Grpc, StreamingService},
 };
-use tonic_prost::ProstEncoder;
+use tonic_prost::ProstCodec;
 use tracing::Instrument;
 
 use wayfold_proto::v1;
 
 use super::{
     calls::{call_of, flow_of},
+    message_reader::MessageReader,
     refusals,
 };
 use crate::{
@@ -59,9 +58,21 @@ pub(crate) struct KnnStreams {
 impl KnnStreams {
     /// Answers a call whose messages are not parsed yet.
     pub(crate) async fn serve(self, request: Request<Body>) -> Response<Body> {
-        let limit = Some(self.max_message_bytes);
-        let mut grpc = Grpc::new(TolerantCodec).apply_max_message_size_config(limit, None);
-        grpc.streaming(TolerantStreamKnn(self), request).await
+        let (parts, body) = request.into_parts();
+        let reader = MessageReader::new(body, self.max_message_bytes);
+        let messages = stream::unfold(reader, async |mut reader| {
+            let message = reader.next().await?;
+            Some((message.map(v1::StreamKnnRequest::decode), reader))
+        });
+        let stream = TolerantStreamKnn {
+            streams: self,
+            messages: Some(messages.boxed()),
+        };
+        // Tonic makes the answers only.
+        let request = Request::from_parts(parts, Body::empty());
+        Grpc::new(ProstCodec::default())
+            .streaming(stream, request)
+            .await
     }
 
     /// The flow of a stream; one of its own if the layer around all calls is missing.
@@ -242,48 +253,25 @@ impl<M: Stream<Item = Result<Incoming, Status>> + Unpin> Reader<M> {
     }
 }
 
-struct TolerantStreamKnn(KnnStreams);
+struct TolerantStreamKnn {
+    streams: KnnStreams,
+    /// Taken by the only call.
+    messages: Option<BoxStream<'static, Result<Incoming, Status>>>,
+}
 
-impl StreamingService<Incoming> for TolerantStreamKnn {
+impl StreamingService<v1::StreamKnnRequest> for TolerantStreamKnn {
     type Response = v1::StreamKnnResponse;
     type ResponseStream = Answers;
     type Future = std::future::Ready<Result<tonic::Response<Answers>, Status>>;
 
-    fn call(&mut self, request: tonic::Request<tonic::Streaming<Incoming>>) -> Self::Future {
-        let (call, flow) = (call_of(&request), self.0.flow_of(&request));
-        let answers = self.0.answer(call, flow, request.into_inner());
+    fn call(
+        &mut self,
+        request: tonic::Request<tonic::Streaming<v1::StreamKnnRequest>>,
+    ) -> Self::Future {
+        let (call, flow) = (call_of(&request), self.streams.flow_of(&request));
+        let messages = stream::iter(self.messages.take()).flatten();
+        let answers = self.streams.answer(call, flow, messages);
         std::future::ready(Ok(tonic::Response::new(answers)))
-    }
-}
-
-struct TolerantCodec;
-
-impl Codec for TolerantCodec {
-    type Encode = v1::StreamKnnResponse;
-    type Decode = Incoming;
-    type Encoder = ProstEncoder<v1::StreamKnnResponse>;
-    type Decoder = TolerantDecoder;
-
-    fn encoder(&mut self) -> Self::Encoder {
-        ProstEncoder::default()
-    }
-
-    fn decoder(&mut self) -> TolerantDecoder {
-        TolerantDecoder
-    }
-}
-
-struct TolerantDecoder;
-
-impl Decoder for TolerantDecoder {
-    type Item = Incoming;
-    type Error = Status;
-
-    fn decode(&mut self, bytes: &mut DecodeBuf<'_>) -> Result<Option<Incoming>, Status> {
-        let message = v1::StreamKnnRequest::decode(&mut *bytes);
-        // A message that does not parse leaves bytes behind, and the next one begins after them.
-        bytes.advance(bytes.remaining());
-        Ok(Some(message))
     }
 }
 
