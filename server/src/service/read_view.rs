@@ -7,7 +7,7 @@ use wayfold_index::Point;
 use wayfold_proto::v1;
 
 use super::{
-    Call, Error, Service,
+    Call, Error, Service, Unavailability,
     answer::{Source, missing, payload_bytes},
     check::Violations,
     error_map::registry_error,
@@ -91,14 +91,21 @@ impl Service {
         Ok(published)
     }
 
-    /// Waits for `future` until the deadline of the call, and for `min_revision_wait` if its caller named none.
+    /// Waits for `future` until the deadline of the call, for `min_revision_wait` if its caller named none, and not beyond
+    /// the server's shutdown: what it waits for may never come.
     async fn bounded<F: Future>(
         &self,
         call: &Call,
         doing: &'static str,
         future: F,
     ) -> Result<F::Output, Error> {
-        let bounded = call.bound(doing, future);
+        let bounded = async {
+            tokio::select! {
+                biased;
+                done = call.bound(doing, future) => done,
+                () = self.stopping() => Err(Error::Unavailable { why: Unavailability::Stopping }),
+            }
+        };
         if call.deadline.is_some() && !call.has_default_deadline {
             return bounded.await;
         }

@@ -210,3 +210,21 @@ async fn the_wait_for_a_revision_ends_after_five_seconds_or_at_the_deadline() {
         assert_eq!(refusal(answer).0, Code::DeadlineExceeded);
     }
 }
+
+#[tokio::test]
+async fn the_wait_for_a_revision_ends_when_the_server_stops() {
+    let (service, uid) = arm("R1").await;
+    let request = v1::GetRequest {
+        min_revision: revision(&uid, 1),
+        ..getting(&[])
+    };
+    let with_deadline = Call {
+        deadline: Some(Instant::now() + Duration::from_secs(3600)),
+        ..Call::default()
+    };
+    let mut waiting = pin!(service.get(&with_deadline, request));
+    assert!((&mut waiting).now_or_never().is_none());
+    service.begin_shutdown();
+    let refused = waiting.now_or_never().expect("it waits on");
+    assert_eq!(refusal(refused).0, Code::Unavailable);
+}
