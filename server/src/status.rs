@@ -155,8 +155,8 @@ pub(crate) fn overloaded(Overloaded(target): Overloaded) -> Status {
 /// The status of a call while requests, calls and unread answers hold `most` bytes, or those of its flow their share.
 pub(crate) fn too_many_bytes(most: usize) -> Status {
     let message = format!(
-        "requests, calls and unread answers hold as many bytes as {MAX_BYTES} = {most} and a connection's share of it \
-         allow: read the answers, and try again later"
+        "requests, calls and unread answers hold the {most} bytes that {MAX_BYTES} or a quarter of the memory limit \
+         allows, or this connection's share of them: read the answers, and try again later"
     );
     busy("TOO_MANY_BYTES", message, MAX_BYTES, most)
 }
