@@ -4,7 +4,7 @@ import re
 
 from playwright.sync_api import expect
 
-from support import MAX_WAIT_S, open_index, running, wait_for_count
+from support import open_index, running, wait_for_count
 
 
 def number(name):
@@ -21,7 +21,7 @@ def link(server, name, *others):
 
 
 def expect_edges(page, edges):
-    expect(page.locator("#edges-about")).to_have_text(re.compile(f"^{edges} edges?$"), timeout=MAX_WAIT_S * 1000)
+    expect(page.locator("#edges-about")).to_have_text(re.compile(f"^{edges} edges?$"))
 
 
 def edges_follow_the_payloads(page, programs, pictures):

@@ -44,7 +44,7 @@ def a_planner_is_seen_growing(page, programs, pictures, milestones):
         rigid = [programs / "rigid", "--server", server.uri, "--keep", "--workers", "2", "--milestones", str(milestones)]
         with subprocess.Popen(rigid, stdout=subprocess.DEVNULL, cwd=directory, start_new_session=True) as planner:
             link = page.locator("#indices tbody a").first
-            expect(link).to_be_visible(timeout=MAX_WAIT_S * 1000)
+            expect(link).to_be_visible()
             # It stands still while the picture opens.
             os.killpg(planner.pid, signal.SIGSTOP)
             index = link.inner_text().strip()

@@ -4,7 +4,7 @@ import re
 
 from playwright.sync_api import expect
 
-from support import (MAX_WAIT_S, PROBE, SPACE, looks, probe, row, running, set_hidden, streams_of, wait_for_count)
+from support import PROBE, SPACE, looks, probe, row, running, set_hidden, streams_of, wait_for_count
 
 
 def many_indices_leave_room_for_calls(page, programs, pictures):
@@ -19,7 +19,7 @@ def many_indices_leave_room_for_calls(page, programs, pictures):
         wait_for_count(page, 4 * 99)
         expect(page.locator("#notice")).to_have_text("At most 4 indices are shown in one picture.")
         page.click("#slider")
-        expect(page.locator("#revision-notes")).not_to_contain_text("reading", timeout=MAX_WAIT_S * 1000)
+        expect(page.locator("#revision-notes")).not_to_contain_text("reading")
         page.click("#live")
         answer = server.json("knn", names[0], "--state", PROBE, "-k", "5")
         assert probe(page, PROBE, 5) == list(zip(map(str, answer["ids"]), answer["distances"]))
@@ -51,7 +51,7 @@ def a_hidden_tab_leaves_its_connections(page, programs, pictures):
         set_hidden(first, True)
         expect(first.locator("#status")).to_contain_text("paused")
         wait_for_count(second, 100)
-        expect(second.locator("#status")).to_have_text("live", timeout=MAX_WAIT_S * 1000)
+        expect(second.locator("#status")).to_have_text("live")
         answer = server.json("knn", "arm-0", "--state", PROBE, "-k", "5")
         assert probe(second, PROBE, 5) == list(zip(map(str, answer["ids"]), answer["distances"]))
         # Shown again, it asks for what came meanwhile.
@@ -61,7 +61,7 @@ def a_hidden_tab_leaves_its_connections(page, programs, pictures):
         urls = streams_of(first, "points")
         set_hidden(first, False)
         wait_for_count(first, 450)
-        expect(first.locator("#status")).to_have_text("live", timeout=MAX_WAIT_S * 1000)
+        expect(first.locator("#status")).to_have_text("live")
         assert len(urls) == 4 and all("after=" in it and "share=1" in it for it in urls), urls
         context.close()
 

@@ -66,6 +66,8 @@ def numbers_of_axes_tell_their_steps(page, programs, pictures):
         wait_for_count(page, 21)
         for view in ("flat-0", "parallel"):
             page.select_option("#axes-preset", view)
+            if view == "parallel":
+                expect(page.locator("#axes .upright").first).to_be_attached()
             expect(page.locator("#axes .number", has_text="1.0005")).to_have_count(1)
             numbers = page.locator("#axes .number").all_text_contents()
             assert len(set(numbers)) == len(numbers) and "10.0010" in numbers, numbers

@@ -16,6 +16,7 @@ from playwright.sync_api import expect
 
 # The most that the page, a process or the browser may take for one step.
 MAX_WAIT_S = 120
+expect.set_options(timeout=MAX_WAIT_S * 1000)
 SPACE = "R3*SO3:0.15"
 # Software rendering, and no sandbox: the suite may run as root in a container.
 BROWSER = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -142,7 +143,7 @@ def row(number):
 
 
 def wait_for_count(page, points):
-    expect(page.locator("#count")).to_have_text(re.compile(f"^{points:,} points?"), timeout=MAX_WAIT_S * 1000)
+    expect(page.locator("#count")).to_have_text(re.compile(f"^{points:,} points?"))
 
 
 def wait_until_drawn(page):
@@ -170,9 +171,12 @@ def probe(page, state, k):
     """Asks for the neighbours of a state, and returns those that the page lists: ids and distances."""
     page.fill("#probe-state", state)
     page.fill("#probe-k", str(k))
+    # The rows of an earlier answer stay until the next one.
+    page.evaluate("document.getElementById('neighbors').replaceChildren()")
     page.click("#probe-run")
     rows = page.locator("#neighbors tr")
     expect(rows).to_have_count(k)
+    expect(page.locator("#answer")).to_be_visible()
     return [(it.get_attribute("data-id"), float(it.get_attribute("data-distance"))) for it in rows.all()]
 
 
