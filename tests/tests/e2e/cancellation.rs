@@ -154,7 +154,7 @@ async fn work_that_nobody_waits_for_is_given_up() {
         };
         1_000
     ];
-    let stream = within(500, iter(requests));
+    let stream = within(3_000, iter(requests));
     let mut answers = stubs.points.stream_knn(stream).await.unwrap().into_inner();
     let status = loop {
         match answers.message().await {

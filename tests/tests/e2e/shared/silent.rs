@@ -12,7 +12,7 @@ use super::{
     shared, wait_for_status,
 };
 
-const TIMEOUT: Duration = Duration::from_secs(1);
+const TIMEOUT: Duration = Duration::from_secs(3);
 const MAX_PENDING_BYTES: usize = 100_000;
 /// An insert into the plane holds an id, a tag and two coordinates at least.
 const MIN_STEP_BYTES: usize = 32;
