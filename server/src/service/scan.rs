@@ -117,6 +117,7 @@ impl Scan {
 
     /// The next part, if it is not done. The revision stays held also after the last part.
     pub(super) async fn part(&mut self) -> Result<v1::ScanResponse, Error> {
+        self.call.check(DOING)?;
         let published = self.still_held()?;
         let view = ReadView {
             call: &self.call,

@@ -20,7 +20,7 @@ pub(super) const MAX_READS_AHEAD: usize = 3;
 pub(super) const BATCH_ROWS: usize = 256;
 
 /// Reads from the store of the named index on a thread that may block. A queued read does not start once its caller has
-/// left.
+/// left. It is refused once the caller has lost its rights: a stream reads many times.
 pub(super) async fn read<T: Send + 'static>(
     call: &Call,
     doing: &'static str,
@@ -28,6 +28,7 @@ pub(super) async fn read<T: Send + 'static>(
     view: &Arc<dyn View>,
     read: impl FnOnce(&dyn View) -> Result<T, LogError> + Send + 'static,
 ) -> Result<T, Error> {
+    call.check(doing)?;
     let view = Arc::clone(view);
     let reading = tokio::task::spawn_blocking(move || read(&*view));
     match call.bound(doing, AbortOnDropHandle::new(reading)).await? {

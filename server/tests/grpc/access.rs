@@ -16,7 +16,7 @@ use wayfold_proto::v1;
 use wayfold_server::identity::Role;
 
 use crate::{
-    harness::{TestServer, reason},
+    harness::{TestServer, insert, reason},
     raw::Raw,
 };
 
@@ -284,7 +284,7 @@ async fn whoever_may_read_an_index_finds_it_by_creating_it() {
 }
 
 #[tokio::test]
-async fn lists_show_what_the_identity_may_see_and_a_watch_ends_with_its_rights() {
+async fn lists_show_what_the_identity_may_see_and_streams_end_with_its_rights() {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("identities.toml");
     let server = start(&file).await;
@@ -323,21 +323,63 @@ async fn lists_show_what_the_identity_may_see_and_a_watch_ends_with_its_rights()
         assert_eq!(names, expected, "{token}");
     }
 
+    let index_name = || "arm".to_owned();
+    // More than the buffers between the server and a client hold.
+    for first in (0..300_000).step_by(50_000) {
+        let ids: Vec<u64> = (first..first + 50_000).collect();
+        let rows: Vec<f64> = ids.iter().map(|id| *id as f64).collect();
+        let request = v1::InsertRequest {
+            ids,
+            ..insert("arm", &rows)
+        };
+        let request = with_token("admin", request);
+        server.points().insert(request).await.unwrap();
+    }
     let watch = v1::WatchRequest {
-        index_name: "arm".into(),
+        index_name: index_name(),
         ..Default::default()
     };
     let watch = server.points().watch(with_token("reader", watch)).await;
     let mut watch = watch.unwrap().into_inner();
     watch.message().await.unwrap().unwrap();
+    let scan = v1::ScanRequest {
+        index_name: index_name(),
+        page_size: 64,
+        ..Default::default()
+    };
+    let scan = server.points().scan(with_token("reader", scan)).await;
+    let mut scan = scan.unwrap().into_inner();
+    scan.message().await.unwrap().unwrap();
+    let snapshot = v1::SnapshotIndexRequest {
+        index_name: index_name(),
+        ..Default::default()
+    };
+    let snapshot = with_token("reader", snapshot);
+    let snapshot = server.indices().snapshot_index(snapshot).await;
+    let mut snapshot = snapshot.unwrap().into_inner();
+    snapshot.message().await.unwrap().unwrap();
     write_identities(&file, "reader", token_line);
     let looked = || async {
         let request = with_token("reader", v1::GetServerRequest {});
         server.indices().get_server(request).await
     };
     while looked().await.is_ok() {}
-    let status = watch.message().await.unwrap_err();
-    assert_eq!(reason(&status, Code::Unauthenticated), "IDENTITY_REVOKED");
+    let watched = watch.message().await.unwrap_err();
+    let scanned = loop {
+        match scan.message().await {
+            Ok(part) => assert!(part.is_some(), "the scan came to its end"),
+            Err(status) => break status,
+        }
+    };
+    let copied = loop {
+        match snapshot.message().await {
+            Ok(part) => assert!(part.is_some(), "the snapshot came to its end"),
+            Err(status) => break status,
+        }
+    };
+    for status in [watched, scanned, copied] {
+        assert_eq!(reason(&status, Code::Unauthenticated), "IDENTITY_REVOKED");
+    }
     server.stop().await.unwrap().unwrap();
 }
 
