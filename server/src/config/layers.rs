@@ -16,6 +16,12 @@ use crate::wrong_text;
 const PREFIX: &str = "WAYFOLD_";
 const SEPARATOR: &str = "__";
 
+/// The least `limits.max_answer_bytes`: streams send parts of half of it.
+const MIN_ANSWER_BYTES: i64 = 4096;
+
+/// The most `index.merge_threads`, which shares out the memory for merges.
+const MAX_MERGE_THREADS: i64 = 1024;
+
 /// Settings that may be 0; `default.toml` says what 0 means for each.
 const MAY_BE_ZERO: [&str; 12] = [
     "disk.min_free_bytes",
@@ -192,9 +198,15 @@ fn overlay(
 fn check(origin: &str, key: &str, default: &Value, value: &Value) -> Result<(), ConfigError> {
     let (expected, found) = match (&default.kind, &value.kind) {
         (ValueKind::I64(_), ValueKind::I64(number)) => {
-            let least = i64::from(!MAY_BE_ZERO.contains(&key));
+            let least = match key {
+                "limits.max_answer_bytes" => MIN_ANSWER_BYTES,
+                _ => i64::from(!MAY_BE_ZERO.contains(&key)),
+            };
             let most = match key {
                 "index.growing_rows" => ForestOptions::MAX_GROWING_ROWS as i64,
+                "index.merge_threads" => MAX_MERGE_THREADS,
+                // The length of a message has 32 bits.
+                "grpc.max_message_bytes" | "zenoh.max_message_bytes" => i64::from(u32::MAX),
                 _ if key.ends_with("_percent") => 100,
                 _ => i64::MAX,
             };

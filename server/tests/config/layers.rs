@@ -200,6 +200,20 @@ fn a_growing_tree_has_no_more_rows_than_the_index_library_takes() {
 }
 
 #[test]
+fn numbers_with_which_the_server_could_not_work_are_refused() {
+    for text in [
+        "[limits]\nmax_answer_bytes = 4095",
+        "[index]\nmerge_threads = 1025",
+        "[grpc]\nmax_message_bytes = 4_294_967_296",
+        "[zenoh]\nmax_message_bytes = 4_294_967_296",
+    ] {
+        let message = load_file(text).unwrap_err().to_string();
+        assert!(message.contains("is too"), "{message}");
+    }
+    load_file("[limits]\nmax_answer_bytes = 4096\n[index]\nmerge_threads = 1024").unwrap();
+}
+
+#[test]
 fn a_percentage_is_at_most_100() {
     assert!(load_file("[memory]\nhigh_percent = 100").is_ok());
     let error = load_file("[memory]\nhigh_percent = 101").unwrap_err();
