@@ -1,8 +1,10 @@
 //! The options that every verb has, and the list of verbs.
 
-use std::{ffi::OsString, time::Duration};
+use std::{env, ffi::OsString, time::Duration};
 
-use clap::{CommandFactory, Parser, Subcommand, error::ErrorKind};
+use clap::{
+    CommandFactory, FromArgMatches, Parser, Subcommand, builder::Resettable, error::ErrorKind,
+};
 
 use super::{
     connection::ConnectionArgs, load::LoadArgs, output::Format, parse, status::Status, verb,
@@ -110,17 +112,29 @@ pub(super) enum Command {
 impl Args {
     /// The arguments of the process, if they agree with each other.
     pub(super) fn read() -> Result<Args, clap::Error> {
-        let args = Args::try_parse()?;
+        let matches = command().try_get_matches()?;
+        let args = Args::from_arg_matches(&matches)?;
         let refused = |problem| Err(Args::command().error(ErrorKind::ArgumentConflict, problem));
         if args.server.len() > 1 && !matches!(args.command, Command::Verify(_)) {
             return refused("--server is given more than once, which only verify takes");
         }
         // If an option stands on both sides of a verb, clap ignores the values before it.
-        if std::env::args_os().filter(is_server).count() > args.server.len() {
+        if env::args_os().filter(is_server).count() > args.server.len() {
             return refused("give every --server before the verb, or every one after it");
         }
         Ok(args)
     }
+}
+
+/// The arguments, whose variables count as unset if they are empty, as in the library.
+fn command() -> clap::Command {
+    Args::command().mut_args(|arg| {
+        let is_empty = |name| env::var_os(name).is_some_and(|value| value.is_empty());
+        match arg.get_env().is_some_and(is_empty) {
+            true => arg.env(Resettable::Reset),
+            false => arg,
+        }
+    })
 }
 
 impl Args {
@@ -140,7 +154,7 @@ fn is_server(argument: &OsString) -> bool {
 
 /// True if the arguments ask for JSON. It serves arguments that clap cannot parse.
 pub(super) fn output_is_json() -> bool {
-    let args: Vec<OsString> = std::env::args_os().collect();
+    let args: Vec<OsString> = env::args_os().collect();
     args.iter()
         .any(|argument| argument == "--output=json" || argument == "--json")
         || args.windows(2).any(|pair| pair == ["--output", "json"])

@@ -36,6 +36,13 @@ pub(super) async fn write<T>(
     };
     temporary.as_file().sync_all().map_err(failed)?;
     let bytes = temporary.as_file().metadata().map_err(failed)?.len();
+    if let Ok(replaced) = target.metadata() {
+        let permissions = replaced.permissions();
+        temporary
+            .as_file()
+            .set_permissions(permissions)
+            .map_err(failed)?;
+    }
     let renamed = match replace {
         true => temporary.persist(&target),
         false => temporary.persist_noclobber(&target),

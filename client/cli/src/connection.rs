@@ -54,22 +54,23 @@ pub(super) struct ConnectionArgs {
 
 impl ConnectionArgs {
     /// Warns of a token that goes to an address beyond this machine without TLS.
-    pub(super) fn warn(&self, addresses: &[String], format: Format) -> io::Result<()> {
+    pub(super) fn warn(&self, addresses: &[String], format: Format) {
         let has_token = self.token.is_some() || self.token_file.is_some();
         let has_tls = self.ca.is_some() || self.cert.is_some();
         let mut addresses = addresses.iter().flat_map(|it| it.split(','));
         let Some(open) = addresses.find(|address| has_token && is_open(address, has_tls)) else {
-            return Ok(());
+            return;
         };
         let warning =
             format!("the token goes to {open} without TLS: everyone on the way can read it");
         let mut stderr = io::stderr();
-        match format {
+        // Without standard error no one reads it.
+        let _ = match format {
             Format::Text => writeln!(stderr, "warning: {warning}"),
             Format::Json => {
                 output::json_line(&mut stderr, &serde_json::json!({ "warning": warning }))
             }
-        }
+        };
     }
 
     /// The certificates as Zenoh's configuration names them. A link over TCP reads none.

@@ -107,7 +107,7 @@ async fn execute(args: Args) -> Result<(), Failure> {
         let done = load::load(*load, to, args.timeout, &mut output).await;
         return finish(done, &mut output, args.timeout);
     }
-    args.connection.warn(&args.server, args.format())?;
+    args.connection.warn(&args.server, args.format());
     let builder = Client::builder()
         .timeout(args.timeout)
         .retry(RetryPolicy::until_deadline())

@@ -52,10 +52,19 @@ pub(super) fn rows(
         names_id: has_header
             && id_column.is_none()
             && first.iter().any(|column| column.eq_ignore_ascii_case("id")),
-        unread: if has_header { None } else { Some(first) },
+        unread: None,
         reader,
     };
-    Ok(Box::new(rows))
+    match has_header {
+        true => {
+            rows.check_header(&first)?;
+            Ok(Box::new(rows))
+        }
+        false => Ok(Box::new(CsvRows {
+            unread: Some(first),
+            ..rows
+        })),
+    }
 }
 
 /// A finite number, or an error that names its position.
@@ -139,15 +148,44 @@ impl<R: Read> Iterator for CsvRows<R> {
 }
 
 impl<R> CsvRows<R> {
-    fn row(&self, record: &StringRecord) -> Result<Row, InputError> {
+    /// Refuses a header whose columns cannot be the coordinates, or are them in another order.
+    fn check_header(&self, header: &StringRecord) -> Result<(), InputError> {
+        let position = self.check_width(header)?;
+        let names = &self.file.coordinates;
+        let column = |coordinate| header.get(self.file.column(coordinate)).unwrap_or_default();
+        let found: Vec<&str> = (0..names.len()).map(column).collect();
+        let is_other_order = found.iter().zip(names).any(|(found, name)| found != name)
+            && names.iter().all(|name| found.contains(&&**name));
+        match is_other_order {
+            true => Err(InputError::Format {
+                position: position.whole(),
+                problem: format!(
+                    "the columns {} are not in the order of {}: {}",
+                    found.join(", "),
+                    self.space,
+                    names.join(", ")
+                ),
+            }),
+            false => Ok(()),
+        }
+    }
+
+    /// The position of a record that has a column for each coordinate.
+    fn check_width(&self, record: &StringRecord) -> Result<InputPosition, InputError> {
         let position = InputPosition::Line {
             file: Arc::clone(&self.file),
             line: record.position().map_or(0, csv::Position::line),
         };
         let found = record.len().saturating_sub(self.file.other_columns());
-        if found != self.file.coordinates.len() {
-            return Err(self.wrong_width(&position, found));
+        match found == self.file.coordinates.len() {
+            true => Ok(position),
+            false => Err(self.wrong_width(&position, found)),
         }
+    }
+
+    fn row(&self, record: &StringRecord) -> Result<Row, InputError> {
+        let position = self.check_width(record)?;
+        let found = self.file.coordinates.len();
         let mut state = Vec::with_capacity(found);
         for coordinate in 0..found {
             let text = record.get(self.file.column(coordinate)).unwrap_or_default();

@@ -116,7 +116,7 @@ pub(crate) async fn load(
     let settings = args.run.or(scenario.run);
     let server = servers.first().ok_or(Failure::NoServer)?;
     let address = settings.address(server)?;
-    connection.warn(std::slice::from_ref(&address.server), output.format)?;
+    connection.warn(std::slice::from_ref(&address.server), output.format);
     let plan = Plan {
         index: args.name,
         address: Address {

@@ -16,7 +16,8 @@ use crate::{
     progress,
 };
 use wayfold::{
-    Include, IndexHandle, Inserted, NeighborSpec, Neighbors, Outcome, Revision, StateNeighbors,
+    Error, Include, IndexHandle, Inserted, NeighborSpec, Neighbors, Outcome, Revision,
+    StateNeighbors,
 };
 
 const EXAMPLES: &str = "\
@@ -135,8 +136,15 @@ pub(crate) async fn insert(args: InsertArgs, context: &mut Context) -> Result<()
     let mut is_read = true;
     for start in (0..rows).step_by(CALL_ROWS) {
         let end = rows.min(start + CALL_ROWS);
-        let inserted = send(&index, &args, spec.clone(), &table, start..end).await;
-        let inserted = inserted.map_err(|failure| stopped(start, rows, failure))?;
+        let inserted = match send(&index, &args, spec.clone(), &table, start..end).await {
+            Ok(inserted) => inserted,
+            Err(failure) => {
+                if start > 0 {
+                    summary.print(&index.revision(), &mut context.output)?;
+                }
+                return Err(stopped(start, rows, failure));
+            }
+        };
         if let (Some(neighbors), true) = (&inserted.neighbors, is_read) {
             let given = table.ids.get(start..end).unwrap_or_default();
             match print_rows(
@@ -186,13 +194,19 @@ async fn send(
     Ok(insert.await?)
 }
 
-/// Adds the number of rows that the calls before the failed one inserted.
-fn stopped(done: usize, rows: usize, failure: Failure) -> Failure {
+/// Adds the number of rows of the file that took effect before the failure in the call from row `start`.
+fn stopped(start: usize, rows: usize, failure: Failure) -> Failure {
+    let (done, source) = match failure {
+        Failure::Client(Error::Partial { done, source, .. }) => {
+            (start + done, Failure::Client(*source))
+        }
+        failure => (start, failure),
+    };
     match done {
-        0 => failure,
+        0 => source,
         _ => Failure::Stopped {
             done: format!("the first {done} of {rows} rows took effect"),
-            source: Box::new(failure),
+            source: Box::new(source),
         },
     }
 }

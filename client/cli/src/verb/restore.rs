@@ -19,7 +19,7 @@ Examples:
 
 The index has the points, ids, tags, payloads, revisions and writer sessions of the snapshot, and a uid
 of its own. The server checks the file while it reads it, and creates the index at the end: a command
-that fails or is interrupted leaves nothing.";
+that fails leaves nothing. After exit status 4 or an interrupt at the end, the index may be there, whole.";
 
 /// Creates an index from a snapshot
 #[derive(Debug, clap::Args)]
@@ -60,7 +60,11 @@ pub(crate) async fn restore(args: RestoreArgs, context: &mut Context) -> Result<
         restored => restored?,
     };
     bar.finish_and_clear();
-    let index = index.info().await?;
+    let info = index.info().await;
+    let index = info.map_err(|error| Failure::Stopped {
+        done: format!("{} is restored", args.name),
+        source: Box::new(error.into()),
+    })?;
     match context.output.format {
         Format::Json => context.output.json(&InfoLine::of(&index))?,
         Format::Text => context.output.text(format_args!(

@@ -98,7 +98,11 @@ pub(crate) fn token(args: &TokenArgs, format: Format) -> Result<(), Failure> {
         Format::Text => {
             output.text(entry.trim_end())?;
             if let Some(token) = shown {
-                writeln!(io::stderr(), "the token, shown only now: {token}")?;
+                let written = writeln!(io::stderr(), "the token, shown only now: {token}");
+                written.map_err(|source| Failure::File {
+                    path: "standard error".into(),
+                    source,
+                })?;
             }
         }
     }

@@ -1,6 +1,6 @@
 //! `snapshot`, `restore` and `verify`: an index in a file, through a pipe and on two servers.
 
-use std::fs;
+use std::{fs, os::unix::fs::PermissionsExt};
 
 use serde_json::Value;
 use wayfold::IndexHandle;
@@ -231,7 +231,11 @@ async fn a_file_has_its_name_once_it_is_whole() {
     assert_eq!(source.names(), ["arm.snapshot"]);
     assert_eq!(fs::read(&file).unwrap(), before);
     source.server.json(&["remove", "arm", "2"]).line();
+    let private = fs::Permissions::from_mode(0o600);
+    fs::set_permissions(&file, private.clone()).unwrap();
     let again = source.server.json(&["snapshot", "arm", &file, "--force"]);
+    let mode = fs::metadata(&file).unwrap().permissions().mode();
+    assert_eq!(mode & 0o777, private.mode());
     let again = again.line();
     assert_ne!(fs::read(&file).unwrap(), before);
     let target = Server::start();

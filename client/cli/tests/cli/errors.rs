@@ -199,6 +199,16 @@ async fn a_file_with_one_bad_row_is_named_and_not_sent() {
             "stdin: --ids names a column of a CSV header",
         ),
         (&[], &ids("7,0,0,0,0,0,0,1"), "Then say --ids id"),
+        (
+            &[],
+            "0;0;0;0;0;0;1\n0;0;0;0;0;0;1",
+            "stdin:1: 1 numbers, where a state of R3*SO3:0.15 has 7",
+        ),
+        (
+            &[],
+            "x,y,z,qw,qx,qy,qz\n0,0,0,1,0,0,0",
+            "stdin:1: the columns x, y, z, qw, qx, qy, qz are not in the order of R3*SO3:0.15: x, y, z, qx, qy, qz, qw",
+        ),
     ] {
         let input = if expected.contains(":2501") {
             format!("{good}{rows}\n")
@@ -336,4 +346,54 @@ fn an_error_in_json_is_one_line_on_standard_error() {
             "{error}"
         );
     }
+}
+
+#[test]
+fn the_rows_before_a_refused_call_are_summed_up() {
+    let server = Server::with(|config| config.limits.max_points_per_index = 2500);
+    server.run(&["create", "line", "--space", "R1"]);
+    let rows: String = (0..4000).map(|x| format!("{x}\n")).collect();
+    let run = server.json_with(&["insert", "line", "-"], &rows);
+    let summary = run.lines_and(3).remove(0);
+    assert_eq!(summary["inserted_count"], 2000);
+    assert_eq!(
+        (&summary["first_id"], &summary["last_id"]),
+        (&json!(0), &json!(1999))
+    );
+    assert!(
+        run.stderr
+            .contains("the first 2000 of 4000 rows took effect"),
+        "{}",
+        run.stderr
+    );
+}
+
+#[test]
+fn an_empty_variable_counts_as_unset() {
+    let server = Server::start();
+    let mut list = command(&server.uri, &["list"]);
+    for name in [
+        "WAYFOLD_CA",
+        "WAYFOLD_CERT",
+        "WAYFOLD_KEY",
+        "WAYFOLD_TOKEN",
+        "WAYFOLD_TOKEN_FILE",
+    ] {
+        list.env(name, "");
+    }
+    let output = list.output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+}
+
+/// A supervisor whose pipe for messages is gone.
+#[test]
+fn a_token_that_no_one_can_read_is_an_error() {
+    let mut create = command(
+        "http://127.0.0.1:0",
+        &["token", "create", "cell", "--role", "read"],
+    );
+    let (read, write) = std::io::pipe().unwrap();
+    drop(read);
+    let output = create.stderr(write).output().unwrap();
+    assert_eq!(output.status.code(), Some(3), "{output:?}");
 }
