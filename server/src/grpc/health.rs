@@ -1,8 +1,8 @@
 //! `grpc.health.v1`: NOT_SERVING until the server answers calls, and again once it begins to stop. The name
 //! `wayfold.writing` is NOT_SERVING while points cannot be added, and `wayfold.indices` while an index is damaged; the
-//! others are not affected by that.
+//! others are not affected by that, but are NOT_SERVING too once the store cannot be read.
 
-use std::{pin::Pin, time::Duration};
+use std::time::Duration;
 
 use futures_util::{Stream, StreamExt, stream, stream::BoxStream};
 use tokio::time::{Interval, interval};
@@ -32,7 +32,7 @@ const WRITING: &str = "wayfold.writing";
 /// The name of a state of its own: NOT_SERVING too while an index is damaged.
 const INDICES: &str = "wayfold.indices";
 
-/// The interval at which a watch of [`WRITING`] or [`INDICES`] checks the status.
+/// The interval at which a watch checks the status.
 const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Answers health checks from the server's phase and its indices.
@@ -54,48 +54,49 @@ impl HealthFace {
             WRITING if !self.service.accepts_growth() => Some(ServingStatus::NotServing),
             INDICES if self.service.has_damage() => Some(ServingStatus::NotServing),
             WRITING | INDICES => Some(phase),
-            _ => NAMES.contains(&name).then_some(phase),
+            _ if !NAMES.contains(&name) => None,
+            _ if !self.service.accepts_reads() => Some(ServingStatus::NotServing),
+            _ => Some(phase),
         }
     }
 
-    /// The status of [`WRITING`] or [`INDICES`] at each change, until the server begins to stop.
-    fn watch_checked(
-        &self,
-        name: &'static str,
-    ) -> impl Stream<Item = ServingStatus> + Send + use<> {
-        let watch = CheckedWatch {
+    /// The status under a known name at each change of it or of the phase, until the server begins to stop.
+    fn watch_known(&self, name: String) -> impl Stream<Item = ServingStatus> + Send + use<> {
+        let watch = StatusWatch {
             health: Self::new(self.phases.clone(), self.service.clone()),
             name,
-            stopping: Box::pin(self.phases.clone().stopping()),
             ticks: interval(CHECK_INTERVAL),
             reported: None,
         };
-        stream::unfold(Some(watch), async |watch| watch?.next().await)
+        stream::unfold(watch, StatusWatch::next)
     }
 }
 
-/// A watch of [`WRITING`] or [`INDICES`].
-struct CheckedWatch {
+/// A watch of the status under a known name.
+struct StatusWatch {
     health: HealthFace,
-    name: &'static str,
-    stopping: Pin<Box<dyn Future<Output = ()> + Send>>,
+    name: String,
     ticks: Interval,
-    reported: Option<ServingStatus>,
+    reported: Option<(Phase, ServingStatus)>,
 }
 
-impl CheckedWatch {
-    /// The next status that differs, and the watch that goes on; none after that of a stopping server.
-    async fn next(mut self) -> Option<(ServingStatus, Option<Self>)> {
+impl StatusWatch {
+    /// The next status, and the watch that goes on; none after that of a stopping server.
+    async fn next(mut self) -> Option<(ServingStatus, Self)> {
         loop {
-            tokio::select! {
-                biased;
-                () = &mut self.stopping => return Some((ServingStatus::NotServing, None)),
-                _ = self.ticks.tick() => {}
+            let phase = self.health.phases.current();
+            let status = self.health.status(&self.name)?;
+            match self.reported {
+                Some((Phase::Stopping, _)) => return None,
+                Some(reported) if reported == (phase, status) => {}
+                _ => {
+                    self.reported = Some((phase, status));
+                    return Some((status, self));
+                }
             }
-            let status = self.health.status(self.name);
-            if let Some(status) = status.filter(|_| status != self.reported) {
-                self.reported = Some(status);
-                return Some((status, Some(self)));
+            tokio::select! {
+                _ = self.health.phases.changed_from(phase) => {}
+                _ = self.ticks.tick() => {}
             }
         }
     }
@@ -129,30 +130,14 @@ impl Health for HealthFace {
         request: Request<HealthCheckRequest>,
     ) -> Result<Response<Self::WatchStream>, Status> {
         let name = &request.get_ref().service;
-        if let Some(name) = [WRITING, INDICES].into_iter().find(|it| it == name) {
-            let reports = self.watch_checked(name).map(|status| Ok(report(status)));
-            return Ok(Response::new(reports.boxed()));
+        if self.status(name).is_some() {
+            let reports = self.watch_known(name.clone());
+            return Ok(Response::new(reports.map(|it| Ok(report(it))).boxed()));
         }
-        let phases = self.phases.clone();
-        if self.status(name).is_none() {
-            let unknown = stream::iter([Ok(report(ServingStatus::ServiceUnknown))]);
-            let until_stopping = stream::once(phases.stopping()).filter_map(async |()| None);
-            return Ok(Response::new(unknown.chain(until_stopping).boxed()));
-        }
-        let first = phases.current();
-        let changes = stream::unfold(first, move |reported| {
-            // `reported` is the last phase sent; STOPPING is the last of all.
-            let mut phases = phases.clone();
-            async move {
-                if reported == Phase::Stopping {
-                    return None;
-                }
-                let phase = phases.changed_from(reported).await;
-                Some((Ok(report(status_in(phase))), phase))
-            }
-        });
-        let now = stream::iter([Ok(report(status_in(first)))]);
-        Ok(Response::new(now.chain(changes).boxed()))
+        let unknown = stream::iter([Ok(report(ServingStatus::ServiceUnknown))]);
+        let until_stopping = stream::once(self.phases.clone().stopping());
+        let until_stopping = until_stopping.filter_map(async |()| None);
+        Ok(Response::new(unknown.chain(until_stopping).boxed()))
     }
 }
 
@@ -172,14 +157,17 @@ fn report(status: ServingStatus) -> HealthCheckResponse {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering::SeqCst},
+    use std::{
+        fs,
+        sync::{
+            Arc,
+            atomic::{AtomicU64, Ordering::SeqCst},
+        },
     };
 
     use crate::{
         lifecycle::Lifecycle,
-        log::{Catalogue, Entry, Log, MemoryLog, Uid},
+        log::{Catalogue, Durability, Entry, FjallLog, Log, MemoryLog, PointStore, Uid},
         registry::{Registry, RegistryOptions},
         service::{Call, Limits},
         watermark::{Resource, Usage, Watermark, Watermarks},
@@ -324,5 +312,40 @@ mod tests {
         service.delete_index(&call, request).await.unwrap();
         assert_eq!(watch.next().await.unwrap().unwrap().status(), up);
         assert_eq!(check(&health, INDICES).await, up);
+    }
+    /// The files of the store were lost.
+    #[tokio::test(start_paused = true)]
+    async fn a_store_that_cannot_be_read_is_not_serving() {
+        let directory = tempfile::tempdir().unwrap();
+        let store = directory.path().join("store");
+        let away = directory.path().join("away");
+        let open = || FjallLog::open(directory.path(), Durability::Fsync).unwrap();
+        let entry = Entry {
+            uid: Uid::unique(),
+            name: "arm".into(),
+            space: "R1".parse().unwrap(),
+            payload_encoding: Default::default(),
+        };
+        open().create(entry).unwrap();
+        fs::rename(&store, &away).unwrap();
+        let log = Arc::new(open());
+        let registry = Registry::new(Arc::clone(&log), RegistryOptions::default());
+        let service = Service::new(registry, Limits::default());
+        service.set_ready();
+        let lifecycle = Lifecycle::starting();
+        lifecycle.advance(Phase::Serving);
+        let health = HealthFace::new(lifecycle.watch(), service);
+        let mut watch = health.watch(request("")).await.unwrap().into_inner();
+        for expected in [ServingStatus::NotServing, ServingStatus::Serving] {
+            for name in NAMES {
+                assert_eq!(check(&health, name).await, expected, "{name}");
+            }
+            assert_eq!(watch.next().await.unwrap().unwrap().status(), expected);
+            if store.exists() {
+                break;
+            }
+            fs::rename(&away, &store).unwrap();
+            log.reopen().unwrap();
+        }
     }
 }

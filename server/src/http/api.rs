@@ -10,18 +10,19 @@ use std::{
 
 use axum::{
     body::Body,
-    extract::{Request as HttpRequest, State as Of},
+    extract::{ConnectInfo, Request as HttpRequest, State as Of},
     http::{StatusCode, header, request::Parts},
     response::{IntoResponse, Response},
 };
 use bytes::{Bytes, BytesMut};
 use futures_util::FutureExt;
-use http_body_util::{BodyExt, Full};
+use http_body_util::BodyExt;
 use tokio::sync::Semaphore;
+use tokio_util::task::task_tracker::TaskTrackerToken;
 use tracing::Instrument;
 use wayfold_proto::v1;
 
-use super::{Pages, streams::MAX_STREAMS};
+use super::{Connection, Pages, streams::MAX_STREAMS};
 use crate::{
     admission::{CALL_BYTES, CallTurns, Flow, HeldBytes},
     faces::{Addresses, Shared},
@@ -35,6 +36,9 @@ use crate::{
 /// The keys begin with it.
 pub(super) const PREFIX: &str = "/api/v1";
 
+/// The most calls that are computed at a time: a connection of HTTP/2 has many, and each of them makes an answer.
+pub(super) const MAX_CALLS: usize = 16;
+
 /// The time of a call.
 const MAX_TIME: Duration = Duration::from_secs(10);
 
@@ -43,6 +47,7 @@ pub(super) struct Api {
     pub(super) shared: Shared,
     /// All of them take the turns and the memory of one connection, so that the page cannot slow planners.
     flow: Arc<Flow>,
+    pub(super) calls: Semaphore,
     pub(super) streams: Arc<Semaphore>,
     pub(super) addresses: Arc<Addresses>,
     /// True if this listener speaks TLS.
@@ -55,12 +60,32 @@ pub(super) struct Admitted {
     pub(super) record: CallRecord,
     pub(super) held: HeldBytes,
     pub(super) turns: CallTurns,
+    _active: Option<TaskTrackerToken>,
+}
+
+/// The bytes of an answer that its client has not read. They are dropped once they are written.
+struct UnreadBytes {
+    bytes: Vec<u8>,
+    _held: HeldBytes,
+}
+
+impl AsRef<[u8]> for UnreadBytes {
+    fn as_ref(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+/// Holds the buffer of an answer until it is written. The body of a response ends before that.
+pub(super) fn unread(bytes: Vec<u8>, held: HeldBytes) -> Bytes {
+    held.force_take(bytes.capacity());
+    Bytes::from_owner(UnreadBytes { bytes, _held: held })
 }
 
 impl Api {
     pub(super) fn new(pages: &Pages, has_tls: bool) -> Self {
         Self {
             flow: pages.shared.admission.open(),
+            calls: Semaphore::new(MAX_CALLS),
             streams: Arc::new(Semaphore::new(MAX_STREAMS)),
             shared: pages.shared.clone(),
             addresses: Arc::clone(&pages.addresses),
@@ -104,7 +129,9 @@ impl Api {
             record.end(Ending::Failed(status.code));
             return Err(status.into());
         }
+        let connection = request.extensions.get::<ConnectInfo<Connection>>();
         Ok(Admitted {
+            _active: connection.map(|it| it.0.calls.token()),
             call,
             record,
             held,
@@ -127,6 +154,7 @@ pub(super) async fn answer(Of(api): Of<Arc<Api>>, request: HttpRequest) -> Respo
         mut record,
         held,
         mut turns,
+        ..
     } = admitted;
     let arrived = Instant::now();
     let span = record.span().clone();
@@ -135,6 +163,11 @@ pub(super) async fn answer(Of(api): Of<Arc<Api>>, request: HttpRequest) -> Respo
         turns.give_up();
         let body = receive(body, &held).await?;
         received = arrived.elapsed();
+        let _place = api.calls.acquire().await;
+        // Answers that were not read may have taken the room meanwhile.
+        if !held.has_room() {
+            return Err(status::too_many_bytes(held.flow().max_bytes()));
+        }
         let working = ask(&api.shared, &call, target, parts.uri.query(), &body);
         turns.run(working).await.map_err(status::overloaded)?
     };
@@ -159,17 +192,8 @@ pub(super) async fn answer(Of(api): Of<Arc<Api>>, request: HttpRequest) -> Respo
     match answered {
         Ok(answer) => {
             record.end(Ending::Ok);
-            held.force_take(answer.len());
-            // The bytes are held until the answer is written.
-            let body = Full::new(Bytes::from(answer)).map_frame(move |frame| {
-                let _ = &held;
-                frame
-            });
-            (
-                [(header::CONTENT_TYPE, "application/json")],
-                Body::new(body),
-            )
-                .into_response()
+            let media = [(header::CONTENT_TYPE, "application/json")];
+            (media, unread(answer, held)).into_response()
         }
         Err(status) => {
             record.end(Ending::Failed(status.code));

@@ -1,5 +1,5 @@
 //! The connections to the pages for operators, which are few. One ends after a time in which it took nothing. Once all slots
-//! are taken, the one that took nothing for the longest time makes room for the next: silent strangers keep no probe out.
+//! are taken, one without a call makes room for the next: strangers keep no probe out, and end no stream.
 
 use std::{
     collections::BTreeMap,
@@ -16,7 +16,10 @@ use tokio::{
     sync::{OwnedSemaphorePermit, Semaphore},
     time::{Instant, Sleep, sleep_until, timeout},
 };
-use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
+use tokio_util::{
+    sync::{CancellationToken, WaitForCancellationFutureOwned},
+    task::TaskTracker,
+};
 
 use crate::grpc::Socket;
 
@@ -35,7 +38,10 @@ pub(super) struct ConnectionSlots {
 }
 
 struct OpenConnection {
+    opened_at: Instant,
     active_at: Instant,
+    /// The admitted calls.
+    calls: TaskTracker,
     cut: CancellationToken,
 }
 
@@ -44,6 +50,8 @@ pub(super) struct ConnectionSlot {
     slots: Arc<ConnectionSlots>,
     number: u64,
     cut: CancellationToken,
+    /// The admitted calls of its connection take tokens of it.
+    pub(super) calls: TaskTracker,
     _permit: OwnedSemaphorePermit,
 }
 
@@ -55,7 +63,7 @@ impl ConnectionSlots {
         })
     }
 
-    /// Waits for a slot, which the connection that was silent for the longest time gives up if there is no other.
+    /// Waits for a slot, which another connection gives up if there is no other.
     pub(super) async fn take(self: &Arc<Self>) -> ConnectionSlot {
         let permit = loop {
             if let Ok(permit) = Arc::clone(&self.free).try_acquire_owned() {
@@ -68,10 +76,13 @@ impl ConnectionSlots {
             }
         };
         let cut = CancellationToken::new();
+        let calls = TaskTracker::new();
         let mut open = self.open.lock();
         let number = open.last_key_value().map_or(0, |(last, _)| last + 1);
         let connection = OpenConnection {
+            opened_at: Instant::now(),
             active_at: Instant::now(),
+            calls: calls.clone(),
             cut: cut.clone(),
         };
         open.insert(number, connection);
@@ -80,18 +91,26 @@ impl ConnectionSlots {
             slots: Arc::clone(self),
             number,
             cut,
+            calls,
             _permit: permit,
         }
     }
 
+    /// Cuts the connection without a call that was silent for the longest time, or the first one if none is silent; if all
+    /// have calls, the one that was silent for the longest time.
     fn give_one_up(&self) {
         let open = self.open.lock();
         // A connection that is cut may take a while to end, and is not cut again.
-        let open = open.values().filter(|it| !it.cut.is_cancelled());
-        let silent = open.min_by_key(|connection| connection.active_at);
-        if let Some(connection) =
-            silent.filter(|connection| connection.active_at.elapsed() >= MIN_SILENCE)
-        {
+        let open = || open.values().filter(|it| !it.cut.is_cancelled());
+        let without_call = || open().filter(|it| it.calls.is_empty());
+        let is_silent = |it: &&OpenConnection| it.active_at.elapsed() >= MIN_SILENCE;
+        let least = without_call()
+            .min_by_key(|it| it.active_at)
+            .filter(is_silent);
+        // A stranger that asks for one probe after another is never silent.
+        let first = || without_call().find(|it| it.opened_at.elapsed() >= MIN_SILENCE);
+        let with_call = || open().min_by_key(|it| it.active_at).filter(is_silent);
+        if let Some(connection) = least.or_else(first).or_else(with_call) {
             connection.cut.cancel();
         }
     }
@@ -140,6 +159,21 @@ impl BoundedConnection {
             Poll::Pending => Ok(()),
         }
     }
+
+    /// Writes, and notes whether the client took bytes.
+    fn write_some(
+        &mut self,
+        context: &mut Context<'_>,
+        write: impl FnOnce(Pin<&mut Socket>, &mut Context<'_>) -> Poll<io::Result<usize>>,
+    ) -> Poll<io::Result<usize>> {
+        self.check(context)?;
+        let written = write(Pin::new(&mut self.socket), context);
+        if matches!(written, Poll::Ready(Ok(1..))) {
+            self.end.as_mut().reset(Instant::now() + MAX_STALL);
+            self.slot.note_activity();
+        }
+        written
+    }
 }
 
 impl AsyncRead for BoundedConnection {
@@ -159,13 +193,22 @@ impl AsyncWrite for BoundedConnection {
         context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
-        self.check(context)?;
-        let written = Pin::new(&mut self.socket).poll_write(context, bytes);
-        if matches!(written, Poll::Ready(Ok(1..))) {
-            self.end.as_mut().reset(Instant::now() + MAX_STALL);
-            self.slot.note_activity();
-        }
-        written
+        self.write_some(context, |socket, context| socket.poll_write(context, bytes))
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        slices: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        self.write_some(context, |socket, context| {
+            socket.poll_write_vectored(context, slices)
+        })
+    }
+
+    /// Without it, hyper would copy answers into a buffer that nothing counts.
+    fn is_write_vectored(&self) -> bool {
+        self.socket.is_write_vectored()
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
@@ -187,7 +230,8 @@ mod tests {
     use tokio::{
         io::{AsyncReadExt, AsyncWriteExt},
         net::{TcpListener, TcpStream},
-        time::{advance, pause},
+        spawn,
+        time::{advance, pause, sleep},
     };
     use tokio_rustls::client::TlsStream;
 
@@ -254,6 +298,34 @@ mod tests {
         assert!(began.elapsed() < MAX_STALL);
         assert_eq!(ended.await.unwrap(), io::ErrorKind::ConnectionAborted);
         live.write_all(b"another").await.unwrap();
+    }
+
+    /// The end of a connection that writes again and again before it counts as silent.
+    async fn keep_active(mut bounded: BoundedConnection) -> io::ErrorKind {
+        loop {
+            if let Err(error) = bounded.write_all(b"alive").await {
+                return error.kind();
+            }
+            sleep(MIN_SILENCE / 2).await;
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn the_first_connection_without_a_call_makes_room_if_none_is_silent() {
+        let (listener, slots) = (listen().await, ConnectionSlots::new(3));
+        let mut clients = Vec::new();
+        let mut open = Vec::new();
+        for _ in 0..3 {
+            let (client, bounded) = connect(&listener, &slots).await;
+            clients.push(client);
+            open.push(bounded);
+        }
+        let _call = open[0].slot.calls.token();
+        let open: Vec<_> = open.into_iter().map(|it| spawn(keep_active(it))).collect();
+        let taken = timeout(10 * MIN_SILENCE, slots.take()).await;
+        assert!(taken.is_ok(), "no slot");
+        let is_ended: Vec<bool> = open.iter().map(|it| it.is_finished()).collect();
+        assert_eq!(is_ended, [false, true, false]);
     }
 
     #[tokio::test(start_paused = true)]

@@ -1,6 +1,5 @@
 //! Frames of columns.
 
-use bytes::Bytes;
 use serde_json::{Value, json};
 use wayfold_proto::v1;
 use xxhash_rust::xxh3::xxh3_64;
@@ -50,8 +49,8 @@ impl Frames {
         self.0.is_empty()
     }
 
-    pub(super) fn finish(self) -> Bytes {
-        self.0.into()
+    pub(super) fn finish(self) -> Vec<u8> {
+        self.0
     }
 
     /// Adds a frame. Heads and bodies are far below 4 GiB: an answer of the service is.

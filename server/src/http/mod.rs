@@ -15,7 +15,6 @@ mod state;
 mod streams;
 
 use std::{
-    fmt,
     future::pending,
     io,
     net::SocketAddr,
@@ -35,14 +34,15 @@ use axum::{
     routing::{get, post},
     serve::{IncomingStream, Listener},
 };
-use tokio::{net::TcpListener, task::spawn_blocking, time::timeout};
+use tokio::{net::TcpListener, time::timeout};
+use tokio_util::task::TaskTracker;
 
 use crate::{
     faces::{Addresses, Shared},
     grpc::{Client, Tls, token},
     identity::Identities,
     lifecycle::{Phase, PhaseWatch},
-    observe::{CallRecord, Ending},
+    observe::{CallRecord, Ending, MAX_SCRAPES},
     service::{Call, Error, Peer, Service},
     status,
 };
@@ -85,6 +85,8 @@ pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages)
 struct Connection {
     peer: SocketAddr,
     client: Client,
+    /// The admitted calls, which keep it open.
+    calls: TaskTracker,
 }
 
 impl Connected<IncomingStream<'_, PagesListener>> for Connection {
@@ -138,6 +140,11 @@ async fn metrics(Of(pages): Of<Arc<Pages>>, request: Parts) -> Response {
         record.end(Ending::Failed(status.code));
         return refusal(&status);
     }
+    let Some(_place) = pages.shared.metrics.place() else {
+        pages.shared.admission.count_excess();
+        let status = status::too_many_calls("scrapes", MAX_SCRAPES, "try again later");
+        return refusal(&status);
+    };
     match metrics_text(&pages.shared).await {
         Ok(text) => ([(header::CONTENT_TYPE, OPEN_METRICS)], text).into_response(),
         Err(error) => refusal(&status::from_error(&error)),
@@ -146,19 +153,20 @@ async fn metrics(Of(pages): Of<Arc<Pages>>, request: Parts) -> Response {
 
 /// The metrics as text.
 async fn metrics_text(shared: &Shared) -> Result<String, Error> {
-    let metrics = shared.metrics.clone();
-    // Memory and disk are looked at meanwhile: that blocks.
-    let text = spawn_blocking(move || metrics.text()).await;
-    text.unwrap_or(Err(fmt::Error))
-        .map_err(|error| Error::Internal {
-            what: format!("the metrics cannot be written: {error}"),
-        })
+    let text = shared.metrics.scrape().await;
+    text.map_err(|error| Error::Internal {
+        what: format!("the metrics cannot be written: {error}"),
+    })
 }
 
-/// 200 while calls are answered; the text tells whether points can be added too, and whether an index is damaged.
+/// 200 while calls that read are answered; the text tells whether points can be added too, and whether an index is damaged.
 async fn ready(Of(pages): Of<Arc<Pages>>) -> (StatusCode, &'static str) {
     let service = &pages.shared.service;
     match pages.phases.current() {
+        Phase::Serving if !service.accepts_reads() => (
+            StatusCode::SERVICE_UNAVAILABLE,
+            "the store cannot be read, see `wayfold list`\n",
+        ),
         Phase::Serving if !service.accepts_growth() => (StatusCode::OK, "degraded: reading only\n"),
         Phase::Serving if service.has_damage() => (
             StatusCode::OK,
@@ -189,11 +197,16 @@ impl Listener for PagesListener {
                 continue;
             };
             let slot = self.slots.take().await;
+            let calls = slot.calls.clone();
             let client = Client::default();
             let socket = Tls::accept(self.tls.as_ref(), socket, Some(Arc::clone(&client)));
             return (
                 BoundedConnection::new(socket, slot),
-                Connection { peer, client },
+                Connection {
+                    peer,
+                    client,
+                    calls,
+                },
             );
         }
     }
@@ -203,6 +216,7 @@ impl Listener for PagesListener {
         Ok(Connection {
             peer: self.listener.local_addr()?,
             client: Client::default(),
+            calls: TaskTracker::new(),
         })
     }
 }

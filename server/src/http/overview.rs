@@ -8,6 +8,7 @@ use axum::{
     http::{header, request::Parts},
     response::{IntoResponse, Response},
 };
+use prost::Message;
 use serde_json::{Value, json};
 use tokio::time::{Instant, sleep_until};
 use wayfold_proto::v1;
@@ -22,7 +23,7 @@ use crate::{
     observe::Ending,
     service::{Call, Error, Service},
     status::{self, Status},
-    verbs::{Form, Named},
+    verbs::{Form, Named, at_length},
 };
 
 /// The time between two frames.
@@ -87,16 +88,16 @@ impl FrameSource for Overview {
             ),
             Err(_) => None,
         };
-        let mut frames = Frames::default();
-        let head = json!({ "kind": "overview", "list": listed, "metrics": metrics });
-        frames.push(&head, &[]);
+        let bytes = listed.encoded_len() + metrics.as_ref().map_or(0, String::len);
+        let making = async { at_length(bytes, || frame(&listed, metrics.as_deref())) };
+        let frames = streams::in_turn(turns, making).await?;
         self.next = began + PERIOD.max(MAX_SHARE * began.elapsed());
         Ok(Some(frames))
     }
 }
 
 /// All indices that the caller sees, as one answer of the verb `list`.
-async fn list(service: &Service, call: &Call) -> Result<Value, Error> {
+async fn list(service: &Service, call: &Call) -> Result<v1::ListIndexesResponse, Error> {
     let mut whole = v1::ListIndexesResponse::default();
     let mut request = v1::ListIndexesRequest {
         page_size: 1000,
@@ -108,12 +109,19 @@ async fn list(service: &Service, call: &Call) -> Result<Value, Error> {
         whole.indexes.extend(page.indexes);
         whole.damaged.extend(page.damaged);
         if page.next_page_token.is_empty() {
-            break;
+            return Ok(whole);
         }
         request.page_token = page.next_page_token;
     }
-    let text = Form::Json.write(v1::ListIndexesResponse::NAME, &whole)?;
-    serde_json::from_slice(&text).map_err(|error| Error::Internal {
+}
+
+fn frame(listed: &v1::ListIndexesResponse, metrics: Option<&str>) -> Result<Frames, Error> {
+    let text = Form::Json.write(v1::ListIndexesResponse::NAME, listed)?;
+    let listed: Value = serde_json::from_slice(&text).map_err(|error| Error::Internal {
         what: format!("the list of the indices is no JSON: {error}"),
-    })
+    })?;
+    let mut frames = Frames::default();
+    let head = json!({ "kind": "overview", "list": listed, "metrics": metrics });
+    frames.push(&head, &[]);
+    Ok(frames)
 }

@@ -21,6 +21,7 @@ use super::{
     streams::{self, FrameSource, StreamCall},
 };
 use crate::{
+    observe::Ending,
     service::{Error, Scan, Watch},
     status::{self, Status},
     verbs::invalid,
@@ -122,13 +123,17 @@ pub(super) async fn points(
     RawQuery(query): RawQuery,
     request: Parts,
 ) -> Response {
-    let call = match StreamCall::admit(&api, "points", &request) {
+    let mut call = match StreamCall::admit(&api, "points", &request) {
         Ok(call) => call,
         Err(status) => return refusal(&status),
     };
     match PointsRequest::read(index, query.as_deref().unwrap_or_default()) {
         Ok(request) => streams::answer(call, PointStream::new(request)).await,
-        Err(error) => refusal(&status::from_error(&error)),
+        Err(error) => {
+            let status = status::from_error(&error);
+            call.end(Ending::Failed(status.code));
+            refusal(&status)
+        }
     }
 }
 

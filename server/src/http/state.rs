@@ -96,7 +96,10 @@ impl Collector for State {
         )?;
         let is_serving = u64::from(self.phases.current() == Phase::Serving);
         let states = [
-            ([("state", "reading")], is_serving),
+            (
+                [("state", "reading")],
+                is_serving & u64::from(self.shared.service.accepts_reads()),
+            ),
             (
                 [("state", "writing")],
                 is_serving & u64::from(self.shared.service.accepts_growth()),

@@ -14,7 +14,7 @@ use tokio::sync::OwnedSemaphorePermit;
 use tracing::Instrument;
 
 use super::{
-    api::{Admitted, Api, refusal, text},
+    api::{Admitted, Api, refusal, text, unread},
     frame::Frames,
 };
 use crate::{
@@ -31,8 +31,6 @@ pub(super) const MAX_STREAMS: usize = 16;
 pub(super) struct StreamCall {
     pub(super) api: Arc<Api>,
     pub(super) admitted: Admitted,
-    /// The bytes that the reader has not taken yet.
-    unread: usize,
     is_ended: bool,
     _place: OwnedSemaphorePermit,
 }
@@ -62,7 +60,6 @@ impl StreamCall {
         Ok(Self {
             admitted: api.admit(verb, request, true)?,
             api: Arc::clone(api),
-            unread: 0,
             is_ended: false,
             _place: place,
         })
@@ -73,8 +70,6 @@ impl StreamCall {
         if self.is_ended {
             return None;
         }
-        let held = &self.admitted.held;
-        held.release(std::mem::take(&mut self.unread));
         let frames = match source.next(self).await {
             Ok(Some(frames)) => frames,
             Ok(None) => {
@@ -89,13 +84,15 @@ impl StreamCall {
                 frames
             }
         };
-        let frames = frames.finish();
-        self.unread = frames.len();
-        self.admitted.held.force_take(self.unread);
-        Some(frames)
+        Some(self.count(frames))
     }
 
-    fn end(&mut self, ending: Ending) {
+    /// The bytes of `frames`, counted until they are written.
+    fn count(&self, frames: Frames) -> Bytes {
+        unread(frames.finish(), self.admitted.held.flow().hold())
+    }
+
+    pub(super) fn end(&mut self, ending: Ending) {
         self.is_ended = true;
         self.admitted.record.end(ending);
     }
@@ -114,7 +111,7 @@ pub(super) async fn in_turn<T>(
 pub(super) async fn answer(mut call: StreamCall, mut source: impl FrameSource) -> Response {
     let span = call.admitted.record.span().clone();
     let first = match source.next(&mut call).instrument(span.clone()).await {
-        Ok(first) => first.unwrap_or_default().finish(),
+        Ok(first) => call.count(first.unwrap_or_default()),
         Err(status) => {
             call.end(Ending::Failed(status.code));
             return refusal(&status);

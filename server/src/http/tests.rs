@@ -1,5 +1,6 @@
 //! The routes that the page reads.
 
+mod bounds;
 mod streams;
 
 use std::{fs, sync::Arc};
@@ -75,6 +76,10 @@ async fn remove(service: &Service, id: u64) {
 }
 
 fn router(service: &Service, identities: Identities) -> Router {
+    routes(pages(service, identities), false)
+}
+
+fn pages(service: &Service, identities: Identities) -> Pages {
     let shared = Shared::new(&Config::default(), service.clone(), identities);
     let phases = Lifecycle::starting().watch();
     let addresses = Arc::new(Addresses {
@@ -85,12 +90,11 @@ fn router(service: &Service, identities: Identities) -> Router {
         zenoh: Vec::new(),
         warnings: Vec::new(),
     });
-    let pages = Pages {
+    Pages {
         shared,
         phases,
         addresses,
-    };
-    routes(pages, false)
+    }
 }
 
 async fn ask(router: &mut Router, request: axum::http::request::Builder, body: &str) -> Response {

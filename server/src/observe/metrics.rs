@@ -14,6 +14,13 @@ use prometheus_client::{
     metrics::{counter::Counter, family::Family, gauge::Gauge, histogram::Histogram},
     registry::{Registry, Unit},
 };
+use tokio::{
+    sync::{Mutex as AsyncMutex, Semaphore, SemaphorePermit},
+    task::spawn_blocking,
+};
+
+/// The most scrapes at a time. One is answered, the others wait.
+pub(crate) const MAX_SCRAPES: usize = 8;
 
 /// The upper bounds of the buckets of times, in seconds.
 const SECONDS: [f64; 16] = [
@@ -61,6 +68,10 @@ struct Inner {
     /// False if no one can read the metrics.
     are_read: bool,
     registry: Mutex<Registry>,
+    /// The places of scrapes.
+    places: Semaphore,
+    /// Held while a thread writes the metrics.
+    writing: Arc<AsyncMutex<()>>,
     calls: Family<CallLabels, Histogram, fn() -> Histogram>,
     /// The series of `calls` by the name of their index.
     by_index: Mutex<HashMap<Arc<str>, IndexSeries>>,
@@ -125,6 +136,8 @@ impl Metrics {
         Self(Arc::new(Inner {
             are_read,
             registry: Mutex::new(registry),
+            places: Semaphore::new(MAX_SCRAPES),
+            writing: Arc::default(),
             calls,
             by_index: Mutex::default(),
             queued,
@@ -150,11 +163,28 @@ impl Metrics {
         registry.register_collector(Box::new(collector));
     }
 
-    /// The metrics in the text format of OpenMetrics.
+    /// A place for a scrape; None while there are [`MAX_SCRAPES`].
+    pub(crate) fn place(&self) -> Option<SemaphorePermit<'_>> {
+        self.0.places.try_acquire().ok()
+    }
+
+    /// The metrics in the text format of OpenMetrics. Memory and disk are measured meanwhile: that blocks.
     pub(crate) fn text(&self) -> Result<String, fmt::Error> {
         let mut written = String::new();
         text::encode(&mut written, &self.0.registry.lock())?;
         Ok(written)
+    }
+
+    /// The same, from another thread. One such thread writes at a time; a caller that leaves before its turn starts none.
+    pub(crate) async fn scrape(&self) -> Result<String, fmt::Error> {
+        let writing = Arc::clone(&self.0.writing).lock_owned().await;
+        let metrics = self.clone();
+        let text = spawn_blocking(move || {
+            // The thread has the lock: it goes on without a caller too.
+            let _writing = writing;
+            metrics.text()
+        });
+        text.await.unwrap_or(Err(fmt::Error))
     }
 
     /// Counts a snapshot that the server took, or failed to take.

@@ -9,6 +9,6 @@ mod trace;
 pub(crate) use call::{CallRecord, Ending, Request, request};
 pub(crate) use logging::start;
 pub use logging::{LogFormat, LoggingError};
-pub(crate) use metrics::Metrics;
+pub(crate) use metrics::{MAX_SCRAPES, Metrics};
 pub(crate) use slow::{SlowCalls, Times};
 pub(crate) use trace::trace_ids;

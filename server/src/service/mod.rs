@@ -70,8 +70,8 @@ use tokio_util::sync::CancellationToken;
 
 use crate::{
     identity::Role,
-    log::Durability,
-    registry::{IndexEntry, Part, Registry},
+    log::{Durability, LogError},
+    registry::{IndexEntry, Part, Registry, RegistryError},
     watermark::Usage,
 };
 pub use call::{Call, Peer};
@@ -185,6 +185,13 @@ impl Service {
     /// True if new calls are answered.
     pub fn is_serving(&self) -> bool {
         self.unavailability().is_none()
+    }
+
+    /// False once the store cannot be read, and no index with it.
+    pub(crate) fn accepts_reads(&self) -> bool {
+        let registry = self.inner.registry.get();
+        let failure = registry.and_then(|registry| registry.failure());
+        !matches!(failure, Some(RegistryError::Log(LogError::Unopened { .. })))
     }
 
     /// True if mutations that add points are accepted now.

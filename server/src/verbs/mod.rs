@@ -12,7 +12,7 @@ mod verb;
 pub(crate) use codec::{Form, MAX_JSON_BYTES, invalid};
 pub(crate) use dispatch::dispatch;
 pub(crate) use message::Named;
-pub(crate) use request::{MAX_TIMEOUT, Request};
+pub(crate) use request::{MAX_TIMEOUT, Request, at_length};
 #[cfg(test)]
 pub(crate) use verb::{IndexVerb, PointVerb};
 pub(crate) use verb::{Target, Verb};

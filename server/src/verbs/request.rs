@@ -103,7 +103,7 @@ impl<'a> Request<'a> {
 }
 
 /// Encodes or decodes this many bytes. Large JSON takes long: other tasks move to another thread meanwhile.
-fn at_length<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
+pub(crate) fn at_length<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
     if bytes > MAX_INLINE_BYTES {
         tokio::task::block_in_place(work)
     } else {

@@ -1,7 +1,8 @@
 //! Watermarks of memory and disk: above the high one the server takes in nothing that grows it, until the use falls to
 //! the low one. Reads, removals and deletions go on.
 //!
-//! The use is measured when it is needed, at most once in 100 ms or once per MiB taken in.
+//! The use is measured when it is needed, at most once in 100 ms or once per MiB taken in. One thread measures at a time, and
+//! the others use the last measurement meanwhile: a disk that does not answer stops one thread only.
 
 mod disk;
 mod memory;
@@ -15,7 +16,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use parking_lot::Mutex;
+use parking_lot::{Mutex, MutexGuard};
 use thiserror::Error;
 use tracing::{info, warn};
 
@@ -111,6 +112,8 @@ pub struct Watermark {
     probe: Box<Probe>,
     interval: Duration,
     state: Mutex<State>,
+    /// Held by the thread that measures.
+    measuring: Mutex<()>,
     /// The calls that were refused for it.
     refused: AtomicU64,
 }
@@ -134,6 +137,7 @@ impl Watermark {
             probe: Box::new(probe),
             interval: INTERVAL,
             state: Mutex::default(),
+            measuring: Mutex::default(),
             refused: AtomicU64::new(0),
         }
     }
@@ -143,10 +147,10 @@ impl Watermark {
         Self { interval, ..self }
     }
 
-    /// Takes in about `bytes` more, or refuses them. A resource that cannot be measured refuses nothing.
+    /// Takes in about `bytes` more, or refuses them. A resource without a measurement refuses nothing.
     pub fn admit(&self, bytes: u64) -> Result<(), WatermarkExceeded> {
-        let mut state = self.state.lock();
-        let Some(level) = self.level(&mut state) else {
+        let mut state = self.measured();
+        let Some((_, level)) = state.measured else {
             return Ok(());
         };
         let after = level.used + state.added + bytes;
@@ -173,8 +177,8 @@ impl Watermark {
 
     /// The bytes up to the limit, above the watermarks; None if the resource cannot be measured.
     pub fn remaining(&self) -> Option<u64> {
-        let mut state = self.state.lock();
-        let level = self.level(&mut state)?;
+        let state = self.measured();
+        let (_, level) = state.measured?;
         Some(level.limit.saturating_sub(level.used + state.added))
     }
 
@@ -188,23 +192,36 @@ impl Watermark {
         Some((self.probe)().ok()?.limit)
     }
 
-    /// The newest measurement, or a new one if it is due.
-    fn level(&self, state: &mut State) -> Option<Usage> {
-        if let Some((at, level)) = state.measured
+    /// The state with the newest measurement, or with a new one if it is due and no other thread measures.
+    fn measured(&self) -> MutexGuard<'_, State> {
+        let mut state = self.state.lock();
+        if let Some((at, _)) = state.measured
             && at.elapsed() < self.interval
             && state.added < MAX_UNMEASURED_BYTES
         {
-            return Some(level);
+            return state;
         }
+        let Some(_measuring) = self.measuring.try_lock() else {
+            return state;
+        };
+        let added = state.added;
+        let measured = MutexGuard::unlocked(&mut state, || (self.probe)());
+        // What was taken in meanwhile may be missing in the measurement.
+        state.added -= added;
+        self.note(&mut state, measured);
+        state
+    }
+
+    fn note(&self, state: &mut State, measured: io::Result<Usage>) {
         let resource = self.resource;
-        let level = match (self.probe)() {
+        let level = match measured {
             Ok(level) => level,
             Err(error) => {
                 if state.measured.take().is_some() {
                     warn!(%resource, %error, "cannot measure it any more: nothing is refused for it");
                 }
                 state.is_closed = false;
-                return None;
+                return;
             }
         };
         let Usage {
@@ -218,8 +235,6 @@ impl Watermark {
             state.is_closed = false;
         }
         state.measured = Some((Instant::now(), level));
-        state.added = 0;
-        Some(level)
     }
 
     fn full(&self, level: &Usage, used: u64) -> WatermarkExceeded {
@@ -273,5 +288,53 @@ impl Watermarks {
     pub(crate) fn refused(&self) -> Vec<(&'static str, u64)> {
         let counted = |it: &Arc<Watermark>| (it.resource.reason(), it.refused.load(Relaxed));
         self.all().map(counted).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{sync::mpsc, thread};
+
+    use super::*;
+
+    /// The time in which a thread that is not stopped answers.
+    const ANSWERS: Duration = Duration::from_secs(10);
+
+    #[test]
+    fn a_disk_that_does_not_answer_stops_one_thread() {
+        let (starts, started) = mpsc::channel();
+        let (answers, answered) = mpsc::channel::<u64>();
+        let answered = Mutex::new(answered);
+        let probe = move || {
+            starts.send(()).unwrap();
+            Ok(Usage {
+                used: answered.lock().recv().unwrap(),
+                high: 85,
+                low: 80,
+                limit: 100,
+            })
+        };
+        let disk = Watermark::new(Resource::Disk, probe).measured_every(Duration::ZERO);
+        let disk = Arc::new(disk);
+        answers.send(50).unwrap();
+        disk.admit(10).unwrap();
+        started.recv().unwrap();
+        let measuring = Arc::clone(&disk);
+        let measuring = thread::spawn(move || measuring.admit(1));
+        started.recv().unwrap();
+
+        let (ends, ended) = mpsc::channel();
+        let others = Arc::clone(&disk);
+        thread::spawn(move || {
+            let admitted = [others.admit(20), others.admit(20)];
+            ends.send((admitted.map(|it| it.is_ok()), others.remaining()))
+        });
+        // 50 were used, and 10 taken in before.
+        let ended = ended.recv_timeout(ANSWERS);
+        assert_eq!(ended, Ok(([true, false], Some(20))));
+
+        // The measurement has the first 10, and maybe not the 20 after them.
+        answers.send(65).unwrap();
+        assert_eq!(measuring.join().unwrap().unwrap_err().used, 86);
     }
 }
