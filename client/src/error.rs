@@ -62,7 +62,8 @@ pub enum Error {
         earlier: Option<Box<Error>>,
     },
     /// The server refused the call. The outcome of a mutation is unknown after `DEADLINE_EXCEEDED`, `DATA_LOSS`,
-    /// `INTERNAL`, and `UNAVAILABLE` with the reason `STORAGE_FAILED`; any other refusal changed nothing.
+    /// `INTERNAL`, `CANCELLED`, `UNKNOWN`, and `UNAVAILABLE` with the reason `STORAGE_FAILED`; any other refusal changed
+    /// nothing.
     #[cfg(feature = "net")]
     #[error(transparent)]
     Refused(Box<Refusal>),
@@ -254,13 +255,11 @@ impl Error {
         match status.code() {
             // The transport gives up a little before or after the call does, and calls that a cancellation.
             Code::Cancelled if status.message() == TIMEOUT_EXPIRED => Error::timeout(call, timeout),
-            Code::Unavailable | Code::Unknown | Code::Internal | Code::Cancelled if made_here => {
-                Error::Connection {
-                    call,
-                    uri: uri.to_owned(),
-                    source: Box::new(status),
-                }
-            }
+            _ if made_here => Error::Connection {
+                call,
+                uri: uri.to_owned(),
+                source: Box::new(status),
+            },
             _ => Error::Refused(Box::new(Refusal::from_status(&status))),
         }
     }
@@ -343,5 +342,24 @@ impl From<ApplyError> for Error {
                 problem: other.to_string(),
             },
         }
+    }
+}
+
+#[cfg(all(test, feature = "net"))]
+mod tests {
+    use std::sync::Arc;
+
+    use tonic::Status;
+
+    use super::*;
+
+    #[test]
+    fn a_failure_of_the_transport_is_no_refusal() {
+        // A proxy that resets the stream with ENHANCE_YOUR_CALM.
+        let mut reset = Status::resource_exhausted("h2 protocol error");
+        let refusal = |status| Error::from_status("knn", "here", Duration::ZERO, status);
+        assert!(!refusal(reset.clone()).is_transient());
+        reset.set_source(Arc::new(std::fmt::Error));
+        assert!(refusal(reset).is_transient());
     }
 }

@@ -15,7 +15,7 @@ use wayfold_index::{
 
 use super::{
     local::check_id,
-    runtime::{spawn, wait_for},
+    runtime::{check_process, spawn, wait_for},
 };
 use crate::{
     Code, Error, Filter, Include, IndexHandle, NeighborSpec, Neighbors, Outcome, Radius,
@@ -297,6 +297,9 @@ impl NearestNeighbors for Remote {
         let mut part = VecDeque::new();
         Ok(Box::new(std::iter::from_fn(move || {
             while part.is_empty() {
+                if let Err(error) = check_process() {
+                    return Some(Err(error));
+                }
                 match receive.recv() {
                     Ok(Ok(points)) => part.extend(points.iter().map(|point| Point {
                         id: point.id,
@@ -316,7 +319,8 @@ impl NearestNeighbors for Remote {
         let index = self.index.clone();
         wait_for(async move {
             let mut watch = index.watch().after(index.revision_at(since.0)).await?;
-            let newest = watch.newest().number;
+            // The server may lag behind one that answered this client before.
+            let newest = watch.newest().number.max(index.revision().number);
             let (mut changed, mut at) = (BTreeMap::new(), since.0);
             while at < newest {
                 match watch.next().await? {

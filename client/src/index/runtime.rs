@@ -48,6 +48,11 @@ pub(super) fn spawn<T: Send + 'static>(
     Ok(runtime()?.spawn(in_same_trace(task)))
 }
 
+/// Fails in a process that was forked from the one with the runtime: nothing that a task sends arrives there.
+pub(super) fn check_process() -> Result<(), Error> {
+    runtime().map(drop)
+}
+
 /// Runs a call on the runtime, and waits for it. It may be called inside another runtime's task, which it blocks.
 pub(super) fn wait_for<T: Send + 'static>(
     call: impl Future<Output = Result<T, Error>> + Send + 'static,

@@ -310,7 +310,10 @@ impl Client {
             let sent = attempt(connection.clone(), remaining);
             async move {
                 let error = match timeout_at(deadline, sent).await {
-                    Ok(Ok(response)) => return Ok((response.into_inner(), connection)),
+                    Ok(Ok(response)) => {
+                        self.connections.answered();
+                        return Ok((response.into_inner(), connection));
+                    }
                     Ok(Err(status)) => Error::from_status(call, connection.uri(), timeout, status),
                     Err(_) => Error::timeout(call, timeout),
                 };

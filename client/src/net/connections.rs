@@ -1,6 +1,12 @@
 //! The connections of a client: one for each server, and the one in use.
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering::Relaxed},
+    },
+    time::Duration,
+};
 
 use tokio::sync::watch;
 use tonic::{Code, service::interceptor::InterceptedService, transport::Channel};
@@ -41,6 +47,8 @@ pub(crate) struct Connections {
     all: Vec<Connection>,
     /// The turn of the connection in use: `turn` modulo their number is its place in `all`.
     turn: watch::Sender<usize>,
+    /// The milliseconds that calls have waited in vain since the last answer.
+    silence_ms: AtomicU64,
 }
 
 impl Connection {
@@ -85,7 +93,12 @@ impl Connections {
     /// These connections; the first calls use the one at `first`.
     pub(crate) fn new(all: Vec<Connection>, first: usize) -> Connections {
         let turn = watch::Sender::new(first);
-        Connections { all, turn }
+        let silence_ms = AtomicU64::new(0);
+        Connections {
+            all,
+            turn,
+            silence_ms,
+        }
     }
 
     pub(crate) fn are_several(&self) -> bool {
@@ -107,9 +120,20 @@ impl Connections {
         match error.code() {
             Code::Unavailable => self.leave(connection),
             // It stands still, or the revision that the call waits for does not reach it.
-            Code::DeadlineExceeded if after >= MAX_SILENCE => self.leave(connection),
-            _ => {}
+            Code::DeadlineExceeded => {
+                let after_ms = u64::try_from(after.as_millis()).unwrap_or(u64::MAX);
+                let silence_ms = self.silence_ms.fetch_add(after_ms, Relaxed);
+                if u128::from(silence_ms.saturating_add(after_ms)) >= MAX_SILENCE.as_millis() {
+                    self.leave(connection);
+                }
+            }
+            _ => self.answered(),
         }
+    }
+
+    /// The server in use has answered.
+    pub(crate) fn answered(&self) {
+        self.silence_ms.store(0, Relaxed);
     }
 
     /// Lets the next calls go to the next server, unless this connection is no longer in use.
@@ -119,6 +143,7 @@ impl Connections {
             *turn += usize::from(leaves);
             leaves
         });
+        self.silence_ms.store(0, Relaxed);
     }
 
     /// Returns once this connection is not in use any more.
@@ -167,14 +192,21 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_server_is_left_for_a_long_silence_and_not_for_a_short_timeout() {
+    async fn a_server_is_left_for_a_long_silence_and_not_for_one_short_timeout() {
         let connections = connections(2);
         let first = connections.current();
         let silence = Error::timeout("knn", MAX_SILENCE);
         connections.failed(&first, &silence, MAX_SILENCE / 2);
+        connections.answered();
+        connections.failed(&first, &silence, MAX_SILENCE / 2);
         assert_eq!(connections.current().turn(), first.turn());
-        connections.failed(&first, &silence, MAX_SILENCE);
-        assert_ne!(connections.current().turn(), first.turn());
+        connections.failed(&first, &silence, MAX_SILENCE / 2);
+        let second = connections.current();
+        assert_ne!(second.turn(), first.turn());
+        connections.failed(&second, &silence, MAX_SILENCE / 2);
+        assert_eq!(connections.current().turn(), second.turn());
+        connections.failed(&second, &silence, MAX_SILENCE);
+        assert_ne!(connections.current().turn(), second.turn());
     }
 
     #[tokio::test]

@@ -54,9 +54,10 @@ impl<'a> Division<'a> {
         Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
     {
         let mut limits = self.index.limits(self.call, self.rows).await?;
-        let mut rest = 0..self.rows;
+        let (mut rest, mut most) = (0..self.rows, usize::MAX);
         'divided: loop {
-            let parts = divide(&limits, rest.clone(), max_rows(&limits), &row_bytes);
+            let rows = max_rows(&limits).min(most);
+            let parts = divide(&limits, rest.clone(), rows, &row_bytes);
             let failed = |error| partial(&rest, self.rows, error);
             if parts.len() > 1 {
                 check_unique(self.ids).map_err(failed)?;
@@ -66,13 +67,21 @@ impl<'a> Division<'a> {
                 let message = || message(part, operation_id);
                 match self.index.mutate(self.call, message, &send).await {
                     Ok(answer) => append(answer, part.len())?,
-                    Err(error) => match limits.lowered(&error) {
-                        Some(lowered) if part.len() > 1 => {
-                            (limits, rest.start) = (lowered, part.start);
-                            continue 'divided;
+                    Err(error) => {
+                        match limits.lowered(&error) {
+                            Some(lowered) if part.len() > 1 => limits = lowered,
+                            // The size of the neighbours is not known before.
+                            _ if part.len() > 1 && exceeded(&error) == Some(ANSWER_BYTES) => {
+                                most = part.len().div_ceil(2);
+                            }
+                            _ => {
+                                let error = unread(self.call, error);
+                                return Err(partial(part, self.rows, error));
+                            }
                         }
-                        _ => return Err(partial(part, self.rows, error)),
-                    },
+                        rest.start = part.start;
+                        continue 'divided;
+                    }
                 }
             }
             return Ok(());
@@ -114,7 +123,7 @@ impl Limits {
         let limit = match refusal.metadata.get("limit")?.as_str() {
             "max_rows_per_call" => &mut self.max_rows_per_call,
             "max_ids_per_call" => &mut self.max_ids_per_call,
-            "max_answer_bytes" => &mut self.max_answer_bytes,
+            ANSWER_BYTES => &mut self.max_answer_bytes,
             "grpc.max_message_bytes" => &mut self.max_request_bytes,
             _ => return None,
         };
@@ -163,23 +172,44 @@ where
     }
 }
 
+/// The limit of the bytes of an answer.
+const ANSWER_BYTES: &str = "max_answer_bytes";
+
 /// The limits of a server that a call with fewer rows can meet.
 const LIMITS_BY_ROWS: [&str; 4] = [
-    "max_answer_bytes",
+    ANSWER_BYTES,
     "grpc.max_message_bytes",
     "max_rows_per_call",
     "max_ids_per_call",
 ];
 
 fn is_too_large(error: &Error) -> bool {
+    is_unread(error) || exceeded(error).is_some_and(|limit| LIMITS_BY_ROWS.contains(&limit))
+}
+
+/// True for the transport's refusal of an answer above the client's own limit.
+fn is_unread(error: &Error) -> bool {
+    matches!(error, Error::Refused(refusal) if refusal.code == Code::OutOfRange)
+}
+
+/// The limit that a refused call exceeds. The call changed nothing.
+fn exceeded(error: &Error) -> Option<&str> {
     match error {
-        // The transport's code for an answer above the client's own limit.
-        Error::Refused(refusal) if refusal.code == Code::OutOfRange => true,
         Error::Refused(refusal) if refusal.code == Code::ResourceExhausted => {
-            let limit = refusal.metadata.get("limit");
-            limit.is_some_and(|limit| LIMITS_BY_ROWS.contains(&limit.as_str()))
+            refusal.metadata.get("limit").map(String::as_str)
         }
-        _ => false,
+        _ => None,
+    }
+}
+
+/// The error of a mutation. One whose answer the client does not read has taken effect.
+fn unread(call: &'static str, error: Error) -> Error {
+    match is_unread(&error) {
+        true => Error::Protocol {
+            call,
+            problem: format!("it took effect, and {error}"),
+        },
+        false => error,
     }
 }
 

@@ -140,9 +140,12 @@ macro_rules! mutation {
         impl $request {
             /// Names the operation, in at most 64 bytes: it takes effect once, however often it is sent under this id.
             /// Unless set, the client makes one for its own retries. The later parts of a divided call have `ID/ROW`,
-            /// with their first row.
+            /// with their first row. An empty id counts as none.
             pub fn operation_id(mut self, id: impl Into<String>) -> $request {
-                self.operation_id = id.into();
+                let id = id.into();
+                if !id.is_empty() {
+                    self.operation_id = id;
+                }
                 self
             }
         }

@@ -1,6 +1,6 @@
 //! Each request against a real server.
 
-use wayfold::{Code, Durability, Error, Filter, Include, NeighborSpec, Outcome};
+use wayfold::{Client, Code, Durability, Error, Filter, Include, NeighborSpec, Outcome};
 
 use crate::server::Server;
 
@@ -326,4 +326,34 @@ async fn a_server_describes_itself() {
     assert_eq!(found.durability, Durability::Memory);
     assert_eq!(found.limits.max_rows_per_call, 123);
     assert_eq!(found.limits.max_payload_bytes, 64 * 1024);
+}
+
+/// The number of neighbours within a radius is not known before.
+#[tokio::test]
+async fn an_insert_whose_neighbours_are_too_many_is_asked_for_by_halves() {
+    let server = Server::with(|config| config.limits.max_answer_bytes = 20_000);
+    let index = server.index("line", "R1").await;
+    let all = NeighborSpec::within(f64::INFINITY);
+    let inserted = index
+        .insert((0..300).map(|x| [f64::from(x)]))
+        .neighbors(all.clone())
+        .await;
+    let inserted = inserted.unwrap();
+    let ids: Vec<Option<u64>> = inserted.outcomes.iter().map(|it| it.id()).collect();
+    assert_eq!(ids, (0..300).map(Some).collect::<Vec<_>>());
+    let neighbors = inserted.neighbors.unwrap();
+    for row in 0..300 {
+        let mut found: Vec<u64> = neighbors.row(row).ids().collect();
+        found.sort_unstable();
+        assert_eq!(found, (0..row as u64).collect::<Vec<_>>());
+    }
+
+    // An answer that the client itself does not read: the points are there.
+    let client = Client::builder().max_message_bytes(2_000);
+    let small = client.connect(&server.uri).await.unwrap();
+    let small = small.index("line").await.unwrap();
+    let error = small.insert([[0.5]]).neighbors(all).await.unwrap_err();
+    assert!(matches!(error, Error::Protocol { .. }), "{error}");
+    assert!(error.to_string().contains("it took effect"), "{error}");
+    assert_eq!(index.info().await.unwrap().point_count, 301);
 }

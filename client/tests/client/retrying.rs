@@ -292,3 +292,12 @@ async fn an_answer_against_the_protocol_is_an_error() {
     );
     assert_eq!(error.code(), Code::Internal);
 }
+
+/// Without an id, the server could not recognise a retry.
+#[tokio::test]
+async fn an_empty_operation_id_counts_as_none() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    index.insert([[0.0]]).operation_id("").await.unwrap();
+    assert!(!fake.insert_requests()[0].operation_id.is_empty());
+}

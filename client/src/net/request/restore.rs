@@ -25,8 +25,9 @@ impl Client {
     /// a file ([`SnapshotReader`](crate::SnapshotReader)).
     ///
     /// The timeout bounds the wait for the server to take each part, and at the end, with 100 µs more for each point,
-    /// the wait for it to build the index. It is not retried. After an error nothing is left, except that after
-    /// [`Error::Timeout`] or [`Error::Connection`] the index may be there, and then is whole.
+    /// the wait for it to build the index. It is not retried. After an error nothing is left, except that the index may
+    /// be there, and then is whole, after [`Error::Timeout`], [`Error::Connection`], and the refusals after which the
+    /// outcome of a mutation is [unknown](Error::Refused).
     ///
     /// # Errors
     /// `ALREADY_EXISTS`: an index has this name. `INVALID_ARGUMENT`: the name, or the snapshot. `RESOURCE_EXHAUSTED`:
