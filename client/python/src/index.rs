@@ -11,7 +11,7 @@ use pyo3::{
     types::{PyBytes, PyTuple, PyType},
 };
 
-use self::calls::{IdsAndDistances, options};
+use self::calls::{GivenId, IdsAndDistances, options};
 use crate::{
     content::Content,
     points::{
@@ -85,8 +85,8 @@ impl Index {
         true
     }
 
-    fn __contains__(&self, py: Python<'_>, id: u64) -> PyResult<bool> {
-        Ok(self.call(py, |index| index.get(id))?.is_some())
+    fn __contains__(&self, py: Python<'_>, id: GivenId) -> PyResult<bool> {
+        self.of_point(py, &id, |index, id| Ok(index.get(id)?.is_some()))
     }
 
     /// True if there are no points.
@@ -136,41 +136,44 @@ impl Index {
     }
 
     /// Removes a point. False if there is none with this id.
-    fn remove(&self, py: Python<'_>, id: u64) -> PyResult<bool> {
-        self.call(py, |index| index.remove(id))
+    fn remove(&self, py: Python<'_>, id: GivenId) -> PyResult<bool> {
+        self.of_point(py, &id, wayfold::Index::remove)
     }
 
     /// Moves a point to another state; it keeps its tag and loses its payload. False if there is none with this id.
-    fn replace(&self, id: u64, state: &Bound<'_, PyAny>) -> PyResult<bool> {
+    fn replace(&self, id: GivenId, state: &Bound<'_, PyAny>) -> PyResult<bool> {
         let row = self.one(state)?;
-        self.call(state.py(), |index| index.replace(id, &row[..]))
+        self.of_point(state.py(), &id, |index, id| index.replace(id, &row[..]))
     }
 
     /// Sets the tag of a point. False if there is none with this id.
-    fn set_tag(&self, py: Python<'_>, id: u64, tag: u64) -> PyResult<bool> {
-        self.call(py, |index| index.set_tag(id, tag))
+    fn set_tag(&self, py: Python<'_>, id: GivenId, tag: u64) -> PyResult<bool> {
+        self.of_point(py, &id, |index, id| index.set_tag(id, tag))
     }
 
     /// Sets the payload of a point. False if there is none with this id.
-    fn set_payload(&self, py: Python<'_>, id: u64, payload: &[u8]) -> PyResult<bool> {
-        self.call(py, |index| index.set_payload(id, payload))
+    fn set_payload(&self, py: Python<'_>, id: GivenId, payload: &[u8]) -> PyResult<bool> {
+        self.of_point(py, &id, |index, id| index.set_payload(id, payload))
     }
 
     /// The point with this id, or None.
-    fn get(&self, py: Python<'_>, id: u64) -> PyResult<Option<StoredPoint>> {
-        let point = self.call(py, |index| index.get(id))?;
+    fn get(&self, py: Python<'_>, id: GivenId) -> PyResult<Option<StoredPoint>> {
+        let point = self.of_point(py, &id, wayfold::Index::get)?;
         Ok(point.map(|point| StoredPoint::of(py, point)))
     }
 
     /// The payload of the point with this id: empty if it has none, None if there is no such point.
-    fn payload<'py>(&self, py: Python<'py>, id: u64) -> PyResult<Option<Bound<'py, PyBytes>>> {
-        let payload = self.call(py, |index| index.payload(id))?;
+    fn payload<'py>(&self, py: Python<'py>, id: GivenId) -> PyResult<Option<Bound<'py, PyBytes>>> {
+        let payload = self.of_point(py, &id, wayfold::Index::payload)?;
         Ok(payload.map(|payload| PyBytes::new(py, &payload)))
     }
 
     /// The payloads of the points with these ids, each id once, in their order: None if there is no such point.
-    fn payloads(&self, py: Python<'_>, ids: Vec<u64>) -> PyResult<Vec<Option<Vec<u8>>>> {
-        self.call(py, |index| index.payloads(&ids))
+    fn payloads(&self, py: Python<'_>, ids: Vec<GivenId>) -> PyResult<Vec<Option<Vec<u8>>>> {
+        let points: Vec<u64> = ids.iter().filter_map(GivenId::point).collect();
+        let mut payloads = self.call(py, |index| index.payloads(&points))?.into_iter();
+        let of = |id: &GivenId| id.point().and_then(|_| payloads.next().flatten());
+        Ok(ids.iter().map(of).collect())
     }
 
     /// The nearest point; None if there are no points.

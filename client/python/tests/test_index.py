@@ -110,6 +110,28 @@ def test_a_copy_has_all_points(way: str, tmp_path: Path) -> None:
     assert len(empty) == 0 and empty.insert([0, 0, 0, 0, 0, 0, 1]) == 0
 
 
+def test_a_saved_file_has_the_permissions_of_any_other(tmp_path: Path) -> None:
+    index, (other, path, link) = plane(), (tmp_path / name for name in ("other", "plane", "link"))
+    other.touch()
+    index.save(path)
+    assert path.stat().st_mode == other.stat().st_mode
+    path.chmod(0o640)
+    link.symlink_to(path)
+    index.save(link)
+    assert link.is_symlink() and path.stat().st_mode & 0o777 == 0o640
+    assert len(wayfold.Index.load(link)) == len(index)
+
+
+def test_no_point_has_a_negative_id() -> None:
+    index = plane()
+    _, ids = index.query([0.0, 0.0], len(index) + 2)
+    assert ids[-1] == -1 and ids[-1] not in index
+    assert index.payloads(ids)[-2:] == [None, None]
+    assert index.payloads(ids)[:-2] == [index.payload(id) for id in ids[:-2]]
+    assert index.get(-1) is None and index.payload(-1) is None and index.get(2**70) is None
+    assert not (index.remove(-1) or index.replace(-1, [0, 0]) or index.set_tag(-1, 1) or index.set_payload(-1, b""))
+
+
 def test_a_wrong_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "wrong"
     path.write_bytes(b"no archive")

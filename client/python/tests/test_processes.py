@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable
 from typing import Any
 
@@ -21,6 +22,8 @@ def in_fork(action: Callable[[], Any]) -> str:
     read, write = os.pipe()
     child = os.fork()
     if child == 0:
+        # It would wait for threads that it has not.
+        signal.alarm(60)
         try:
             action()
             text = "nothing"
@@ -57,6 +60,11 @@ def test_an_index_of_a_server_is_not_used_after_a_fork(server: Server) -> None:
         assert in_fork(method).startswith("Forked: "), method
     shared.insert([1.0, 1.0])
     assert shared.close() == []
+    remote.insert_many(np.zeros((100_000, 2)))
+    scan = remote.scan()
+    next(scan)
+    assert in_fork(lambda: list(scan)).startswith("Forked: ")
+    assert len(list(scan)) == 100_000
 
 
 def nearest(index: wayfold.Index, state: list[float]) -> tuple[float, int]:

@@ -22,6 +22,16 @@ def wait_for_length(index: wayfold.Index, length: int) -> None:
         time.sleep(0.005)
 
 
+def test_a_dropped_index_warns_of_lost_writes() -> None:
+    with serving({}) as server:
+        shared = wayfold.shared(server.url, "dropped", create="R1")
+        shared.insert([0.0])
+        shared.flush()
+    shared.insert([1.0])
+    with pytest.warns(RuntimeWarning, match=r"\(1 pending\)"):
+        del shared
+
+
 def test_all_forms_answer_alike(server: Server) -> None:
     rng = np.random.default_rng(5)
     states = np.column_stack([rng.uniform(-1, 1, (500, 2)), rng.uniform(-3, 3, 500)])

@@ -71,15 +71,30 @@ def test_numbers_are_read_wherever_they_lie(dtype: str, packed: bool) -> None:
     assert column.query(table["state"][7, 1:2]) == (0.0, 7)
 
 
+def test_the_parts_of_a_space_stay_whole() -> None:
+    two = spaces.sum(spaces.torus(2), "R3")
+    assert two == wayfold.Space("sum((SO2^2), R3)")
+    assert two.distance([0, 0, 0, 0, 0], [0.3, 0.4, 0, 3, 4]) == pytest.approx(5.5)
+    assert spaces.sum("R1^7") == wayfold.Space("R1^7")
+    weighted = spaces.product(spaces.SE2(), (spaces.SE2(), 0.25))
+    assert weighted.distance([0] * 6, [0, 0, 0, 2, 0, 0]) == 1.0
+    assert spaces.product(spaces.R(2), (spaces.torus(2), 4.0)).distance([0] * 4, [0, 0, 1, 0]) == 2.0
+    rotation = spaces.SO3()
+    half = rotation.distance([0, 0, 0, 1], [0, 0, 1, 1] / np.sqrt(2))
+    scaled = spaces.sum((spaces.product((rotation, 4.0)), 3.0), "mpnn-se3")
+    apart = scaled.distance([0, 0, 0, 1] + [0] * 6 + [1], [*([0, 0, 1, 1] / np.sqrt(2)), *[0] * 6, 1])
+    assert apart == pytest.approx(6 * half)
+
+
 def test_spaces_have_names() -> None:
     assert str(spaces.SE3(weight=0.15)) == "R3*SO3:0.15" == spaces.SE3().text
     assert spaces.SE2() == wayfold.Space("R2*SO2")
     assert spaces.OMPL_SE3() == spaces.sum(spaces.R(3), spaces.SO3())
     assert spaces.OMPL_SE2() == spaces.sum(spaces.R(2), (spaces.SO2(), 0.5))
     assert spaces.joints(7) == wayfold.Space("moveit-joints-7")
-    assert spaces.sum(spaces.torus(2), "R3").dimension == 5
     assert spaces.sum(spaces.SE2(), spaces.R(1)).text == "sum(R2*SO2, R1)"
     assert spaces.SO2(1.0).names == ("theta",)
+    assert spaces.SO2(np.float64(1.5)) == wayfold.Space("SO2[1.5]")
     assert spaces.SE3().distance([0, 0, 0, 0, 0, 0, 1], [3, 4, 0, 0, 0, 0, 1]) == 5.0
     assert len({spaces.SE3(), wayfold.Space("R3*RP3:0.15")}) == 1
     with pytest.raises(ValueError, match="space: "):

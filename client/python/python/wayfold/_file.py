@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
+import shutil
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,11 @@ _FORMAT = "wayfold index 1"
 def save(path: str | os.PathLike[str], content: tuple[Any, ...]) -> None:
     """Writes the content of an index. The file appears whole, or stays as it was."""
     space, inline, next_id, ids, tags, states, holders, ends, payloads = content
-    path = Path(path)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    # The file behind a symbolic link is replaced, not the link.
+    path = Path(path).resolve()
+    name = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     try:
-        with os.fdopen(handle, "wb") as file:
+        with open(name, "xb") as file:
             np.savez(
                 file,
                 format=np.array(_FORMAT),
@@ -38,9 +40,11 @@ def save(path: str | os.PathLike[str], content: tuple[Any, ...]) -> None:
             )
             file.flush()
             os.fsync(file.fileno())
+        if path.exists():
+            shutil.copymode(path, name)
         os.replace(name, path)
     except BaseException:
-        os.unlink(name)
+        name.unlink(missing_ok=True)
         raise
 
 

@@ -17,7 +17,7 @@ def R(n: int) -> Space:
 
 def SO2(period: float | None = None) -> Space:
     """An angle, of period 2π unless given."""
-    return Space("SO2" if period is None else f"SO2[{period!r}]")
+    return Space("SO2" if period is None else f"SO2[{float(period)!r}]")
 
 
 def SO3() -> Space:
@@ -56,21 +56,23 @@ def OMPL_SE3() -> Space:
 
 
 def product(*factors: Space | str | tuple[Space | str, float]) -> Space:
-    """The product of factors, or of pairs of a factor and its weight: the root of the sum of weighted squares."""
+    """The product of factors, or of pairs of a factor and its weight: the root of the sum of weighted squares.
+
+    A factor is a space, or its text; a product counts as one factor.
+    """
     return Space("*".join(_terms(factors)))
 
 
 def sum(*groups: Space | str | tuple[Space | str, float]) -> Space:
-    """The sum of the distances of groups, or of pairs of a group and its weight."""
-    return Space(f"sum({', '.join(_terms(groups, is_grouped=True))})")
+    """The sum of the distances of groups, or of pairs of a group and its weight. A group is a space, or its text."""
+    return Space(f"sum({', '.join(_terms(groups))})")
 
 
-def _terms(parts: tuple[Space | str | tuple[Space | str, float], ...], *, is_grouped: bool = False) -> list[str]:
+def _terms(parts: tuple[Space | str | tuple[Space | str, float], ...]) -> list[str]:
     terms = []
     for part in parts:
         space, weight = part if isinstance(part, tuple) else (part, 1.0)
-        text = str(space)
-        if is_grouped and "*" in text:
-            text = f"({text})"
-        terms.append(text if weight == 1.0 else f"{text}:{float(weight)!r}")
+        # Without parentheses a weight would count for the last factor only, and the factors of a group as groups.
+        term = f"({Space(space) if isinstance(space, str) else space})"
+        terms.append(term if weight == 1.0 else f"{term}:{float(weight)!r}")
     return terms

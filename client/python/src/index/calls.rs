@@ -1,12 +1,13 @@
 //! The calls behind the methods of `Index`: states as rows, and calls without the interpreter's lock.
 
 use std::{
+    ffi::CString,
     slice::ChunksExact,
     sync::atomic::{AtomicU64, Ordering},
 };
 
 use numpy::PyArray1;
-use pyo3::prelude::*;
+use pyo3::{exceptions::PyRuntimeWarning, prelude::*};
 use wayfold::{Error, InsertOptions, Neighbor};
 
 use super::{Form, Index};
@@ -20,10 +21,46 @@ use crate::{
 /// The neighbours of one state.
 pub(super) type IdsAndDistances<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
 
+/// An id as an argument. No point has a negative one: [`Index::query`] answers −1 where it finds none.
+#[derive(FromPyObject)]
+pub(super) struct GivenId(i128);
+
+impl GivenId {
+    /// The id that a point may have.
+    pub(super) fn point(&self) -> Option<u64> {
+        u64::try_from(self.0).ok()
+    }
+}
+
 pub(super) fn options(id: Option<u64>, tag: u64, payload: Option<&[u8]>) -> InsertOptions<'_> {
     let options = InsertOptions::new().tag(tag);
     let options = id.map_or(options, |id| options.id(id));
     options.payload(payload.unwrap_or_default())
+}
+
+impl Drop for Index {
+    /// Warns of writes that are lost: nobody reads the log lines of the Rust package here. A closed index has none.
+    fn drop(&mut self) {
+        let pending = match self.form {
+            Form::Shared => self.index.pending(),
+            Form::Memory { .. } | Form::Remote => 0,
+        };
+        if pending == 0 {
+            return;
+        }
+        let text = format!(
+            "a shared index was dropped before the server had acknowledged its writes ({pending} pending): use it in a \
+             `with` block, or call `flush` or `close`"
+        );
+        // None as the interpreter ends: no one could read a warning.
+        Python::try_attach(|py| {
+            let text = CString::new(text).unwrap_or_default();
+            let warned = PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &text, 1);
+            if let Err(error) = warned {
+                error.write_unraisable(py, None);
+            }
+        });
+    }
 }
 
 impl Index {
@@ -79,6 +116,19 @@ impl Index {
         call: impl FnOnce(&wayfold::Index) -> Result<T, Error> + Send,
     ) -> PyResult<T> {
         py.detach(|| call(&self.index)).or_raise(py)
+    }
+
+    /// Runs a call about a point; the default answer is that there is none.
+    pub(super) fn of_point<T: Default + Send>(
+        &self,
+        py: Python<'_>,
+        id: &GivenId,
+        call: impl FnOnce(&wayfold::Index, u64) -> Result<T, Error> + Send,
+    ) -> PyResult<T> {
+        match id.point() {
+            Some(id) => self.call(py, |index| call(index, id)),
+            None => Ok(T::default()),
+        }
     }
 
     /// Raises in a process that was forked from the one that opened a shared index.
