@@ -44,22 +44,50 @@ impl Failure {
 impl From<Error> for Failure {
     fn from(error: Error) -> Failure {
         let (field, reason) = match &error {
+            Error::Argument { field, problem } => {
+                return Failure::argument(field_in_c(field), problem);
+            }
             Error::Width { row, .. } => (format!("states[{row}]"), "WRONG_WIDTH"),
             Error::State { row, error } => (
                 format!("states[{row}].coords[{}]", error.coordinate),
                 "INVALID_STATE",
             ),
-            Error::Argument { field, .. } => ((*field).to_owned(), "INVALID_ARGUMENT"),
+            Error::Address { .. } => ("uri".to_owned(), ""),
             Error::IdTaken { .. } => ("id".to_owned(), "ID_TAKEN"),
             Error::SearchTimeout => ("timeout".to_owned(), "SEARCH_TIMEOUT"),
             Error::NotInMemory { .. } => (String::new(), "NOT_IN_MEMORY"),
             Error::Closed => (String::new(), "CLOSED"),
             Error::Forked => (String::new(), "FORKED"),
+            #[cfg(feature = "net")]
+            error => (refused_field(error), ""),
+            #[cfg(not(feature = "net"))]
             _ => (String::new(), ""),
         };
         #[cfg(feature = "net")]
         let reason = error.reason().unwrap_or(reason);
         Failure::new(code(&error), &field, reason, &error.to_string())
+    }
+}
+
+/// The name that a search's argument has in C, where a search has no scaled radius of its own.
+fn field_in_c(field: &str) -> &str {
+    match field {
+        "scaled_radius.factor" => "radius_factor",
+        "scaled_radius.max" => "radius",
+        _ => field,
+    }
+}
+
+/// The first of the fields that the server has refused; "" if there are none.
+#[cfg(feature = "net")]
+fn refused_field(error: &Error) -> String {
+    match error {
+        Error::Refused(refusal) => {
+            let first = refusal.fields.first();
+            first.map_or_else(String::new, |violation| violation.field.clone())
+        }
+        Error::WritesRefused { why } | Error::Ended { why } => refused_field(why),
+        _ => String::new(),
     }
 }
 

@@ -87,6 +87,13 @@ int main(void) {
     search.radius_factor = NAN;
     CHECK(wayfold_index_search(index, states, 1, 3, &search, 2, near, NULL, found, NULL) ==
           WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(strcmp(wayfold_error_field(), "radius_factor") == 0);
+    CHECK(strstr(wayfold_error_message(), "radius_factor: ") == wayfold_error_message());
+    search.radius_factor = 1;
+    search.radius = -1;
+    CHECK(wayfold_index_search(index, states, 1, 3, &search, 2, near, NULL, found, NULL) ==
+          WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(strcmp(wayfold_error_field(), "radius") == 0);
     search = wayfold_search_default();
     search.radius = 10;
     CHECK(wayfold_index_search(index, states, 1, 3, &search, 2, near, distances, found, NULL) == WAYFOLD_CODE_OK);

@@ -3,6 +3,7 @@
 
 #include <cstdlib>
 #include <iostream>
+#include <string>
 
 #define CHECK(condition)                                                                                               \
     do {                                                                                                               \
@@ -21,4 +22,13 @@ template <class Exception, class Action> std::string message_of(Action action) {
     }
     std::cerr << "no exception\n";
     std::exit(1);
+}
+
+// `action` throws an exception whose message has this sentence.
+template <class Exception, class Action> void refuses(const std::string &sentence, Action action) {
+    const std::string message = message_of<Exception>(action);
+    if (message.find(sentence) == std::string::npos) {
+        std::cerr << "expected: " << sentence << "\nfound: " << message << "\n";
+        std::exit(1);
+    }
 }

@@ -73,6 +73,13 @@ public:
     }
 };
 
+// Every motion is valid.
+class AllMotions : public Motions {
+public:
+    using Motions::Motions;
+    bool checkMotion(const ob::State *, const ob::State *) const override { return true; }
+};
+
 inline std::shared_ptr<ob::SpaceInformation> information() {
     const auto space = std::make_shared<ob::SE2StateSpace>();
     ob::RealVectorBounds bounds(2);

@@ -105,6 +105,16 @@ int main(int count, char **arguments) {
 
     const auto missing = message_of<wayfold::Error>([&] { wayfold::Index::remote(uri, "missing"); });
     CHECK(missing.find("missing") != std::string::npos);
+    // The field of an address that is none, and the one that the server refuses.
+    const auto field_of = [](const std::string &address, const std::string &name) {
+        try {
+            wayfold::Index::remote(address, name, "R3");
+        } catch (const wayfold::Error &error) {
+            return error.field();
+        }
+        return std::string("no error");
+    };
+    CHECK(field_of("ftp://127.0.0.1:1", "cell") == "uri" && field_of(uri, "No name") == "name");
     const auto other = message_of<wayfold::Error>([&] { wayfold::Index::shared(uri, "cell", "R3"); });
     CHECK(other.find("cell") != std::string::npos);
     using wayfold::NewIndex, wayfold::PayloadEncoding;

@@ -1,5 +1,4 @@
-// wayfold/shared_prm.hpp, against a server, which is stopped for a while: shared_prm URI PROCESS. The processes that grow a
-// roadmap are this program again.
+// wayfold/shared_prm.hpp, against a server: shared_prm URI. The processes that grow a roadmap are this program again.
 #include "check.hpp"
 #include "discs.hpp"
 #include "process.hpp"
@@ -8,7 +7,8 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <csignal>
+#include <cstdint>
+#include <ompl/base/samplers/UniformValidStateSampler.h>
 #include <ompl/geometric/SimpleSetup.h>
 #include <ompl/geometric/planners/prm/ConnectionStrategy.h>
 #include <ompl/util/Console.h>
@@ -133,17 +133,11 @@ void two_processes(const std::string &uri, bool expands) {
 // Without obstacles and with at most k vertices, each pair is an edge: no process misses a vertex that another one
 // stores at the same time.
 void no_missed_edge(const std::string &uri) {
-    // Every motion is valid.
-    class AllMotions : public discs::Motions {
-    public:
-        using Motions::Motions;
-        bool checkMotion(const ob::State *, const ob::State *) const override { return true; }
-    };
     for (int round = 0; round < 10; round++) {
         const std::string name = "pairs-" + std::to_string(round);
         Planner a(wayfold::Index::shared(uri, name, space)), b(wayfold::Index::shared(uri, name));
         for (Planner *planner : {&a, &b}) {
-            planner->si->setMotionValidator(std::make_shared<AllMotions>(planner->si));
+            planner->si->setMotionValidator(std::make_shared<discs::AllMotions>(planner->si));
             planner->prm->setMaxNearestNeighbors(20);
         }
         for (int vertex = 0; vertex < 5; vertex++) {
@@ -216,14 +210,6 @@ void queries_and_strategies(const std::string &uri) {
     // Both ends are connected, though this process has sampled nothing since.
     CHECK(a.prm->edgeCount() > edges + 1);
     CHECK(a.prm->solve(ob::timedPlannerTerminationCondition(60)) == ob::PlannerStatus::EXACT_SOLUTION);
-}
-
-template <class Exception, class Action> void refuses(const std::string &sentence, Action action) {
-    const std::string message = message_of<Exception>(action);
-    if (message.find(sentence) == std::string::npos) {
-        std::cerr << "expected: " << sentence << "\nfound: " << message << "\n";
-        std::exit(1);
-    }
 }
 
 void refusals(const std::string &uri) {
@@ -306,22 +292,41 @@ void refusals(const std::string &uri) {
     refuses<ompl::Exception>("distance of two states", [&] { stretched.growRoadmap(30.0); });
 }
 
-// The server stops answering: a flush ends at its own time, and not after the hour of the index.
-void flush_in_time(const std::string &uri, pid_t server) {
-    Planner planner(wayfold::Index::shared(uri, "stopped", space, {}, 3600 * 1000));
-    stop(server);
-    planner.grow(50);
-    refuses<wayfold::Error>("flush", [&] { planner.prm->flush(std::chrono::milliseconds(200)); });
-    CHECK(planner.prm->index().pending() > 0);
-    go_on(server);
-    planner.prm->flush();
-    CHECK(wayfold::Index::remote(uri, "stopped").size() == 50);
-    // It waits for no neighbour that was removed before the graph had it.
-    struct Late : wayfold::SharedPRM {
-        static auto pairs() { return &Late::late_; }
-    };
-    ((*planner.prm).*Late::pairs()).emplace_back(*planner.prm->id(0), 1 << 30);
-    planner.prm->flush(std::chrono::seconds(5));
+// Grown through a reference to og::PRM, the planner stores its vertices too, also after `clear`. It takes the samplers that
+// the space has when it grows.
+void through_prm() {
+    const auto index = wayfold::Index::in_memory(space);
+    Planner planner(index);
+    og::PRM &prm = *planner.prm;
+    for (int round = 0; round < 2; round++) {
+        const std::size_t before = index.size();
+        int samplers = 0;
+        prm.clear();
+        planner.si->setValidStateSamplerAllocator([&](const ob::SpaceInformation *si) {
+            samplers++;
+            return std::make_shared<ob::UniformValidStateSampler>(si);
+        });
+        ob::IterationTerminationCondition counter(200), again(100);
+        prm.growRoadmap(ob::PlannerTerminationCondition(counter));
+        CHECK(samplers == 1 && index.size() == before + 100);
+        prm.expandRoadmap(ob::PlannerTerminationCondition(again));
+        planner.prm->refresh();
+        CHECK(index.size() > before + 100 && index.size() == planner.prm->milestoneCount());
+        is_valid(*planner.prm);
+    }
+}
+
+// A strategy may ask for all vertices.
+void all_neighbors() {
+    Planner planner(wayfold::Index::in_memory(space));
+    const auto &near = planner.prm->getNearestNeighbors();
+    planner.prm->setConnectionStrategy([near, found = std::vector<og::PRM::Vertex>()](og::PRM::Vertex at) mutable
+                                       -> const std::vector<og::PRM::Vertex> & {
+        near->nearestK(at, SIZE_MAX, found);
+        return found;
+    });
+    planner.grow(20);
+    CHECK(planner.prm->index().size() == 20);
 }
 
 // The planner makes the index, of the space that it flattens itself; client/cpp/check looks at what it declares.
@@ -378,7 +383,7 @@ int main(int count, char **arguments) {
     } else if (role == "on") {
         grow_on(words[0], words.at(2));
     } else {
-        CHECK(words.size() == 2);
+        CHECK(words.size() == 1);
         alone();
         two_processes(words[0], false);
         two_processes(words[0], true);
@@ -386,7 +391,8 @@ int main(int count, char **arguments) {
         killed(words[0]);
         queries_and_strategies(words[0]);
         refusals(words[0]);
-        flush_in_time(words[0], std::stoi(words[1]));
+        through_prm();
+        all_neighbors();
         by_name(words[0]);
         simple_setup(words[0]);
         std::cout << "shared_prm: ok\n";

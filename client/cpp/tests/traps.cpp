@@ -2,7 +2,9 @@
 #include "check.hpp"
 #include "problem.hpp"
 
+#include <clocale>
 #include <cmath>
+#include <locale>
 #include <memory>
 #include <ompl/base/spaces/DiscreteStateSpace.h>
 #include <ompl/base/spaces/RealVectorStateSpace.h>
@@ -63,6 +65,29 @@ void wrappers() {
     }
     outer->freeState(a);
     outer->freeState(b);
+}
+
+// In a process with a decimal comma, a space text has decimal points.
+void decimal_comma() {
+    std::locale::global(std::locale("de_DE.UTF-8"));
+    CHECK(std::string(std::localeconv()->decimal_point) == ",");
+    CHECK(wayfold::OmplSpace(std::make_shared<ob::SE2StateSpace>()).text() == "sum(R2, SO2:0.5)");
+    std::locale::global(std::locale::classic());
+}
+
+// An element that was removed is not held any more.
+void removed_elements() {
+    wayfold::NearestNeighborsWayfold<std::shared_ptr<double>> neighbors(
+        "R1", [](const std::shared_ptr<double> &number, double *row) { *row = *number; });
+    auto first = std::make_shared<double>(1);
+    const auto second = std::make_shared<double>(2);
+    const std::weak_ptr<double> held = first;
+    neighbors.add({first, second, first});
+    CHECK(neighbors.remove(first) && neighbors.remove(first) && !neighbors.remove(first));
+    first.reset();
+    std::vector<std::shared_ptr<double>> left;
+    neighbors.list(left);
+    CHECK(held.expired() && left == std::vector<std::shared_ptr<double>>{second} && neighbors.nearest(second) == second);
 }
 
 // Joints whose distances add up, as in MoveIt.
@@ -252,6 +277,8 @@ void distances_with_costs() {
 int main() {
     ompl::msg::setLogLevel(ompl::msg::LOG_NONE);
     wrappers();
+    decimal_comma();
+    removed_elements();
     spaces_of_ones_own();
     spaces_that_only_a_sampler_sets();
     distances_with_costs();

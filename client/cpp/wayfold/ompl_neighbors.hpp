@@ -154,6 +154,10 @@ public:
         }
         index_.remove(first_ + at);
         is_stored_[at] = false;
+        // The place stays; what the element owns does not.
+        if constexpr (std::is_default_constructible_v<T> && std::is_move_assignable_v<T>) {
+            elements_[at] = T();
+        }
         size_--;
         return true;
     }

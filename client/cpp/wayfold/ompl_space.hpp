@@ -14,8 +14,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
-#include <cstdio>
 #include <functional>
+#include <iomanip>
+#include <locale>
+#include <sstream>
 #include <string>
 #include <utility>
 #include <vector>
@@ -108,9 +110,11 @@ private:
 
     Part leaf(Kind kind, unsigned int numbers, std::string text, double weight) {
         if (weight != 1.0) {
-            char digits[32];
-            std::snprintf(digits, sizeof digits, ":%.17g", weight);
-            text += digits;
+            // In every locale of the process, a space text has decimal points.
+            std::ostringstream digits;
+            digits.imbue(std::locale::classic());
+            digits << ':' << std::setprecision(17) << weight;
+            text += digits.str();
         }
         arguments_.push_back(std::move(text));
         width_ += numbers;

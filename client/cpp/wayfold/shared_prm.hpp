@@ -79,7 +79,8 @@ public:
     // meanwhile, which it checks. Without it, a process that ends may lose its last ones.
     void flush(std::chrono::milliseconds timeout = std::chrono::seconds(30)) {
         using std::chrono::milliseconds;
-        const auto end = Clock::now() + timeout;
+        // A much longer time would overflow the clock.
+        const auto end = Clock::now() + std::clamp<milliseconds>(timeout, milliseconds(0), std::chrono::hours(24 * 365));
         const auto left = [&] {
             return std::max(std::chrono::duration_cast<milliseconds>(end - Clock::now()), milliseconds(0));
         };
@@ -99,12 +100,18 @@ public:
     }
 
     // Forgets the graph of this process; the next call loads the shared roadmap again. Nothing is removed from the
-    // index. Edges that a `flush` would have checked are not tried any more.
+    // index. Edges that a `flush` would have checked are not tried any more. Writes that the server has refused are
+    // dropped: `index().take_unsent()` has them before.
     void clear() override {
         if (reading_.valid()) {
             reading_.wait();
         }
         PRM::clear();
+        install_samplers();
+        const std::size_t refused = index_.take_unsent().size();
+        if (refused > 0) {
+            OMPL_WARN("%s: %zu writes that the server has refused are dropped", getName().c_str(), refused);
+        }
         forget();
         failure_ = nullptr;
         has_failed_ = false;
@@ -139,6 +146,14 @@ private:
         }
         nn_ = std::make_shared<detail::RoadmapNeighbors<SharedPRM>>(*this);
         nn_->setDistanceFunction([this](const Vertex &a, const Vertex &b) { return distanceFunction(a, b); });
+        install_samplers();
+    }
+
+    // PRM uses samplers that are there. These tell vertices that are sampled from start and goal states.
+    void install_samplers() {
+        sampler_ = std::make_shared<detail::MarkingValidSampler>(si_.get(), grower_);
+        marking_sampler_->clear();
+        simpleSampler_ = marking_sampler_;
     }
 
     // Exchanges with the index until the deadline at most, runs an action, and exchanges again.
@@ -148,14 +163,6 @@ private:
         }
         if (opt_ == nullptr) {
             throw ompl::Exception(getName(), "set a problem definition first: it has the costs of edges");
-        }
-        // PRM uses these if they are there. They tell vertices that are sampled from start and goal states.
-        if (sampler_ == nullptr) {
-            sampler_ = std::make_shared<detail::MarkingValidSampler>(si_.get(), si_->allocValidStateSampler(), grower_);
-        }
-        if (simpleSampler_ == nullptr) {
-            simpleSampler_ = std::make_shared<detail::MarkingSampler>(si_->getStateSpace().get(),
-                                                                      si_->allocStateSampler(), grower_);
         }
         grower_ = std::thread::id();
         exchange(until);
@@ -209,6 +216,10 @@ private:
 
     // The thread that samples vertices.
     std::atomic<std::thread::id> grower_{};
+    // There is one of them, because each draws one of the process's seeds. PRM draws it for the generator of its GNAT: so
+    // the samplers of the space get the same seeds as in PRM.
+    const std::shared_ptr<detail::MarkingSampler> marking_sampler_{
+        std::make_shared<detail::MarkingSampler>(si_.get(), grower_)};
     std::exception_ptr failure_;
     std::atomic<bool> has_failed_{false};
 };

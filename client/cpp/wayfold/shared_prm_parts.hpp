@@ -17,7 +17,6 @@
 #include <ompl/geometric/planners/prm/PRM.h>
 #include <ompl/util/Console.h>
 #include <ompl/util/Exception.h>
-#include <ompl/util/RandomNumbers.h>
 
 #include <algorithm>
 #include <atomic>
@@ -104,47 +103,55 @@ Changes changes_after(const Index &index, const std::optional<std::uint64_t> &si
     return all;
 }
 
-// Samplers that note the thread which samples.
+// Samplers that note the thread which samples. They allocate the space's own with the first sample, as late as PRM does.
 class MarkingValidSampler : public ompl::base::ValidStateSampler {
 public:
-    MarkingValidSampler(const ompl::base::SpaceInformation *si, ompl::base::ValidStateSamplerPtr sampler,
-                        std::atomic<std::thread::id> &thread)
-        : ValidStateSampler(si), sampler_(std::move(sampler)), thread_(thread) {}
+    MarkingValidSampler(const ompl::base::SpaceInformation *si, std::atomic<std::thread::id> &thread)
+        : ValidStateSampler(si), thread_(thread) {}
 
-    bool sample(ompl::base::State *state) override {
-        thread_ = std::this_thread::get_id();
-        return sampler_->sample(state);
-    }
+    bool sample(ompl::base::State *state) override { return marked().sample(state); }
     bool sampleNear(ompl::base::State *state, const ompl::base::State *near, double distance) override {
-        thread_ = std::this_thread::get_id();
-        return sampler_->sampleNear(state, near, distance);
+        return marked().sampleNear(state, near, distance);
     }
 
 private:
+    ValidStateSampler &marked() {
+        thread_ = std::this_thread::get_id();
+        if (sampler_ == nullptr) {
+            sampler_ = si_->allocValidStateSampler();
+        }
+        return *sampler_;
+    }
+
     ompl::base::ValidStateSamplerPtr sampler_;
     std::atomic<std::thread::id> &thread_;
 };
 
 class MarkingSampler : public ompl::base::StateSampler {
 public:
-    MarkingSampler(const ompl::base::StateSpace *space, ompl::base::StateSamplerPtr sampler,
-                   std::atomic<std::thread::id> &thread)
-        : StateSampler(space), sampler_(std::move(sampler)), thread_(thread) {}
+    MarkingSampler(const ompl::base::SpaceInformation *si, std::atomic<std::thread::id> &thread)
+        : StateSampler(si->getStateSpace().get()), si_(si), thread_(thread) {}
 
-    void sampleUniform(ompl::base::State *state) override {
-        thread_ = std::this_thread::get_id();
-        sampler_->sampleUniform(state);
-    }
+    // The next sample is from a new sampler of the space.
+    void clear() { sampler_.reset(); }
+    void sampleUniform(ompl::base::State *state) override { marked().sampleUniform(state); }
     void sampleUniformNear(ompl::base::State *state, const ompl::base::State *near, double distance) override {
-        thread_ = std::this_thread::get_id();
-        sampler_->sampleUniformNear(state, near, distance);
+        marked().sampleUniformNear(state, near, distance);
     }
     void sampleGaussian(ompl::base::State *state, const ompl::base::State *mean, double deviation) override {
-        thread_ = std::this_thread::get_id();
-        sampler_->sampleGaussian(state, mean, deviation);
+        marked().sampleGaussian(state, mean, deviation);
     }
 
 private:
+    StateSampler &marked() {
+        thread_ = std::this_thread::get_id();
+        if (sampler_ == nullptr) {
+            sampler_ = si_->allocStateSampler();
+        }
+        return *sampler_;
+    }
+
+    const ompl::base::SpaceInformation *si_;
     ompl::base::StateSamplerPtr sampler_;
     std::atomic<std::thread::id> &thread_;
 };
@@ -178,10 +185,12 @@ public:
         return found[0];
     }
     void nearestK(const Vertex &vertex, std::size_t k, std::vector<Vertex> &found) const override {
-        found.clear();
-        if (k > 0) {
-            const auto most = std::min<std::size_t>(k, std::numeric_limits<std::uint32_t>::max());
-            roadmap_.search(vertex, Search::k(static_cast<std::uint32_t>(most)), found);
+        // PRM* has k = 0 for the first vertex of its graph. It searches all the same: the index tells of vertices that
+        // others store meanwhile only if there was a search.
+        const auto most = std::clamp<std::size_t>(k, 1, std::numeric_limits<std::uint32_t>::max());
+        roadmap_.search(vertex, Search::k(static_cast<std::uint32_t>(most)), found);
+        if (k == 0) {
+            found.clear();
         }
     }
     // The closed ball.
@@ -201,9 +210,6 @@ public:
 
 private:
     Roadmap &roadmap_;
-    // OMPL's GNAT has a generator, which draws one of the process's seeds. Without this one, the planner's samplers would
-    // get other seeds than in PRM.
-    ompl::RNG generator_;
 };
 
 } // namespace wayfold::detail

@@ -74,7 +74,8 @@ protected:
         std::uint64_t id = no_id;
         if (asked_ == vertex && search_) {
             // An answer within a radius may grow until the insert; vertices beyond this room come too late to be tried.
-            const std::size_t room = search_->raw().k > 0 ? search_->raw().k : index_.size() + 1024;
+            const std::size_t k = search_->raw().k, most = index_.size() + 1024;
+            const std::size_t room = k > 0 ? std::min(k, most) : most;
             id = index_.insert(row.data(), 0, payload_of(edges), *search_, room, near);
         } else {
             id = index_.insert(row, 0, payload_of(edges));
@@ -94,10 +95,12 @@ protected:
     void synchronize(Clock::time_point until) {
         take_edges(boost::graph_traits<Graph>::null_vertex());
         take_answers(std::chrono::milliseconds(0));
-        take_read(until);
-        start_reading();
-        if (until != at_once) {
-            take_read(until);
+        // A call waits for one read during an outage.
+        if (take_read(until)) {
+            start_reading();
+            if (until != at_once) {
+                take_read(until);
+            }
         }
         try_late_motions();
         for (const std::uint64_t id : changed_) {
@@ -168,25 +171,43 @@ protected:
     std::future<std::vector<std::optional<std::string>>> reading_;
 
 private:
-    // Takes over the payloads that have been read. During an outage they are asked for again later.
-    void take_read(Clock::time_point until) {
+    // Takes over the payloads that have been read. During an outage they are asked for again later. Returns false if it
+    // has waited for them in vain.
+    bool take_read(Clock::time_point until) {
         if (!reading_.valid()) {
-            return;
+            return true;
         }
+        const bool has_ended = reading_.wait_for(Clock::duration::zero()) == std::future_status::ready;
         const Clock::duration left = std::max(until - Clock::now(), Clock::duration::zero());
         if (until != for_ever && reading_.wait_for(left) != std::future_status::ready) {
-            return;
+            return true;
         }
         try {
             take_over(reading_.get());
             arriving_.clear();
             is_loaded_ = true;
+            return true;
         } catch (const Error &error) {
-            const bool is_outage =
-                error.code() == WAYFOLD_CODE_UNAVAILABLE || error.code() == WAYFOLD_CODE_DEADLINE_EXCEEDED;
-            if (!is_outage || !is_loaded_) {
+            if (!is_outage(error) || !is_loaded_) {
                 throw;
             }
+            return has_ended;
+        }
+    }
+
+    // The same call may succeed later: the errors after which the index repeats a write.
+    static bool is_outage(const Error &error) {
+        switch (error.code()) {
+        case WAYFOLD_CODE_CANCELLED:
+        case WAYFOLD_CODE_UNKNOWN:
+        case WAYFOLD_CODE_DEADLINE_EXCEEDED:
+        case WAYFOLD_CODE_INTERNAL:
+        case WAYFOLD_CODE_UNAVAILABLE:
+            return true;
+        case WAYFOLD_CODE_RESOURCE_EXHAUSTED:
+            return error.reason() != "LIMIT_EXCEEDED";
+        default:
+            return false;
         }
     }
 
