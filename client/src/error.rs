@@ -159,7 +159,7 @@ pub enum Error {
         done: usize,
         /// The number of rows to send.
         rows: usize,
-        /// The error of the next call.
+        /// The error of the next call; `OUT_OF_RANGE` if the client did not read the answer, which is above its limit.
         source: Box<Error>,
     },
     /// A file is not a snapshot, is damaged, or cannot be read.

@@ -113,7 +113,8 @@ impl Args {
     /// The arguments of the process, if they agree with each other.
     pub(super) fn read() -> Result<Args, clap::Error> {
         let matches = command().try_get_matches()?;
-        let args = Args::from_arg_matches(&matches)?;
+        let args =
+            Args::from_arg_matches(&matches).map_err(|error| error.format(&mut command()))?;
         let refused = |problem| Err(Args::command().error(ErrorKind::ArgumentConflict, problem));
         if args.server.len() > 1 && !matches!(args.command, Command::Verify(_)) {
             return refused("--server is given more than once, which only verify takes");

@@ -32,6 +32,21 @@ def test_a_dropped_index_warns_of_lost_writes() -> None:
         del shared
 
 
+def test_a_warning_of_lost_writes_hides_no_exception() -> None:
+    with serving({}) as server:
+        opened = [wayfold.shared(server.url, "hidden", create="R1") for _ in range(2)]
+
+    def grown(number: int) -> wayfold.Index:
+        index = opened.pop()
+        index.insert([0.0])
+        if number == 1:
+            raise KeyError(number)
+        return index
+
+    with pytest.warns(RuntimeWarning, match="pending"), pytest.raises(KeyError):
+        [grown(number) for number in range(2)]
+
+
 def test_all_forms_answer_alike(server: Server) -> None:
     rng = np.random.default_rng(5)
     states = np.column_stack([rng.uniform(-1, 1, (500, 2)), rng.uniform(-3, 3, 500)])

@@ -311,7 +311,7 @@ impl Client {
             async move {
                 let error = match timeout_at(deadline, sent).await {
                     Ok(Ok(response)) => {
-                        self.connections.answered();
+                        self.connections.answered(&connection);
                         return Ok((response.into_inner(), connection));
                     }
                     Ok(Err(status)) => Error::from_status(call, connection.uri(), timeout, status),

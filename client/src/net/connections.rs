@@ -1,14 +1,9 @@
 //! The connections of a client: one for each server, and the one in use.
 
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering::Relaxed},
-    },
-    time::Duration,
-};
+use std::{sync::Arc, time::Duration};
 
-use tokio::sync::watch;
+use parking_lot::Mutex;
+use tokio::{sync::watch, time::Instant};
 use tonic::{Code, service::interceptor::InterceptedService, transport::Channel};
 use wayfold_proto::v1::{
     index_service_client::IndexServiceClient, point_service_client::PointServiceClient,
@@ -18,7 +13,7 @@ use super::credentials::Bearer;
 use crate::Error;
 
 /// The longest time for which a client with several servers waits for one that is silent: for its connection, and for
-/// the answer to a keep-alive. A call that was without an answer for longer makes the next one go elsewhere.
+/// the answer to a keep-alive. If no call was answered for longer, the next one goes elsewhere.
 pub(crate) const MAX_SILENCE: Duration = Duration::from_secs(5);
 
 /// A connection whose calls have the client's token.
@@ -47,8 +42,8 @@ pub(crate) struct Connections {
     all: Vec<Connection>,
     /// The turn of the connection in use: `turn` modulo their number is its place in `all`.
     turn: watch::Sender<usize>,
-    /// The milliseconds that calls have waited in vain since the last answer.
-    silence_ms: AtomicU64,
+    /// The begin of the first call that was without an answer since the last answer of the connection in use.
+    silent_since: Mutex<Option<Instant>>,
 }
 
 impl Connection {
@@ -93,11 +88,10 @@ impl Connections {
     /// These connections; the first calls use the one at `first`.
     pub(crate) fn new(all: Vec<Connection>, first: usize) -> Connections {
         let turn = watch::Sender::new(first);
-        let silence_ms = AtomicU64::new(0);
         Connections {
             all,
             turn,
-            silence_ms,
+            silent_since: Mutex::default(),
         }
     }
 
@@ -120,20 +114,26 @@ impl Connections {
         match error.code() {
             Code::Unavailable => self.leave(connection),
             // It stands still, or the revision that the call waits for does not reach it.
-            Code::DeadlineExceeded => {
-                let after_ms = u64::try_from(after.as_millis()).unwrap_or(u64::MAX);
-                let silence_ms = self.silence_ms.fetch_add(after_ms, Relaxed);
-                if u128::from(silence_ms.saturating_add(after_ms)) >= MAX_SILENCE.as_millis() {
+            Code::DeadlineExceeded if connection.turn == *self.turn.borrow() => {
+                let now = Instant::now();
+                let began = now.checked_sub(after).unwrap_or(now);
+                let mut silent_since = self.silent_since.lock();
+                let since = silent_since.map_or(began, |since| since.min(began));
+                *silent_since = Some(since);
+                drop(silent_since);
+                if now - since >= MAX_SILENCE {
                     self.leave(connection);
                 }
             }
-            _ => self.answered(),
+            _ => {}
         }
     }
 
-    /// The server in use has answered.
-    pub(crate) fn answered(&self) {
-        self.silence_ms.store(0, Relaxed);
+    /// A server has answered a call on this connection.
+    pub(crate) fn answered(&self, connection: &Connection) {
+        if connection.turn == *self.turn.borrow() {
+            *self.silent_since.lock() = None;
+        }
     }
 
     /// Lets the next calls go to the next server, unless this connection is no longer in use.
@@ -141,9 +141,11 @@ impl Connections {
         self.turn.send_if_modified(|turn| {
             let leaves = self.are_several() && *turn == connection.turn;
             *turn += usize::from(leaves);
+            if leaves {
+                *self.silent_since.lock() = None;
+            }
             leaves
         });
-        self.silence_ms.store(0, Relaxed);
     }
 
     /// Returns once this connection is not in use any more.
@@ -156,6 +158,7 @@ impl Connections {
 
 #[cfg(test)]
 mod tests {
+    use tokio::time::advance;
     use tonic::transport::Endpoint;
 
     use super::*;
@@ -191,19 +194,28 @@ mod tests {
         assert_eq!(&**connections.current().uri(), "server 1");
     }
 
-    #[tokio::test]
-    async fn a_server_is_left_for_a_long_silence_and_not_for_one_short_timeout() {
+    #[tokio::test(start_paused = true)]
+    async fn a_server_is_left_for_a_long_silence_and_not_for_short_timeouts() {
         let connections = connections(2);
         let first = connections.current();
         let silence = Error::timeout("knn", MAX_SILENCE);
-        connections.failed(&first, &silence, MAX_SILENCE / 2);
-        connections.answered();
-        connections.failed(&first, &silence, MAX_SILENCE / 2);
+        let fail =
+            |connection: &Connection| connections.failed(connection, &silence, MAX_SILENCE / 2);
+        // Many calls at once wait for the same time.
+        for _ in 0..50 {
+            fail(&first);
+        }
+        advance(MAX_SILENCE / 4).await;
+        connections.answered(&first);
+        advance(MAX_SILENCE / 4).await;
+        fail(&first);
         assert_eq!(connections.current().turn(), first.turn());
-        connections.failed(&first, &silence, MAX_SILENCE / 2);
+        advance(MAX_SILENCE / 2).await;
+        fail(&first);
         let second = connections.current();
         assert_ne!(second.turn(), first.turn());
-        connections.failed(&second, &silence, MAX_SILENCE / 2);
+        // A call that began before counts for the server that it asked.
+        connections.failed(&first, &silence, 2 * MAX_SILENCE);
         assert_eq!(connections.current().turn(), second.turn());
         connections.failed(&second, &silence, MAX_SILENCE);
         assert_ne!(connections.current().turn(), second.turn());

@@ -74,10 +74,11 @@ impl<'a> Division<'a> {
                             _ if part.len() > 1 && exceeded(&error) == Some(ANSWER_BYTES) => {
                                 most = part.len().div_ceil(2);
                             }
-                            _ => {
-                                let error = unread(self.call, error);
-                                return Err(partial(part, self.rows, error));
+                            // It has taken effect.
+                            _ if is_unread(&error) => {
+                                return Err(partial(&(part.end..self.rows), self.rows, error));
                             }
+                            _ => return Err(partial(part, self.rows, error)),
                         }
                         rest.start = part.start;
                         continue 'divided;
@@ -199,17 +200,6 @@ fn exceeded(error: &Error) -> Option<&str> {
             refusal.metadata.get("limit").map(String::as_str)
         }
         _ => None,
-    }
-}
-
-/// The error of a mutation. One whose answer the client does not read has taken effect.
-fn unread(call: &'static str, error: Error) -> Error {
-    match is_unread(&error) {
-        true => Error::Protocol {
-            call,
-            problem: format!("it took effect, and {error}"),
-        },
-        false => error,
     }
 }
 

@@ -313,6 +313,7 @@ mod tests {
         assert_eq!(watch.next().await.unwrap().unwrap().status(), up);
         assert_eq!(check(&health, INDICES).await, up);
     }
+
     /// The files of the store were lost.
     #[tokio::test(start_paused = true)]
     async fn a_store_that_cannot_be_read_is_not_serving() {

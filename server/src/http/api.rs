@@ -10,7 +10,7 @@ use std::{
 
 use axum::{
     body::Body,
-    extract::{ConnectInfo, Request as HttpRequest, State as Of},
+    extract::{Request as HttpRequest, State as Of},
     http::{StatusCode, header, request::Parts},
     response::{IntoResponse, Response},
 };
@@ -22,7 +22,7 @@ use tokio_util::task::task_tracker::TaskTrackerToken;
 use tracing::Instrument;
 use wayfold_proto::v1;
 
-use super::{Connection, Pages, streams::MAX_STREAMS};
+use super::{Pages, streams::MAX_STREAMS};
 use crate::{
     admission::{CALL_BYTES, CallTurns, Flow, HeldBytes},
     faces::{Addresses, Shared},
@@ -36,7 +36,7 @@ use crate::{
 /// The keys begin with it.
 pub(super) const PREFIX: &str = "/api/v1";
 
-/// The most calls that are computed at a time: a connection of HTTP/2 has many, and each of them makes an answer.
+/// The most calls under way at a time: a connection of HTTP/2 has many, and each of them makes an answer.
 pub(super) const MAX_CALLS: usize = 16;
 
 /// The time of a call.
@@ -60,13 +60,15 @@ pub(super) struct Admitted {
     pub(super) record: CallRecord,
     pub(super) held: HeldBytes,
     pub(super) turns: CallTurns,
-    _active: Option<TaskTrackerToken>,
+    /// Keeps the connection open.
+    active: Option<TaskTrackerToken>,
 }
 
 /// The bytes of an answer that its client has not read. They are dropped once they are written.
 struct UnreadBytes {
     bytes: Vec<u8>,
     _held: HeldBytes,
+    _active: Option<TaskTrackerToken>,
 }
 
 impl AsRef<[u8]> for UnreadBytes {
@@ -75,10 +77,14 @@ impl AsRef<[u8]> for UnreadBytes {
     }
 }
 
-/// Holds the buffer of an answer until it is written. The body of a response ends before that.
-pub(super) fn unread(bytes: Vec<u8>, held: HeldBytes) -> Bytes {
+/// Holds the buffer of an answer until it is written, and its connection open. The body of a response ends before that.
+pub(super) fn unread(bytes: Vec<u8>, held: HeldBytes, active: Option<TaskTrackerToken>) -> Bytes {
     held.force_take(bytes.capacity());
-    Bytes::from_owner(UnreadBytes { bytes, _held: held })
+    Bytes::from_owner(UnreadBytes {
+        bytes,
+        _held: held,
+        _active: active,
+    })
 }
 
 impl Api {
@@ -129,9 +135,8 @@ impl Api {
             record.end(Ending::Failed(status.code));
             return Err(status.into());
         }
-        let connection = request.extensions.get::<ConnectInfo<Connection>>();
         Ok(Admitted {
-            _active: connection.map(|it| it.0.calls.token()),
+            active: super::active(request),
             call,
             record,
             held,
@@ -154,7 +159,7 @@ pub(super) async fn answer(Of(api): Of<Arc<Api>>, request: HttpRequest) -> Respo
         mut record,
         held,
         mut turns,
-        ..
+        active,
     } = admitted;
     let arrived = Instant::now();
     let span = record.span().clone();
@@ -193,7 +198,7 @@ pub(super) async fn answer(Of(api): Of<Arc<Api>>, request: HttpRequest) -> Respo
         Ok(answer) => {
             record.end(Ending::Ok);
             let media = [(header::CONTENT_TYPE, "application/json")];
-            (media, unread(answer, held)).into_response()
+            (media, unread(answer, held, active)).into_response()
         }
         Err(status) => {
             record.end(Ending::Failed(status.code));

@@ -35,7 +35,7 @@ use axum::{
     serve::{IncomingStream, Listener},
 };
 use tokio::{net::TcpListener, time::timeout};
-use tokio_util::task::TaskTracker;
+use tokio_util::task::{TaskTracker, task_tracker::TaskTrackerToken};
 
 use crate::{
     faces::{Addresses, Shared},
@@ -85,7 +85,7 @@ pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages)
 struct Connection {
     peer: SocketAddr,
     client: Client,
-    /// The admitted calls, which keep it open.
+    /// The admitted calls and their unread answers, which keep it open.
     calls: TaskTracker,
 }
 
@@ -128,6 +128,12 @@ fn routes(pages: Pages, has_tls: bool) -> Router {
         .merge(page::routes())
 }
 
+/// Keeps the connection of a request open, so that it makes no room for another.
+fn active(request: &Parts) -> Option<TaskTrackerToken> {
+    let connection = request.extensions.get::<ConnectInfo<Connection>>();
+    connection.map(|it| it.0.calls.token())
+}
+
 async fn metrics(Of(pages): Of<Arc<Pages>>, request: Parts) -> Response {
     let arrived = Instant::now();
     let call = call(&pages.shared.identities, &request);
@@ -140,6 +146,7 @@ async fn metrics(Of(pages): Of<Arc<Pages>>, request: Parts) -> Response {
         record.end(Ending::Failed(status.code));
         return refusal(&status);
     }
+    let _active = active(&request);
     let Some(_place) = pages.shared.metrics.place() else {
         pages.shared.admission.count_excess();
         let status = status::too_many_calls("scrapes", MAX_SCRAPES, "try again later");

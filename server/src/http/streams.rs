@@ -89,7 +89,7 @@ impl StreamCall {
 
     /// The bytes of `frames`, counted until they are written.
     fn count(&self, frames: Frames) -> Bytes {
-        unread(frames.finish(), self.admitted.held.flow().hold())
+        unread(frames.finish(), self.admitted.held.flow().hold(), None)
     }
 
     pub(super) fn end(&mut self, ending: Ending) {

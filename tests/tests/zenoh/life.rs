@@ -106,40 +106,6 @@ async fn stopped_under_load() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn accepted_calls_beyond_the_grace_period_are_cut_and_show_in_the_exit_status() {
-    let (mut server, locator) = server_with(&[], &[("WAYFOLD_SHUTDOWN__GRACE_MS", "1")]);
-    let robot = Robot::connect(&locator).await;
-    let space = json!({ "name": "arm", "space_text": "R12" });
-    robot.json("create", space).await.unwrap();
-    // All rows differ: the modulus is prime.
-    let row = |i: u32| -> Vec<f64> { (0..12).map(|c| f64::from(i * (c + 3) % 8009)).collect() };
-    let rows: Vec<Vec<f64>> = (0..8000).map(row).collect();
-    let insert = json!({ "states": rows });
-    robot.json("arm/insert", insert.clone()).await.unwrap();
-    // They compute for seconds.
-    let mut replies = Vec::new();
-    for _ in 0..ACCEPTED {
-        let query = robot.session.get("wayfold/v1/arm/knn?k=5");
-        let query = query.payload(insert.to_string()).timeout(MAX_WAIT);
-        replies.push(query.await.unwrap());
-    }
-    // An answer or a refusal: the server has all queries before it.
-    let _ = robot.json("arm/info", Value::Null).await;
-    server.process().signal(Signal::Terminate);
-    server.log_until("cutting unfinished calls");
-    let ended = tokio::task::spawn_blocking(|| server.finish())
-        .await
-        .unwrap();
-    assert_eq!(ended.status.code(), Some(1), "{}", ended.stderr);
-    assert!(ended.stderr.contains("calls were cut"), "{}", ended.stderr);
-    let mut unanswered = 0;
-    for reply in replies {
-        unanswered += usize::from(reply.recv_async().await.is_err());
-    }
-    assert!(unanswered > 0);
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_busy_port_is_named_and_off_is_off() {
     let (first, locator) = server();
     let program = env!("CARGO_BIN_EXE_server-process");

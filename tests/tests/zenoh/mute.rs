@@ -7,7 +7,7 @@ use tokio::{
     sync::oneshot,
     task::{self, JoinHandle},
 };
-use wayfold_tests::ServerProcess;
+use wayfold_tests::{ServerProcess, Signal};
 use zenoh::{Session, Wait};
 
 use crate::robot::{MAX_WAIT, Robot, reason, server_with, session};
@@ -122,14 +122,14 @@ fn server(wait_us: u64, max_calls: &str) -> (ServerProcess, String) {
     let settings = [
         ("WAYFOLD_ZENOH__CONFIG", &*config),
         ("WAYFOLD_ZENOH__MAX_CALLS", max_calls),
+        ("WAYFOLD_SHUTDOWN__GRACE_MS", "1"),
     ];
     server_with(&[], &settings)
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn peers_that_read_no_answers_delay_nobody() {
-    // The wait lasts longer than this test.
-    let (_server, locator) = server(3_600_000_000, "1024");
+/// A server with answers that wait this long for their peers, and another peer.
+async fn beside_waiting_answers(wait_us: u64) -> (ServerProcess, Robot) {
+    let (server, locator) = server(wait_us, "1024");
     let (robot, _relays) = beside_mutes(&locator, QUERIES).await;
     // The queries of a peer are read in order; the server does not read the last ones of a peer for which a thread
     // waits.
@@ -138,10 +138,28 @@ async fn peers_that_read_no_answers_delay_nobody() {
         let described = robot.json("done/info", Value::Null).await.unwrap();
         done = described["index"]["point_count"].as_u64().unwrap() as usize;
     }
+    (server, robot)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn peers_that_read_no_answers_delay_nobody() {
+    // The wait lasts longer than this test.
+    let (_server, robot) = beside_waiting_answers(3_600_000_000).await;
     for _ in 0..QUERIES {
         let near = robot.json("arm/knn?k=1", json!([0.0])).await.unwrap();
         assert_eq!(near["ids"], json!([[0]]));
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn calls_beyond_the_grace_period_are_cut_and_show_in_the_exit_status() {
+    // The process ends after the wait.
+    let (mut server, _robot) = beside_waiting_answers(10_000_000).await;
+    server.process().signal(Signal::Terminate);
+    server.log_until("cutting unfinished calls");
+    let ended = task::spawn_blocking(|| server.finish()).await.unwrap();
+    assert_eq!(ended.status.code(), Some(1), "{}", ended.stderr);
+    assert!(ended.stderr.contains("calls were cut"), "{}", ended.stderr);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -140,7 +140,8 @@ pub(crate) async fn insert(args: InsertArgs, context: &mut Context) -> Result<()
             Ok(inserted) => inserted,
             Err(failure) => {
                 if start > 0 {
-                    summary.print(&index.revision(), &mut context.output)?;
+                    // The refusal says more than an output that is closed.
+                    let _ = summary.print(&index.revision(), &mut context.output);
                 }
                 return Err(stopped(start, rows, failure));
             }

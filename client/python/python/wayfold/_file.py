@@ -23,8 +23,9 @@ def save(path: str | os.PathLike[str], content: tuple[Any, ...]) -> None:
     # The file behind a symbolic link is replaced, not the link.
     path = Path(path).resolve()
     name = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+    mode = path.stat().st_mode & 0o777 if path.exists() else 0o666
     try:
-        with open(name, "xb") as file:
+        with open(name, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
             np.savez(
                 file,
                 format=np.array(_FORMAT),
@@ -40,6 +41,7 @@ def save(path: str | os.PathLike[str], content: tuple[Any, ...]) -> None:
             )
             file.flush()
             os.fsync(file.fileno())
+        # The mask of the process may have taken bits away.
         if path.exists():
             shutil.copymode(path, name)
         os.replace(name, path)

@@ -52,12 +52,16 @@ impl Drop for Index {
             "a shared index was dropped before the server had acknowledged its writes ({pending} pending): use it in a \
              `with` block, or call `flush` or `close`"
         );
-        // None as the interpreter ends: no one could read a warning.
         Python::try_attach(|py| {
+            // An exception may be under way, and a warning needs that none is.
+            let raised = PyErr::take(py);
             let text = CString::new(text).unwrap_or_default();
             let warned = PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &text, 1);
             if let Err(error) = warned {
                 error.write_unraisable(py, None);
+            }
+            if let Some(raised) = raised {
+                raised.restore(py);
             }
         });
     }

@@ -16,7 +16,9 @@ use crate::{
 ///
 /// An insert within the server's [`Limits`] is one call, which is atomic: all of it takes effect, or nothing does. More
 /// rows or bytes, or more `neighbors` than an answer holds, are divided among several calls, in order, each atomic of
-/// its own; if one fails, [`Error::Partial`] says how many rows took effect before it.
+/// its own; if one fails, [`Error::Partial`] says how many rows took effect before it. The neighbours within a radius are
+/// divided once the server has refused them: such an insert is not repeated under its operation id, because its parts may
+/// be others.
 #[derive(Debug)]
 #[must_use = "a request does nothing until it is awaited"]
 pub struct Insert {
