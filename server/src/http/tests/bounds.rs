@@ -12,7 +12,7 @@ use std::{
 };
 
 use bytes::Bytes;
-use futures_util::poll;
+use futures_util::{future::join_all, poll};
 use http_body_util::BodyExt;
 use parking_lot::Mutex;
 use prometheus_client::{collector::Collector, encoding::DescriptorEncoder};
@@ -21,7 +21,6 @@ use tokio::{
     net::TcpSocket,
     spawn,
     task::yield_now,
-    time::sleep,
 };
 use tokio_util::task::AbortOnDropHandle;
 
@@ -173,13 +172,16 @@ async fn scrapes_whose_callers_left_do_not_queue() {
 #[tokio::test]
 async fn few_scrapes_wait() {
     let (router, goes_on, _) = stopped_scrapes().await;
-    let waiting: Vec<_> = (0..MAX_SCRAPES).map(|_| spawn(scrape(&router))).collect();
-    sleep(MOMENT).await;
+    let scrapes = (0..MAX_SCRAPES).map(|_| Box::pin(scrape(&router)));
+    let mut waiting: Vec<_> = scrapes.collect();
+    for waiting in &mut waiting {
+        assert!(poll!(waiting).is_pending());
+    }
     let refused = timeout(Duration::from_secs(10), scrape(&router)).await;
     assert_eq!(refused, Ok(StatusCode::TOO_MANY_REQUESTS));
     drop(goes_on);
-    for waiting in waiting {
-        assert_eq!(waiting.await.unwrap(), StatusCode::OK);
+    for answered in join_all(waiting).await {
+        assert_eq!(answered, StatusCode::OK);
     }
     assert_eq!(scrape(&router).await, StatusCode::OK);
 }
