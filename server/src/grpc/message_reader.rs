@@ -71,7 +71,7 @@ impl MessageReader {
         let mut message = self.bytes.split_to(end).freeze();
         message.advance(HEADER_BYTES);
         if self.bytes.is_empty() {
-            // What is left of the buffer would keep all of it.
+            // An empty rest still holds the whole buffer.
             self.bytes = BytesMut::new();
         }
         Ok(Some(message))

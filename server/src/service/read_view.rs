@@ -92,7 +92,7 @@ impl Service {
     }
 
     /// Waits for `future` until the deadline of the call, for `min_revision_wait` if its caller named none, and not beyond
-    /// the server's shutdown: what it waits for may never come.
+    /// the server's shutdown: the revision may never come.
     async fn bounded<F: Future>(
         &self,
         call: &Call,

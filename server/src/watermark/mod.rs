@@ -206,7 +206,7 @@ impl Watermark {
         };
         let added = state.added;
         let measured = MutexGuard::unlocked(&mut state, || (self.probe)());
-        // What was taken in meanwhile may be missing in the measurement.
+        // The measurement may lack the bytes that other threads took in meanwhile.
         state.added -= added;
         self.note(&mut state, measured);
         state

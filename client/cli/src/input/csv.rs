@@ -41,7 +41,7 @@ pub(super) fn rows(
     let column = |named: Option<&str>| named.map(|column| find(name, &first, column));
     let id_column = column(columns.ids).transpose()?;
     let tag_column = column(columns.tags).transpose()?;
-    let rows = CsvRows {
+    let mut rows = CsvRows {
         file: Arc::new(File {
             name: name.to_owned(),
             coordinates: coordinate_names(space),
@@ -55,16 +55,12 @@ pub(super) fn rows(
         unread: None,
         reader,
     };
-    match has_header {
-        true => {
-            rows.check_header(&first)?;
-            Ok(Box::new(rows))
-        }
-        false => Ok(Box::new(CsvRows {
-            unread: Some(first),
-            ..rows
-        })),
+    if has_header {
+        rows.check_header(&first)?;
+    } else {
+        rows.unread = Some(first);
     }
+    Ok(Box::new(rows))
 }
 
 /// A finite number, or an error that names its position.

@@ -39,7 +39,7 @@ pub(super) fn options(id: Option<u64>, tag: u64, payload: Option<&[u8]>) -> Inse
 }
 
 impl Drop for Index {
-    /// Warns of writes that are lost: nobody reads the log lines of the Rust package here. A closed index has none.
+    /// Warns of lost writes. Python shows no log lines of the Rust package. A closed index has no pending writes.
     fn drop(&mut self) {
         let pending = match self.form {
             Form::Shared => self.index.pending(),

@@ -1,4 +1,4 @@
-//! What callers make the server hold, and what its probes say: unread answers, calls, scrapes, and a store that is gone.
+//! The bounds on unread answers, calls and scrapes, and the probes of a server whose store is gone.
 
 use std::{
     fmt,
