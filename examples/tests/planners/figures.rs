@@ -94,8 +94,8 @@ fn bodies_writes_a_row() {
 
 #[test]
 fn workers_that_share_trees_write_a_row_together() {
-    let of = ("RRTConCon", "remote", 2, 1);
-    writes(BODIES, "--workers 2 --source remote", of, 1);
+    let of = ("RRTConCon", "shared", 2, 1);
+    writes(BODIES, "--workers 2", of, 1);
 }
 
 #[test]
