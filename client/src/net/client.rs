@@ -162,20 +162,38 @@ impl Client {
     /// # Errors
     /// `NOT_FOUND`: there is no index of this name.
     pub async fn index_info(&self, name: &str) -> Result<IndexInfo, Error> {
+        self.index_info_within(name, self.settings.timeout).await
+    }
+
+    /// Acts like [`Client::index_info`], with another timeout.
+    pub(crate) async fn index_info_within(
+        &self,
+        name: &str,
+        timeout: Duration,
+    ) -> Result<IndexInfo, Error> {
         const CALL: &str = "get_index";
-        let message = v1::GetIndexRequest {
-            index_name: name.to_owned(),
-        };
-        let call = |stub: IndexStub, request| async move { { stub }.get_index(request).await };
+        let deadline = Instant::now() + timeout;
         loop {
-            let answer = self.index_call(CALL, message.clone(), call).await?;
+            let attempt = |connection: Connection, remaining| {
+                let index_name = name.to_owned();
+                let request = within(remaining, v1::GetIndexRequest { index_name });
+                async move { connection.indexes().get_index(request).await }
+            };
+            let (answer, _) = self.call_at(CALL, timeout, deadline, attempt).await?;
             let info = IndexInfo::from_message(CALL, answer.index)?;
             if self.is_newest(&info) {
                 return Ok(info);
             }
-            // This server lags behind another one: wait for it.
-            let handle = IndexHandle::new(self.clone(), info);
-            handle.get([]).await?;
+            // This server lags behind another one.
+            let index = IndexHandle::new(self.clone(), info);
+            let attempt = |connection: Connection, remaining| {
+                let index = &index;
+                async move {
+                    let waited = index.wait_for_newest(&connection, remaining).await;
+                    waited.map(tonic::Response::new)
+                }
+            };
+            self.call_at(CALL, timeout, deadline, attempt).await?;
         }
     }
 
@@ -287,22 +305,24 @@ impl Client {
         F: FnMut(Connection, Duration) -> Fut,
         Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
     {
-        let answer = self.call_at(call, timeout, attempt).await;
+        let deadline = Instant::now() + timeout;
+        let answer = self.call_at(call, timeout, deadline, attempt).await;
         answer.map(|(answer, _)| answer)
     }
 
-    /// Acts like [`Client::call`], and returns the connection that the answer came on.
+    /// Acts like [`Client::call`] until `deadline`, and returns the connection that the answer came on. Errors name
+    /// `timeout`.
     pub(crate) async fn call_at<A, F, Fut>(
         &self,
         call: &'static str,
         timeout: Duration,
+        deadline: Instant,
         mut attempt: F,
     ) -> Result<(A, Connection), Error>
     where
         F: FnMut(Connection, Duration) -> Fut,
         Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
     {
-        let deadline = Instant::now() + timeout;
         let attempt = || {
             let connection = self.connection();
             let began = Instant::now();

@@ -2,6 +2,7 @@
 
 use std::{sync::Arc, time::Duration};
 
+use tokio::time::Instant;
 use wayfold_index::Space;
 use wayfold_proto::v1;
 
@@ -10,7 +11,7 @@ use crate::{
     Remove, Revision, ScanRequest, SnapshotRequest, State, States, Update, Verify, WatchRequest,
     net::{
         client::within,
-        connections::{Connection, PointStub},
+        connections::{Connection, MAX_SILENCE, PointStub},
         newest::Newest,
         request::MAX_WAIT,
     },
@@ -69,7 +70,8 @@ impl IndexHandle {
 
     /// This handle with another timeout for each of its calls. The last revision stays shared.
     ///
-    /// A request that is divided among several calls has the timeout for each.
+    /// A request that is divided among several calls has the timeout for each. The timeout of the first call includes
+    /// the time to read the server's limits.
     pub fn with_timeout(&self, timeout: Duration) -> IndexHandle {
         IndexHandle {
             timeout: timeout.min(MAX_WAIT),
@@ -122,7 +124,8 @@ impl IndexHandle {
     /// # Errors
     /// `NOT_FOUND`: it was deleted.
     pub async fn info(&self) -> Result<IndexInfo, Error> {
-        let info = self.shared.client.index_info(&self.shared.name).await?;
+        let client = self.client();
+        let info = client.index_info_within(self.name(), self.timeout).await?;
         self.note(&info.revision);
         Ok(info)
     }
@@ -239,18 +242,27 @@ impl IndexHandle {
         Ok(revision)
     }
 
-    /// The server's limits, to divide `rows` rows by. A single row cannot be divided and needs no limits.
-    pub(crate) async fn limits(&self, call: &'static str, rows: usize) -> Result<Limits, Error> {
-        match rows {
-            0 | 1 => Ok(Limits::NONE),
-            _ => self.client().limits(call, self.timeout).await,
-        }
+    /// The server's limits, to divide `rows` rows by, and the deadline of the request's first call. A single row cannot
+    /// be divided and needs no limits.
+    pub(crate) async fn limits(
+        &self,
+        call: &'static str,
+        rows: usize,
+    ) -> Result<(Limits, Option<Instant>), Error> {
+        let deadline = Instant::now() + self.timeout;
+        let limits = match rows {
+            0 | 1 => Limits::NONE,
+            _ => self.client().limits(call, self.timeout).await?,
+        };
+        Ok((limits, Some(deadline)))
     }
 
-    /// Makes a call about points, with a message made for each attempt.
+    /// Makes a call about points, with a message made for each attempt. Without a deadline, the handle's timeout begins
+    /// now.
     pub(crate) async fn call<Q, A, M, F, Fut>(
         &self,
         call: &'static str,
+        deadline: Option<Instant>,
         message: M,
         send: F,
     ) -> Result<A, Error>
@@ -262,14 +274,15 @@ impl IndexHandle {
         let attempt = |connection: Connection, remaining| {
             send(connection.points(), within(remaining, message()))
         };
-        self.shared.client.call(call, self.timeout, attempt).await
+        self.call_until(call, deadline, attempt).await
     }
 
-    /// Makes a mutation, with a message made for each attempt. A server to which the client has gone evaluates it after
-    /// the newest revision that the handle has seen: it may refuse an update of points that it lacks.
+    /// Makes a mutation like [`IndexHandle::call`]. A server to which the client has gone evaluates it after the newest
+    /// revision that the handle has seen: it may refuse an update of points that it lacks.
     pub(crate) async fn mutate<Q, A, M, F, Fut>(
         &self,
         call: &'static str,
+        deadline: Option<Instant>,
         message: M,
         send: F,
     ) -> Result<A, Error>
@@ -285,7 +298,23 @@ impl IndexHandle {
                 sent.await
             }
         };
-        self.shared.client.call(call, self.timeout, attempt).await
+        self.call_until(call, deadline, attempt).await
+    }
+
+    /// Makes a call within the time of its request.
+    async fn call_until<A, F, Fut>(
+        &self,
+        call: &'static str,
+        deadline: Option<Instant>,
+        attempt: F,
+    ) -> Result<A, Error>
+    where
+        F: FnMut(Connection, Duration) -> Fut,
+        Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
+    {
+        let deadline = deadline.unwrap_or_else(|| Instant::now() + self.timeout);
+        let answer = self.client().call_at(call, self.timeout, deadline, attempt);
+        answer.await.map(|(answer, _)| answer)
     }
 
     /// Waits until the server has the newest revision that the handle has seen, if there are several servers.
@@ -298,13 +327,40 @@ impl IndexHandle {
         if !self.client().connections().are_several() || newest.is_reached_in(connection.turn()) {
             return Ok(());
         }
+        self.wait_for_newest(connection, remaining).await?;
+        newest.set_reached_in(connection.turn());
+        Ok(())
+    }
+
+    /// Acts like [`IndexHandle::wait_for_newest`] before a scan, a snapshot or a verification: they have no deadline, and
+    /// a server lets such a read wait for 5 s only. If there are several servers, the client goes to another one then.
+    pub(crate) async fn wait_before_stream(
+        &self,
+        connection: &Connection,
+        remaining: Duration,
+    ) -> Result<(), tonic::Status> {
+        let wait = match self.client().connections().are_several() {
+            true => remaining.min(MAX_SILENCE),
+            false => remaining,
+        };
+        self.wait_for_newest(connection, wait).await
+    }
+
+    /// Waits until the server has the newest revision that the handle has seen.
+    pub(crate) async fn wait_for_newest(
+        &self,
+        connection: &Connection,
+        remaining: Duration,
+    ) -> Result<(), tonic::Status> {
+        if self.shared.newest.number() == 0 {
+            return Ok(());
+        }
         let request = v1::GetRequest {
             index_name: self.name().to_owned(),
             min_revision: self.min_revision(),
             ..Default::default()
         };
         connection.points().get(within(remaining, request)).await?;
-        newest.set_reached_in(connection.turn());
         Ok(())
     }
 }

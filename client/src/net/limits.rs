@@ -53,7 +53,7 @@ impl<'a> Division<'a> {
         F: Fn(PointStub, tonic::Request<Q>) -> Fut,
         Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
     {
-        let mut limits = self.index.limits(self.call, self.rows).await?;
+        let (mut limits, mut deadline) = self.index.limits(self.call, self.rows).await?;
         let (mut rest, mut most) = (0..self.rows, usize::MAX);
         'divided: loop {
             let rows = max_rows(&limits).min(most);
@@ -65,7 +65,10 @@ impl<'a> Division<'a> {
             let operation_ids = operation_ids(self.operation_id, &parts).map_err(failed)?;
             for (part, operation_id) in parts.iter().zip(&operation_ids) {
                 let message = || message(part, operation_id);
-                match self.index.mutate(self.call, message, &send).await {
+                let sent = self
+                    .index
+                    .mutate(self.call, deadline.take(), message, &send);
+                match sent.await {
                     Ok(answer) => append(answer, part.len())?,
                     Err(error) => {
                         match limits.lowered(&error) {

@@ -245,6 +245,22 @@ async fn a_scan_reads_all_points_of_one_revision() {
 }
 
 #[tokio::test]
+async fn the_parts_of_a_scan_keep_to_the_client_s_own_limit() {
+    let server = Server::start();
+    let index = server.index("line", "R1").await;
+    let states = (0..300).map(|x| [f64::from(x)]);
+    index.insert(states).await.unwrap();
+    let client = Client::builder().max_message_bytes(2_000);
+    let small = client.connect(&server.uri).await.unwrap();
+    let mut scan = small.index("line").await.unwrap().scan().await.unwrap();
+    let mut ids = Vec::new();
+    while let Some(part) = scan.next().await.unwrap() {
+        ids.extend_from_slice(part.ids());
+    }
+    assert_eq!(ids, (0..300).collect::<Vec<_>>());
+}
+
+#[tokio::test]
 async fn a_scan_is_a_stream_of_parts() {
     use futures_util::TryStreamExt;
 

@@ -8,7 +8,7 @@ use tokio::{
 };
 use tonic::Status;
 use tonic_types::{ErrorDetails, StatusExt};
-use wayfold::{Client, Code, Error, RetryPolicy};
+use wayfold::{Client, Code, Error, Include, READ_ROWS, RetryPolicy};
 
 use crate::fake::Fake;
 
@@ -147,6 +147,65 @@ async fn each_call_tells_the_server_its_deadline() {
         "{failed}"
     );
     assert_eq!(fake.timeouts().last().unwrap(), &None);
+}
+
+/// The value of `grpc-timeout` of the last calls, the latest first.
+fn last_timeouts(fake: &Fake) -> impl Iterator<Item = Duration> {
+    fake.timeouts().into_iter().rev().map(|timeout| {
+        let timeout = timeout.expect("a grpc-timeout");
+        let (number, unit) = timeout.split_at(timeout.len() - 1);
+        let unit = match unit {
+            "n" => Duration::from_nanos(1),
+            "u" => Duration::from_micros(1),
+            "m" => Duration::from_millis(1),
+            other => panic!("{other}"),
+        };
+        unit * number.parse().unwrap()
+    })
+}
+
+#[tokio::test]
+async fn a_description_has_the_timeout_of_its_handle() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    let timeout = Duration::from_secs(2);
+    index.with_timeout(timeout).info().await.unwrap();
+    assert!(last_timeouts(&fake).next().unwrap() <= timeout);
+}
+
+#[tokio::test]
+async fn a_call_and_the_call_for_the_limits_before_it_have_one_timeout() {
+    let fake = Fake::start().await;
+    fake.describe_for(Duration::from_secs(20));
+    let ids: Vec<u64> = (0..=READ_ROWS as u64).collect();
+    fake.stores(&ids);
+    for request in ["knn", "get", "query", "remove"] {
+        // Its timeout is 30 s, and it does not know the limits.
+        let index = fake.client().await.index("line").await.unwrap();
+        match request {
+            "knn" => drop(index.knn(vec![[0.0]; ids.len()]).await.unwrap()),
+            "get" => {
+                let none = Include::none().payloads();
+                index.get(ids.clone()).include(none).await.unwrap();
+            }
+            // The fake's answer is against the protocol.
+            "query" => drop(index.query([[0.0], [1.0]], 1.0).await.unwrap_err()),
+            _ => drop(index.remove([1, 2]).await.unwrap()),
+        }
+        let mut timeouts = last_timeouts(&fake);
+        if ["knn", "get"].contains(&request) {
+            // The second part has a timeout of its own.
+            assert!(
+                timeouts.next().unwrap() > Duration::from_secs(20),
+                "{request}"
+            );
+        }
+        assert!(
+            timeouts.next().unwrap() <= Duration::from_secs(10),
+            "{request}"
+        );
+    }
+    assert_eq!(fake.times_described(), 4);
 }
 
 #[tokio::test]

@@ -6,7 +6,7 @@ use tokio::task::JoinSet;
 use wayfold::{Client, Code, NeighborSpec, Outcome, Revision};
 
 use crate::{
-    fake::{Fake, UID},
+    fake::{Fake, UID, revision},
     scaling::{SPACE, rows},
     server::Server,
 };
@@ -75,6 +75,26 @@ async fn a_read_of_a_revision_that_does_not_come_runs_into_its_deadline() {
     );
     assert_eq!(neighbors.unwrap().row(0).ids().collect::<Vec<_>>(), [1]);
     assert_eq!(inserted.unwrap().revision.number, 2);
+}
+
+/// A stream has no deadline, and the server bounds the wait of such a call.
+#[tokio::test]
+async fn a_call_with_a_deadline_waits_for_the_revision_of_a_stream() {
+    let fake = Fake::start().await;
+    let index = fake.client().await.index("line").await.unwrap();
+    index.see_revision(&index.revision_at(7)).unwrap();
+    let known = fake.timeouts().len();
+    // The fake's streams are empty.
+    fake.snapshots(&[], true);
+    index.scan().await.unwrap_err();
+    index.snapshot().await.unwrap_err();
+    index.verify().await.unwrap_err();
+    let waits = fake.get_requests().into_iter();
+    let revisions: Vec<_> = waits.map(|wait| wait.min_revision).collect();
+    assert_eq!(revisions, [revision(7), revision(7), revision(7)]);
+    let timeouts = fake.timeouts().into_iter().skip(known);
+    let have_deadlines: Vec<bool> = timeouts.map(|timeout| timeout.is_some()).collect();
+    assert_eq!(have_deadlines, [true, false, true, false, true, false]);
 }
 
 #[tokio::test]

@@ -14,7 +14,7 @@ use crate::{Code, Error, net::request::fresh_operation_id};
 
 /// The least time between the beginnings of two batches that no caller waits for. A call costs server and client more
 /// than its rows: batches sent back to back cost planners of a maze on two cores a quarter of their speed.
-const BATCH_INTERVAL: Duration = Duration::from_millis(2);
+const BATCH_INTERVAL: Duration = Duration::from_millis(4);
 
 /// The next thing to send.
 enum Next {

@@ -48,7 +48,8 @@ impl ClientBuilder {
     }
 
     /// The most bytes of one answer that the client accepts: 4 MiB unless set. It divides reads to keep to this and to
-    /// the server's own limit.
+    /// the server's own limit. Parts of snapshots, watches, and scans with payloads may have 1 MiB and one
+    /// payload, whatever is set here.
     pub fn max_message_bytes(mut self, bytes: usize) -> ClientBuilder {
         self.max_message_bytes = bytes;
         self

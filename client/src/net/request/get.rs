@@ -40,35 +40,39 @@ impl Get {
 
     async fn send(self) -> Result<Points, Error> {
         const CALL: &str = "get";
-        let limits = self.index.limits(CALL, self.ids.len()).await?;
+        let (limits, mut deadline) = self.index.limits(CALL, self.ids.len()).await?;
         let max_rows = limits.max_ids_per_call.min(READ_ROWS);
         if self.ids.len() > max_rows {
             limits::check_unique(&self.ids)?;
         }
         let this = &self;
-        let read = |part: Range<usize>| async move {
-            let message = || v1::GetRequest {
-                index_name: this.index.name().to_owned(),
-                ids: this.ids[part.clone()].to_vec(),
-                include: this.include.to_message(),
-                min_revision: this.index.min_revision(),
-                latest: this.index.reads_latest(),
-            };
-            let answer = this
-                .index
-                .call(CALL, message, |mut stub, request| async move {
-                    stub.get(request).await
-                })
-                .await?;
-            let revision = this.index.answered(CALL, answer.revision)?;
-            let width = this.index.coordinates();
-            let points = Points::from_message(CALL, answer.points, revision, width, this.include)?;
-            match points.ids() == &this.ids[part.clone()] {
-                true => Ok(points),
-                false => Err(Error::Protocol {
-                    call: CALL,
-                    problem: "the points have other ids than the request".to_owned(),
-                }),
+        let read = |part: Range<usize>| {
+            let deadline = deadline.take();
+            async move {
+                let message = || v1::GetRequest {
+                    index_name: this.index.name().to_owned(),
+                    ids: this.ids[part.clone()].to_vec(),
+                    include: this.include.to_message(),
+                    min_revision: this.index.min_revision(),
+                    latest: this.index.reads_latest(),
+                };
+                let answer = this
+                    .index
+                    .call(CALL, deadline, message, |mut stub, request| async move {
+                        stub.get(request).await
+                    })
+                    .await?;
+                let revision = this.index.answered(CALL, answer.revision)?;
+                let width = this.index.coordinates();
+                let points =
+                    Points::from_message(CALL, answer.points, revision, width, this.include)?;
+                match points.ids() == &this.ids[part.clone()] {
+                    true => Ok(points),
+                    false => Err(Error::Protocol {
+                        call: CALL,
+                        problem: "the points have other ids than the request".to_owned(),
+                    }),
+                }
             }
         };
         limits::read_in_parts(self.ids.len(), max_rows, read, Points::append).await

@@ -66,21 +66,24 @@ impl Knn {
     async fn send(mut self) -> Result<Neighbors, Error> {
         const CALL: &str = "knn";
         let states = std::mem::replace(&mut self.states, Ok(States::new(0)))?;
-        let limits = self.index.limits(CALL, states.len()).await?;
+        let (limits, mut deadline) = self.index.limits(CALL, states.len()).await?;
         let row_bytes = self.row_bytes();
         let max_rows = limits::rows_of_answer(self.index.client(), &limits, row_bytes);
         let max_rows = max_rows.min(limits.max_rows_per_call).min(READ_ROWS);
         let (this, states) = (&self, &states);
-        let read = |part: Range<usize>| async move {
-            let message = || this.message(states, part.clone());
-            let answer = this
-                .index
-                .call(CALL, message, |mut stub, request| async move {
-                    stub.knn(request).await
-                })
-                .await?;
-            let include = this.options.include;
-            neighbors(CALL, &this.index, answer, part.len(), include)
+        let read = |part: Range<usize>| {
+            let deadline = deadline.take();
+            async move {
+                let message = || this.message(states, part.clone());
+                let answer = this
+                    .index
+                    .call(CALL, deadline, message, |mut stub, request| async move {
+                        stub.knn(request).await
+                    })
+                    .await?;
+                let include = this.options.include;
+                neighbors(CALL, &this.index, answer, part.len(), include)
+            }
         };
         limits::read_in_parts(states.len(), max_rows, read, Neighbors::append).await
     }

@@ -44,25 +44,28 @@ impl Query {
     async fn send(mut self) -> Result<Neighbors, Error> {
         const CALL: &str = "query";
         let states = std::mem::replace(&mut self.states, Ok(States::new(0)))?;
-        let limits = self.index.limits(CALL, states.len()).await?;
+        let (limits, mut deadline) = self.index.limits(CALL, states.len()).await?;
         let max_rows = limits.max_rows_per_call.min(READ_ROWS);
         let (this, states) = (&self, &states);
-        let read = |part: Range<usize>| async move {
-            let message = || this.message(states, part.clone());
-            let answer = this
-                .index
-                .call(CALL, message, |mut stub, request| async move {
-                    stub.query(request).await
-                })
-                .await?;
-            let expected = Expected {
-                call: CALL,
-                rows: part.len(),
-                width: this.index.coordinates(),
-                include: this.options.include,
-                revision: this.index.answered(CALL, answer.revision)?,
-            };
-            Neighbors::from_message(answer.neighbors, expected)
+        let read = |part: Range<usize>| {
+            let deadline = deadline.take();
+            async move {
+                let message = || this.message(states, part.clone());
+                let answer = this
+                    .index
+                    .call(CALL, deadline, message, |mut stub, request| async move {
+                        stub.query(request).await
+                    })
+                    .await?;
+                let expected = Expected {
+                    call: CALL,
+                    rows: part.len(),
+                    width: this.index.coordinates(),
+                    include: this.options.include,
+                    revision: this.index.answered(CALL, answer.revision)?,
+                };
+                Neighbors::from_message(answer.neighbors, expected)
+            }
         };
         limits::read_in_parts(states.len(), max_rows, read, Neighbors::append).await
     }

@@ -6,7 +6,10 @@ use tonic::Streaming;
 use wayfold_proto::v1;
 
 use super::{awaitable, into_stream, receive};
-use crate::{Error, Filter, Include, IndexHandle, Points, Revision, net::connections::Connection};
+use crate::{
+    Error, Filter, Include, IndexHandle, Limits, Points, Revision,
+    net::{connections::Connection, limits},
+};
 
 /// Reads all points at one revision, in the order of their ids; await it to begin.
 #[derive(Clone, Debug)]
@@ -67,10 +70,13 @@ impl ScanRequest {
     async fn send(self) -> Result<Scan, Error> {
         let ScanRequest { index, include, .. } = &self;
         let client = index.client();
-        let attempt = |connection: Connection, _remaining: Duration| {
-            let (mut stub, message) = (connection.points(), self.message());
-            // Without a deadline, which would bound the whole stream.
-            async move { stub.scan(message).await }
+        let attempt = |connection: Connection, remaining: Duration| {
+            let message = self.message();
+            async move {
+                index.wait_before_stream(&connection, remaining).await?;
+                // Without a deadline, which would bound the whole stream.
+                connection.points().scan(message).await
+            }
         };
         let mut parts = client.call(CALL, index.timeout(), attempt).await?;
         let Some(first) = receive(CALL, index, &mut parts).await? else {
@@ -94,6 +100,10 @@ impl ScanRequest {
     }
 
     fn message(&self) -> v1::ScanRequest {
+        let index = &self.index;
+        // The size of payloads is not known before the call.
+        let row_bytes = self.include.neighbor_bytes(index.coordinates());
+        let rows = limits::rows_of_answer(index.client(), &Limits::NONE, row_bytes);
         v1::ScanRequest {
             index_name: self.index.name().to_owned(),
             filter: self.filter.to_message(),
@@ -101,6 +111,7 @@ impl ScanRequest {
             after_id: self.after_id,
             min_revision: self.index.min_revision(),
             latest: self.index.reads_latest(),
+            page_size: u32::try_from(rows).unwrap_or(u32::MAX),
             ..Default::default()
         }
     }

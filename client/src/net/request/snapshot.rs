@@ -60,10 +60,13 @@ impl SnapshotRequest {
             index_name: index.name().to_owned(),
             min_revision: index.min_revision(),
         };
-        let attempt = |connection: Connection, _remaining: Duration| {
-            let (mut stub, message) = (connection.indexes(), message.clone());
-            // Without a deadline, which would bound the whole stream.
-            async move { stub.snapshot_index(message).await }
+        let attempt = |connection: Connection, remaining: Duration| {
+            let (message, index) = (message.clone(), &index);
+            async move {
+                index.wait_before_stream(&connection, remaining).await?;
+                // Without a deadline, which would bound the whole stream.
+                connection.indexes().snapshot_index(message).await
+            }
         };
         let mut parts = client.call(CALL, index.timeout(), attempt).await?;
         let mut reader = Reader::new();

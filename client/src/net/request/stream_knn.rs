@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use futures_util::{Stream, stream};
-use tokio::sync::mpsc;
+use tokio::{sync::mpsc, time::Instant};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Streaming;
 use wayfold_proto::v1::{self, stream_knn_response::Result as Answer};
@@ -78,7 +78,8 @@ pub(crate) async fn open_stream(index: &IndexHandle) -> Result<(KnnRequests, Knn
         // Without a deadline, which would bound the whole stream.
         async move { stub.stream_knn(ReceiverStream::new(receiver)).await }
     };
-    let (answers, connection) = client.call_at(CALL, timeout, attempt).await?;
+    let deadline = Instant::now() + timeout;
+    let (answers, connection) = client.call_at(CALL, timeout, deadline, attempt).await?;
     let uri = connection.uri();
     let messages = sender.ok_or_else(|| over(uri))?;
     let (sent, pending) = mpsc::unbounded_channel();

@@ -99,10 +99,13 @@ impl Verify {
         mut progress: impl FnMut(u64, u64),
     ) -> Result<Verified, Error> {
         let (index, message) = (&self.index, self.message());
-        let attempt = |connection: Connection, _remaining: Duration| {
-            let (mut stub, message) = (connection.indexes(), message.clone());
-            // Without a deadline, which would bound the whole stream.
-            async move { stub.verify_index(message).await }
+        let attempt = |connection: Connection, remaining: Duration| {
+            let message = message.clone();
+            async move {
+                index.wait_before_stream(&connection, remaining).await?;
+                // Without a deadline, which would bound the whole stream.
+                connection.indexes().verify_index(message).await
+            }
         };
         let client = index.client();
         let mut answers = client.call(CALL, index.timeout(), attempt).await?;

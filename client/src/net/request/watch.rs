@@ -13,7 +13,7 @@ use futures_util::{
     StreamExt,
     stream::{self, BoxStream},
 };
-use tokio::time::timeout;
+use tokio::time::{Instant, timeout};
 use tonic::Streaming;
 use wayfold_proto::v1;
 
@@ -131,7 +131,8 @@ impl WatchRequest {
             async move { stub.watch(message).await }
         };
         let waited = self.index.timeout();
-        let (messages, connection) = client.call_at(CALL, waited, attempt).await?;
+        let deadline = Instant::now() + waited;
+        let (messages, connection) = client.call_at(CALL, waited, deadline, attempt).await?;
         let index = self.index;
         let start = WatchStart {
             server: connection.uri().to_string(),

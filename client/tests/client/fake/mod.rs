@@ -4,10 +4,11 @@ use std::{
     collections::VecDeque,
     pin::Pin,
     sync::{Arc, Mutex},
+    time::Duration,
 };
 
 use futures_util::{Stream, StreamExt, stream};
-use tokio::net::TcpListener;
+use tokio::{net::TcpListener, time};
 use tokio_stream::wrappers::TcpListenerStream;
 use tonic::{Request, Response, Status, Streaming, async_trait};
 use tonic_types::{ErrorDetails, StatusExt};
@@ -64,6 +65,8 @@ struct Inner {
     timeouts: Vec<Option<String>>,
     /// The number of calls for its limits, which no other count includes.
     described: usize,
+    /// The time that passes while it answers a call for its limits.
+    describing_time: Duration,
     /// Its limits, if they are not [`LIMITS`].
     limits: Option<v1::Limits>,
     /// The revisions of the next answers; later answers repeat the last.
@@ -175,6 +178,11 @@ impl Fake {
             max_rows_per_call: rows,
             ..LIMITS
         });
+    }
+
+    /// Lets the clock jump ahead by `time` during each call for the limits. Its runtime has a single thread then.
+    pub(crate) fn describe_for(&self, time: Duration) {
+        self.inner.lock().unwrap().describing_time = time;
     }
 
     pub(crate) fn times_described(&self) -> usize {
@@ -292,6 +300,12 @@ impl IndexService for Fake {
         _request: Request<v1::GetServerRequest>,
     ) -> Result<Response<v1::GetServerResponse>, Status> {
         self.inner.lock().unwrap().described += 1;
+        let passing = self.inner.lock().unwrap().describing_time;
+        if !passing.is_zero() {
+            time::pause();
+            time::advance(passing).await;
+            time::resume();
+        }
         Ok(Response::new(v1::GetServerResponse {
             version: "1.2.3".to_owned(),
             durability: v1::Durability::Memory.into(),
