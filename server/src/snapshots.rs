@@ -205,9 +205,13 @@ impl Schedule {
         let (file, content) = match written {
             Ok(written) => written,
             Err(error) => {
-                // The next snapshot of the index replaces the file in any case.
+                // The next snapshot of an index of the name replaces the file in any case.
                 let _ = fs::remove_file(&unfinished);
-                return Err(error);
+                return match error {
+                    // It was deleted after the list was made.
+                    Failure::Refused(service::Error::IndexNotFound { .. }) => Ok(None),
+                    error => Err(error),
+                };
             }
         };
         let path = directory.join(stamp(now) + &content);
@@ -292,6 +296,11 @@ fn is_within(inner: &Path, outer: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        log::MemoryLog,
+        registry::{Registry, RegistryOptions},
+        service::Limits,
+    };
 
     fn schedule(directory: &Path, keep: usize) -> Schedule {
         Schedule {
@@ -327,5 +336,34 @@ mod tests {
         let future = "20270131T230000Z-uid-6.snapshot";
         assert!(due(&[future]));
         assert!(!due(&["20260131T235900Z-uid-5.snapshot", future]));
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+    async fn an_index_that_was_deleted_after_the_list_was_made_is_no_failure() {
+        let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
+        let service = Service::new(registry, Limits::default());
+        service.set_ready();
+        let creation = v1::CreateIndexRequest {
+            name: "arm".into(),
+            space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
+            ..Default::default()
+        };
+        let call = Call::default();
+        service.create_index(&call, creation).await.unwrap();
+        let listed = service.listed().into_iter().next();
+        let Some(IndexEntry::Hosted(hosted)) = listed else {
+            panic!("an index");
+        };
+        let deletion = v1::DeleteIndexRequest {
+            index_name: "arm".into(),
+            ..Default::default()
+        };
+        service.delete_index(&call, deletion).await.unwrap();
+        let directory = tempfile::tempdir().unwrap();
+        let schedule = schedule(directory.path(), 1);
+        let runtime = Handle::current();
+        let taken = move || schedule.take_one(&service, &runtime, &hosted, now());
+        let taken = tokio::task::spawn_blocking(taken).await.unwrap();
+        assert!(matches!(taken, Ok(None)), "{taken:?}");
     }
 }

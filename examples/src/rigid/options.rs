@@ -52,7 +52,7 @@ pub struct Options {
     #[arg(long, value_name = "URI")]
     pub server: Option<String>,
     /// Leaves the roadmap on that server, to look at it
-    #[arg(long, requires = "server")]
+    #[arg(long, requires = "server", conflicts_with_all = ["scaling", "until_solved", "compare"])]
     pub keep: bool,
     /// Kills one worker when it has half its share
     #[arg(long, conflicts_with_all = ["restart", "scaling"])]

@@ -30,7 +30,7 @@ use crate::{
     observe::{CallRecord, Ending, Times},
     service::{Call, Code, Error},
     status::{self, Status},
-    verbs::{Form, MAX_JSON_BYTES, Named, Request, Target, dispatch, invalid},
+    verbs::{Form, MAX_DYNAMIC_BYTES, Named, Request, Target, dispatch, invalid},
 };
 
 /// The keys begin with it.
@@ -221,8 +221,8 @@ async fn receive(mut body: Body, held: &HeldBytes) -> Result<Bytes, Status> {
                 return Err(refused("UNREADABLE", text));
             }
         };
-        if received.len() + data.len() > MAX_JSON_BYTES {
-            let text = format!("it exceeds {MAX_JSON_BYTES} bytes");
+        if received.len() + data.len() > MAX_DYNAMIC_BYTES {
+            let text = format!("it exceeds {MAX_DYNAMIC_BYTES} bytes");
             return Err(refused("TOO_LARGE", text));
         }
         if !held.take(data.len()) {
@@ -255,7 +255,14 @@ async fn ask(
         }
         let arrived = Instant::now();
         let (request, _) = Request::of(Form::Json, target.index, [], body.into(), arrived)?;
-        dispatch(&shared.service, call, target.verb, &request, MAX_JSON_BYTES).await
+        dispatch(
+            &shared.service,
+            call,
+            target.verb,
+            &request,
+            MAX_DYNAMIC_BYTES,
+        )
+        .await
     };
     answered.await.map_err(|error| status::from_error(&error))
 }

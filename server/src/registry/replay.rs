@@ -119,7 +119,7 @@ impl<'a> StoredPoints<'a> {
         let forest = forest.map_err(|error| match error {
             LoadError::Full(full) => RegistryError::NotLoaded {
                 points,
-                needed: loaded_bytes(&self.entry.space, points),
+                needed: loaded_bytes(&self.entry.space, points) + self.payload_sizes.memory_bytes(),
                 full,
             },
             LoadError::Refused(points, error) => {

@@ -9,7 +9,7 @@ mod message;
 mod request;
 mod verb;
 
-pub(crate) use codec::{Form, MAX_JSON_BYTES, invalid};
+pub(crate) use codec::{Form, MAX_DYNAMIC_BYTES, invalid};
 pub(crate) use dispatch::dispatch;
 pub(crate) use message::Named;
 pub(crate) use request::{MAX_TIMEOUT, Request, at_length};

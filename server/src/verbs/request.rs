@@ -6,7 +6,7 @@ use std::{
 };
 
 use super::{
-    codec::{Form, invalid},
+    codec::{Form, MAX_DYNAMIC_BYTES, invalid},
     message::{IndexRequest, Named},
     verb::Verb,
 };
@@ -65,11 +65,18 @@ impl<'a> Request<'a> {
         Ok((request, deadline))
     }
 
-    /// Refuses a mutation without a payload.
+    /// Refuses a mutation without a payload, and a large payload beside parameters.
     pub(crate) fn check(&self, verb: Verb) -> Result<(), Error> {
         if verb.is_mutation() && self.payload.is_empty() {
             let text = format!("{} needs a payload, at least {{}}", verb.name());
             return Err(invalid("payload", "REQUIRED", text));
+        }
+        if self.payload.len() > MAX_DYNAMIC_BYTES && !self.parameters.is_empty() {
+            let text = format!(
+                "it has {} bytes beside parameters, more than {MAX_DYNAMIC_BYTES}: set their fields in the payload",
+                self.payload.len()
+            );
+            return Err(invalid("payload", "TOO_LONG_WITH_PARAMETERS", text));
         }
         Ok(())
     }

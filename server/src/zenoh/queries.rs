@@ -33,7 +33,7 @@ use crate::{
     observe::{CallRecord, Ending, Times},
     service::{Call, Error, Peer, Unavailability},
     status::{self, Status},
-    verbs::{Form, MAX_JSON_BYTES, MAX_TIMEOUT, Request, Target, Verb, dispatch, invalid},
+    verbs::{Form, MAX_DYNAMIC_BYTES, MAX_TIMEOUT, Request, Target, Verb, dispatch, invalid},
 };
 
 const MAX_MESSAGE_BYTES: &str = "zenoh.max_message_bytes";
@@ -341,9 +341,9 @@ impl QuerySize {
 
     /// Refuses a large selector or attachment, and a large payload in JSON. Other payloads have a setting.
     fn check(&self, is_json: bool) -> Result<(), Error> {
-        if is_json && self.payload > MAX_JSON_BYTES {
+        if is_json && self.payload > MAX_DYNAMIC_BYTES {
             let text = format!(
-                "it has {} bytes of JSON, more than {MAX_JSON_BYTES}: send Protocol Buffers, or fewer rows",
+                "it has {} bytes of JSON, more than {MAX_DYNAMIC_BYTES}: send Protocol Buffers, or fewer rows",
                 self.payload
             );
             return Err(invalid("payload", "JSON_TOO_LONG", text));

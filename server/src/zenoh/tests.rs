@@ -18,7 +18,7 @@ use crate::{
     observe::Metrics,
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
-    verbs::{IndexVerb, MAX_JSON_BYTES, PointVerb},
+    verbs::{IndexVerb, MAX_DYNAMIC_BYTES, PointVerb},
 };
 
 /// The first reply to a query.
@@ -32,8 +32,9 @@ async fn ask(
     replies.recv_async().await.unwrap().into_result()
 }
 
+/// The texts of a refusal, in JSON or within Protocol Buffers.
 fn text(refusal: &ReplyError) -> String {
-    String::from_utf8(refusal.payload().to_bytes().into_owned()).unwrap()
+    String::from_utf8_lossy(&refusal.payload().to_bytes()).into_owned()
 }
 
 /// The refusal of a query.
@@ -205,12 +206,24 @@ async fn large_attachments_selectors_and_texts_are_refused() {
         let refused = text(&refused.unwrap_err());
         assert!(refused.contains(expected), "{refused}");
     }
-    for (bytes, expected) in [
-        (MAX_JSON_BYTES, "MALFORMED"),
-        (MAX_JSON_BYTES + 1, "JSON_TOO_LONG"),
+    let (json, protobuf) = (Encoding::APPLICATION_JSON, Encoding::APPLICATION_PROTOBUF);
+    for (parameters, encoding, bytes, expected) in [
+        ("", &json, MAX_DYNAMIC_BYTES, "MALFORMED"),
+        ("", &json, MAX_DYNAMIC_BYTES + 1, "JSON_TOO_LONG"),
+        ("", &protobuf, MAX_DYNAMIC_BYTES + 1, "MALFORMED"),
+        ("?k=1", &protobuf, MAX_DYNAMIC_BYTES, "MALFORMED"),
+        (
+            "?k=1",
+            &protobuf,
+            MAX_DYNAMIC_BYTES + 1,
+            "TOO_LONG_WITH_PARAMETERS",
+        ),
     ] {
-        let long = robot.get("wayfold/v1/arm/knn").payload(" ".repeat(bytes));
-        let long = long.encoding(Encoding::APPLICATION_JSON).await.unwrap();
+        let long = robot.get(format!("wayfold/v1/arm/knn{parameters}"));
+        let long = long
+            .payload("\x7f".repeat(bytes))
+            .encoding(encoding.clone());
+        let long = long.await.unwrap();
         let refused = long.recv_async().await.unwrap().into_result();
         let refused = text(&refused.unwrap_err());
         assert!(refused.contains(expected), "{refused}");

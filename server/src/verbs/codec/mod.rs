@@ -17,8 +17,9 @@ use prost_reflect::DynamicMessage;
 
 use crate::service::{Error, Violation};
 
-/// The most bytes of a request in JSON: reading them takes about 80 times as many.
-pub(crate) const MAX_JSON_BYTES: usize = 1024 * 1024;
+/// The most bytes of a request in JSON or beside parameters. It is read field by field, which takes about 80 times its
+/// bytes.
+pub(crate) const MAX_DYNAMIC_BYTES: usize = 1024 * 1024;
 
 /// The encoding of messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
