@@ -53,7 +53,7 @@
 //! **Limits.** A request that exceeds the server's [`Limits`], or [`READ_ROWS`], is sent in several calls, in order,
 //! and the answers are joined. Each part of a divided mutation is atomic, but not the whole.
 //!
-//! **Retries.** The client retries a call that finds no server, or one that is starting, within the call's timeout
+//! **Retries.** The client makes a call that finds no server, one that is starting, or a busy one up to five times
 //! ([`RetryPolicy`]). Mutations carry an operation id, so that they take effect once.
 //!
 //! **Streams** ([`Scan`], [`Watch`], [`Snapshot`], [`KnnAnswers`]) have a method `next`, which returns

@@ -243,15 +243,24 @@ impl Client {
     }
 
     /// Deletes the index that has this name now, with all its points, and returns the uid it had. A damaged index can
-    /// be deleted too.
+    /// be deleted too, and one that is not loaded for lack of memory.
     ///
     /// # Errors
     /// `NOT_FOUND`: there is no index of this name. `FAILED_PRECONDITION`: it was created again during the call.
     pub async fn delete_index(&self, name: &str) -> Result<String, Error> {
         // With its uid, a retried delete cannot hit an index that was created in between.
-        let uid = match self.index_info(name).await {
+        let mut once = self.clone();
+        once.settings.retry = RetryPolicy::never();
+        let is_not_loaded = |error: &Error| error.reason() == Some("NOT_LOADED");
+        let info = match once.index_info(name).await {
+            Err(error) if error.is_transient() && !is_not_loaded(&error) => {
+                self.index_info(name).await
+            }
+            info => info,
+        };
+        let uid = match info {
             Ok(index) => index.revision.uid.to_string(),
-            Err(error) if error.code() == Code::DataLoss => {
+            Err(error) if error.code() == Code::DataLoss || is_not_loaded(&error) => {
                 self.damaged_uid(name).await?.ok_or(error)?
             }
             Err(error) => return Err(error),

@@ -11,7 +11,7 @@ use crate::Error;
 /// was refused by a busy server.
 ///
 /// The client retries only calls that take effect once: reads, and mutations, which carry an operation id. The n-th
-/// pause is drawn evenly from [b/2, b], where b is `first` · 2ⁿ, at most `longest`. It is longer if the server asks for
+/// pause is drawn evenly from [b/2, b], where b is `first` · 2ⁿ⁻¹, at most `longest`. It is longer if the server asks for
 /// a longer one. No attempt begins after the call's deadline. With several servers, the attempt after `UNAVAILABLE` goes
 /// to another one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,7 +28,7 @@ pub struct RetryPolicy {
 const MAX_REQUESTED_PAUSE: Duration = Duration::from_secs(60);
 
 impl Default for RetryPolicy {
-    /// Five attempts, within about two seconds.
+    /// Five attempts, within about a second if the server asks for no longer pause.
     fn default() -> RetryPolicy {
         RetryPolicy {
             attempts: 5,

@@ -5,6 +5,7 @@ use std::{fs, path::Path, process::Command, time::Duration};
 
 use tokio::time::timeout;
 use tonic::{Code, Status};
+use wayfold::{Client, RetryPolicy};
 use wayfold_proto::v1::{InsertRequest, ListIndexesRequest};
 use wayfold_tests::{Process, Refusal, ServerProcess, Signal, States, Stubs, row_states};
 
@@ -111,7 +112,10 @@ async fn a_full_server_refuses_inserts_and_serves_what_it_can_after_a_start() {
     let unloaded = used(&server);
     println!("{loaded} bytes loaded, {unloaded} without the index");
     assert!(unloaded < too_low, "{unloaded}");
-    inserts.stubs.delete("arm").await;
+    // The client does not wait until the index is loaded.
+    let client = Client::builder().retry(RetryPolicy::until_deadline());
+    let client = client.connect(server.uri()).await.unwrap();
+    client.delete_index("arm").await.unwrap();
     inserts.stubs.create("arm", &format!("R{WIDTH}")).await;
     let accepted = async { while inserts.next("arm").await.is_err() {} };
     timeout(MAX_WAIT, accepted).await.unwrap();
