@@ -65,7 +65,7 @@ impl<'a> Request<'a> {
         Ok((request, deadline))
     }
 
-    /// Refuses a mutation without a payload, and a large payload beside parameters.
+    /// Refuses a mutation without a payload, and a payload above [`MAX_DYNAMIC_BYTES`] beside parameters.
     pub(crate) fn check(&self, verb: Verb) -> Result<(), Error> {
         if verb.is_mutation() && self.payload.is_empty() {
             let text = format!("{} needs a payload, at least {{}}", verb.name());

@@ -17,8 +17,8 @@ use prost_reflect::DynamicMessage;
 
 use crate::service::{Error, Violation};
 
-/// The most bytes of a request in JSON or beside parameters. It is read field by field, which takes about 80 times its
-/// bytes.
+/// The most bytes of a request in JSON or beside parameters. The server reads such a request field by field, in about 80
+/// times its bytes.
 pub(crate) const MAX_DYNAMIC_BYTES: usize = 1024 * 1024;
 
 /// The encoding of messages.
