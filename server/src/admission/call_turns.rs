@@ -14,7 +14,7 @@ use tokio::task::yield_now;
 
 use super::{
     Flow, Overloaded,
-    turns::{MAX_AT_ONCE, Stage, TurnRequest},
+    turns::{MAX_AT_ONCE, MAX_WHOLE, Stage, TurnRequest},
 };
 
 /// The turns of one call, one for each slice of its work.
@@ -128,7 +128,7 @@ impl CallTurns {
             return Poll::Pending;
         };
         if self.stage == Stage::New && turn.is_long() {
-            self.stage = Stage::Resumed;
+            self.stage = Stage::Begun;
             self.next = Some(TurnRequest::Granted(turn));
             self.has_yielded = true;
             // The task is woken once the runtime has looked for bytes.
@@ -143,7 +143,10 @@ impl CallTurns {
         self.computed += took;
         self.requested_at = began + took;
         self.at_once += took;
-        self.stage = Stage::Resumed;
+        self.stage = match self.computed < MAX_WHOLE {
+            true => Stage::Begun,
+            false => Stage::Resumed,
+        };
         if self.at_once >= MAX_AT_ONCE {
             self.at_once = Duration::ZERO;
             self.stage = Stage::Demoted;

@@ -3,8 +3,10 @@
 //! Without it, all admitted calls would share the threads alike: under overload each of them is late, and the queue
 //! stands where no code measures it. A call takes a turn for each slice of its work and gives it up whenever it waits.
 //!
-//! - *Fair:* the flow that has computed least goes first (start-time fair queueing). A flow that was idle gets no credit
-//!   for that. P. Goyal, H. M. Vin, H. Cheng, *Start-time Fair Queuing*, SIGCOMM 1996.
+//! - *Fair:* the flow that has computed least goes first, to within [`MAX_WHOLE`] (start-time fair queueing). A flow that
+//!   was idle gets no credit for that. P. Goyal, H. M. Vin, H. Cheng, *Start-time Fair Queuing*, SIGCOMM 1996.
+//! - *Whole:* a call keeps its turn for [`MAX_WHOLE`] of work if only calls of many turns wait. In turns, the calls of
+//!   many connections would all end late.
 //! - *First come, first served* within a flow. Calls that take longer than [`MAX_AT_ONCE`] wait apart after that time of
 //!   work, and these and the others of the flow take turns: a short call does not wait for all long ones.
 //! - *Measured:* a call that has not begun is refused once it has waited for too long: for the time of a burst, or for
@@ -38,6 +40,9 @@ pub(crate) struct Overloaded(pub(crate) Duration);
 
 /// A call yields to the others of its flow after this much work.
 pub(super) const MAX_AT_ONCE: Duration = Duration::from_millis(25);
+
+/// A call goes on before others of many turns until it has done this much work.
+pub(super) const MAX_WHOLE: Duration = Duration::from_millis(4);
 
 /// The result of the wait for a turn.
 pub(super) type Granted = Result<Turn, Overloaded>;
@@ -84,6 +89,7 @@ impl Turns {
                 free: threads.max(1).saturating_mul(SHORT_TURNS),
                 flows: Default::default(),
                 order: Default::default(),
+                places: 0,
                 clock_ns: 0,
                 new: 0,
                 was_empty: Instant::now(),
@@ -120,7 +126,9 @@ impl Turns {
     pub(super) fn close(&self, flow: FlowNumber) {
         let mut state = self.state.lock();
         if let Some(closed) = state.flows.remove(&flow) {
-            state.order.remove(&(closed.used_ns, flow));
+            if let Some(place) = closed.place {
+                state.order.remove(&place);
+            }
             let is_new = |waiting: &&Waiter| waiting.stage == Stage::New;
             state.new -= closed.waiting.iter().filter(is_new).count();
         }
@@ -155,7 +163,7 @@ impl Turns {
         Ok(TurnRequest::Waits(state.enqueue(flow, stage, now)))
     }
 
-    /// Charges the flow of `turn` for work that goes on. The turn is handed on if others wait.
+    /// Charges the flow of `turn` for work that goes on. The turn is handed on if others wait that go before it.
     pub(super) fn yield_turn(
         self: &Arc<Self>,
         mut turn: Turn,
@@ -168,7 +176,11 @@ impl Turns {
         state.note_empty(now);
         // A turn that goes on is a long one.
         let more = SHORT_TURNS - turn.size;
-        if state.order.is_empty() && state.free >= more {
+        let goes_on = match stage {
+            Stage::Begun => state.lets_go_on(),
+            _ => state.order.is_empty(),
+        };
+        if goes_on && state.free >= more {
             state.free -= more;
             turn.size = SHORT_TURNS;
             return TurnRequest::Granted(turn);

@@ -1,7 +1,7 @@
 //! The flows and their waiting calls, in the order of their turns.
 
 use std::{
-    collections::{BTreeSet, HashMap, VecDeque},
+    collections::{BTreeMap, HashMap, VecDeque},
     time::{Duration, Instant},
 };
 
@@ -15,17 +15,26 @@ pub(super) const SHORT_TURNS: usize = 128;
 /// A flow whose turns take longer on average has long turns.
 const MAX_SHORT_NS: u64 = 50_000;
 
+/// A flow whose turns take longer on average has calls of many turns. Others go before it if they are even.
+const MAX_BRIEF_NS: u64 = 200_000;
+
 /// The mean of a flow's turns covers about this many of them.
 const MEAN_TURNS: u64 = 8;
+
+/// Flows that have computed for equal times are even, in steps of this: their calls are served as they come, and those of
+/// few turns first. Otherwise the second call of a flow would wait for a call of each other one.
+const EVEN_NS: u64 = super::MAX_WHOLE.as_nanos() as u64;
 
 #[derive(Debug)]
 pub(super) struct State {
     /// The free short turns. A long one takes [`SHORT_TURNS`] of them.
     pub(super) free: usize,
     pub(super) flows: HashMap<FlowNumber, Flow>,
-    /// The flows with waiting calls, in the order of their turns: by `used_ns`, then by number.
-    pub(super) order: BTreeSet<(u64, FlowNumber)>,
-    /// The `used_ns` at which the last turn began.
+    /// The flows with waiting calls, in the order of their turns.
+    pub(super) order: BTreeMap<Place, FlowNumber>,
+    /// The places in it that were given so far.
+    pub(super) places: u64,
+    /// The greatest `used_ns` at which a turn began.
     pub(super) clock_ns: u64,
     /// The waiting calls that have not begun.
     pub(super) new: usize,
@@ -39,10 +48,16 @@ pub(super) struct State {
     pub(super) refused: u64,
 }
 
+/// The place of a flow in the order: its `used_ns` in steps of [`EVEN_NS`], whether its calls take many turns, and how
+/// many places were given before.
+pub(super) type Place = (u64, bool, u64);
+
 #[derive(Debug, Default)]
 pub(super) struct Flow {
     /// The time that its turns have taken, and what others took while it was idle.
     pub(super) used_ns: u64,
+    /// Its place in the order, if a call waits.
+    pub(super) place: Option<Place>,
     /// The mean time of its turns; None before the first.
     pub(super) mean_ns: Option<u64>,
     /// The wait of the last of its calls that has begun.
@@ -67,6 +82,8 @@ pub(super) struct Waiter {
 pub(in crate::admission) enum Stage {
     /// It has not begun, and can be refused.
     New,
+    /// It has computed for less than [`super::MAX_WHOLE`], and goes on before flows whose calls take many turns.
+    Begun,
     /// It goes on before the other calls of its flow.
     Resumed,
     /// It goes on after them, as one of those that have computed for long.
@@ -82,6 +99,25 @@ impl Flow {
         }
     }
 
+    /// True if its turns are known to take longer than this.
+    fn takes_longer(&self, limit_ns: u64) -> bool {
+        self.mean_ns.is_some_and(|mean_ns| mean_ns > limit_ns)
+    }
+
+    /// Takes its place in the order, behind the flows that are even with it.
+    fn take_place(
+        &mut self,
+        number: FlowNumber,
+        order: &mut BTreeMap<Place, FlowNumber>,
+        places: &mut u64,
+    ) {
+        let of_many = self.takes_longer(MAX_BRIEF_NS);
+        let place = (self.used_ns / EVEN_NS, of_many, *places);
+        *places += 1;
+        order.insert(place, number);
+        self.place = Some(place);
+    }
+
     /// True if none of its calls waits.
     pub(super) fn is_idle(&self) -> bool {
         self.waiting.is_empty() && self.behind.is_empty()
@@ -91,7 +127,7 @@ impl Flow {
     pub(super) fn next_stage(&self) -> Option<Stage> {
         let first = self.waiting.front().map(|waiting| waiting.stage);
         match first {
-            Some(Stage::Resumed) => first,
+            Some(Stage::Begun | Stage::Resumed) => first,
             Some(_) if self.behind.is_empty() => first,
             Some(_) if !self.behind_is_due => first,
             _ => self.behind.front().map(|waiting| waiting.stage),
@@ -100,7 +136,7 @@ impl Flow {
 
     pub(super) fn pop(&mut self, stage: Stage) -> Option<Waiter> {
         match stage {
-            Stage::Resumed => self.waiting.pop_front(),
+            Stage::Begun | Stage::Resumed => self.waiting.pop_front(),
             Stage::New => {
                 self.behind_is_due = true;
                 self.waiting.pop_front()
@@ -126,7 +162,7 @@ impl State {
     pub(super) fn begin(&mut self, flow: FlowNumber) {
         let flow = self.flows.entry(flow).or_default();
         flow.used_ns = flow.used_ns.max(self.clock_ns);
-        self.clock_ns = flow.used_ns;
+        self.clock_ns = self.clock_ns.max(flow.used_ns);
     }
 
     pub(super) fn enqueue(
@@ -136,9 +172,9 @@ impl State {
         since: Instant,
     ) -> oneshot::Receiver<Granted> {
         let flow = self.flows.entry(number).or_default();
-        if flow.is_idle() {
+        if flow.place.is_none() {
             flow.used_ns = flow.used_ns.max(self.clock_ns);
-            self.order.insert((flow.used_ns, number));
+            flow.take_place(number, &mut self.order, &mut self.places);
         }
         let (granted, receiver) = oneshot::channel();
         let waiting = Waiter {
@@ -147,7 +183,7 @@ impl State {
             granted,
         };
         match stage {
-            Stage::Resumed => flow.waiting.push_front(waiting),
+            Stage::Begun | Stage::Resumed => flow.waiting.push_front(waiting),
             Stage::New => {
                 self.new += 1;
                 flow.waiting.push_back(waiting);
@@ -159,7 +195,7 @@ impl State {
 
     /// Takes the next call out of the queue if there is a turn for it.
     pub(super) fn next(&mut self, now: Instant) -> Option<(FlowNumber, usize, Waiter)> {
-        let &(used_ns, number) = self.order.first()?;
+        let (&place, &number) = self.order.first_key_value()?;
         let stage = self.flows.get(&number)?.next_stage()?;
         let size = self.size(number, stage);
         self.free = self.free.checked_sub(size)?;
@@ -170,25 +206,29 @@ impl State {
             flow.last_wait = now.saturating_duration_since(next.since);
         }
         if flow.is_idle() {
-            self.order.remove(&(used_ns, number));
+            self.order.remove(&place);
+            flow.place = None;
         }
-        self.clock_ns = used_ns;
+        self.clock_ns = self.clock_ns.max(flow.used_ns);
         Some((number, size, next))
+    }
+
+    /// True if a call that has just begun goes on before those that wait: theirs take many turns too.
+    pub(super) fn lets_go_on(&self) -> bool {
+        let first = self.order.first_key_value();
+        first.is_none_or(|(&(_, of_many, _), _)| of_many)
     }
 
     /// True if the turns of this flow are known to be long.
     pub(super) fn are_long(&self, number: FlowNumber) -> bool {
-        self.mean_ns(number)
-            .is_some_and(|mean_ns| mean_ns > MAX_SHORT_NS)
-    }
-
-    fn mean_ns(&self, number: FlowNumber) -> Option<u64> {
-        self.flows.get(&number)?.mean_ns
+        let flow = self.flows.get(&number);
+        flow.is_some_and(|flow| flow.takes_longer(MAX_SHORT_NS))
     }
 
     /// The short turns that a turn of this flow takes.
     pub(super) fn size(&self, number: FlowNumber, stage: Stage) -> usize {
-        match self.mean_ns(number) {
+        let mean_ns = self.flows.get(&number).and_then(|flow| flow.mean_ns);
+        match mean_ns {
             Some(mean_ns) if stage == Stage::New && mean_ns <= MAX_SHORT_NS => 1,
             _ => SHORT_TURNS,
         }
@@ -199,12 +239,13 @@ impl State {
         let Some(flow) = self.flows.get_mut(&number).filter(|_| !took.is_zero()) else {
             return;
         };
-        let (before, took_ns) = (flow.used_ns, took.as_nanos() as u64);
-        flow.used_ns = before.saturating_add(took_ns);
+        let took_ns = took.as_nanos() as u64;
+        flow.used_ns = flow.used_ns.saturating_add(took_ns);
         let mean_ns = flow.mean_ns.unwrap_or(took_ns);
         flow.mean_ns = Some(mean_ns - mean_ns / MEAN_TURNS + took_ns / MEAN_TURNS);
-        if self.order.remove(&(before, number)) {
-            self.order.insert((flow.used_ns, number));
+        if let Some(place) = flow.place {
+            self.order.remove(&place);
+            flow.take_place(number, &mut self.order, &mut self.places);
         }
     }
 }

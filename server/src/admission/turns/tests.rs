@@ -58,18 +58,18 @@ fn the_flow_that_has_computed_least_goes_first() {
         wait(&turns, light, New, MS),
         wait(&turns, light, New, MS),
     ];
-    let (first, turn) = next(turn, 3 * MS, &mut waiting).unwrap();
-    let (second, turn) = next(turn, MS, &mut waiting).unwrap();
-    let (third, turn) = next(turn, 3 * MS, &mut waiting).unwrap();
-    let (fourth, turn) = next(turn, MS, &mut waiting).unwrap();
+    let (first, turn) = next(turn, 30 * MS, &mut waiting).unwrap();
+    let (second, turn) = next(turn, 10 * MS, &mut waiting).unwrap();
+    let (third, turn) = next(turn, 30 * MS, &mut waiting).unwrap();
+    let (fourth, turn) = next(turn, 10 * MS, &mut waiting).unwrap();
     assert_eq!([first, second, third, fourth], [2, 3, 0, 1]);
-    assert!(next(turn, MS, &mut waiting).is_none());
+    assert!(next(turn, 10 * MS, &mut waiting).is_none());
     // An idle flow has saved nothing: both are even again.
     let turn = take(&turns, heavy);
-    turn.end(5 * MS);
+    turn.end(50 * MS);
     let turn = take(&turns, light);
     let mut waiting = vec![wait(&turns, light, New, MS), wait(&turns, heavy, New, MS)];
-    let (first, _turn) = next(turn, 10 * MS, &mut waiting).unwrap();
+    let (first, _turn) = next(turn, 100 * MS, &mut waiting).unwrap();
     assert_eq!(first, 1);
 }
 
@@ -108,6 +108,54 @@ fn work_that_goes_on_gives_way_only_if_others_wait() {
     assert!(going_on.try_recv().is_err());
     first.try_recv().unwrap().unwrap().end(MS);
     going_on.try_recv().unwrap().unwrap().end(MS);
+}
+
+#[test]
+fn even_flows_are_served_as_they_come_and_those_of_short_turns_first() {
+    let turns = Turns::new(1, TARGET, BURST);
+    let [short, first, second] = [(); 3].map(|()| turns.open());
+    take(&turns, short).end(MS / 1000);
+    take(&turns, first).end(MS);
+    take(&turns, second).end(MS);
+    let turn = take(&turns, first);
+    let mut waiting = vec![
+        wait(&turns, second, New, MS),
+        wait(&turns, second, New, MS),
+        wait(&turns, first, New, MS),
+        wait(&turns, short, New, MS),
+    ];
+    let mut turn = Some(turn);
+    for expected in [3, 0, 2, 1] {
+        let (served, following) = next(turn.take().unwrap(), MS / 10, &mut waiting).unwrap();
+        assert_eq!(served, expected);
+        turn = Some(following);
+    }
+}
+
+#[test]
+fn a_call_that_has_just_begun_goes_on_unless_one_of_short_turns_waits() {
+    let turns = Turns::new(1, TARGET, BURST);
+    let [short, begun, other] = [(); 3].map(|()| turns.open());
+    take(&turns, short).end(MS / 1000);
+    take(&turns, other).end(MS);
+    let turn = take(&turns, begun);
+    let mut waits = wait(&turns, other, New, MS);
+    let TurnRequest::Granted(turn) = turns.yield_turn(turn, MS, Begun) else {
+        panic!("it ends before the other begins");
+    };
+    let mut first = wait(&turns, short, New, MS);
+    let TurnRequest::Waits(mut goes_on) = turns.yield_turn(turn, MS, Begun) else {
+        panic!("a call of short turns waits");
+    };
+    first.try_recv().unwrap().unwrap().end(MS / 1000);
+    waits.try_recv().unwrap().unwrap().end(MS);
+    let turn = goes_on.try_recv().unwrap().unwrap();
+    let mut waits = wait(&turns, other, New, MS);
+    let TurnRequest::Waits(mut goes_on) = turns.yield_turn(turn, MS, Resumed) else {
+        panic!("it has computed for long, and others wait");
+    };
+    waits.try_recv().unwrap().unwrap().end(10 * MS);
+    goes_on.try_recv().unwrap().unwrap().end(MS);
 }
 
 #[test]
