@@ -5,7 +5,8 @@
 //! - the order of revisions respects real time: an operation that returned before a mutation was invoked has a lower
 //!   revision, and a read with `latest` has no lower revision than an operation that returned before it was invoked;
 //! - no client goes backwards;
-//! - each read sees the effects of the mutations up to its revision, each once and no other.
+//! - each read sees the effects of the mutations up to its revision, each once and no other;
+//! - a mutation that found nothing to change had nothing to change at its revision.
 
 mod order;
 mod replay;
@@ -195,11 +196,12 @@ pub struct Checked {
 /// All contradictions of the order; if there is none, those of the contents.
 pub fn check(operations: &[Operation]) -> Result<Checked, Vec<Violation>> {
     let placed = replay::place(operations)?;
-    let violations = order::check(operations, &placed);
+    let returned = order::returned(operations, &placed);
+    let violations = order::check(operations, &placed, &returned);
     if !violations.is_empty() {
         return Err(violations);
     }
-    let found = replay::check(operations, &placed)?;
+    let found = replay::check(operations, &placed, &returned)?;
     let mut checked = Checked {
         found,
         ..Checked::default()

@@ -4,29 +4,52 @@ use std::collections::HashMap;
 
 use super::{Call, Operation, Violation, replay::Placed};
 
-/// The contradictions of the revisions.
-pub(super) fn check(operations: &[Operation], placed: &Placed) -> Vec<Violation> {
-    let mut violations = Vec::new();
+/// The greatest revisions that had returned when an operation was invoked.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Returned {
+    /// To any client.
+    pub(super) newest: u64,
+    /// To its own client.
+    own: u64,
+}
+
+/// Finds the revisions that had returned before each operation.
+pub(super) fn returned(operations: &[Operation], placed: &Placed) -> Vec<Returned> {
     let mut invoked: Vec<usize> = (0..operations.len()).collect();
     let mut returned = invoked.clone();
     invoked.sort_by_key(|at| operations[*at].invoked);
     returned.sort_by_key(|at| operations[*at].returned);
     let mut returned = returned.into_iter().peekable();
-    // The greatest revision that had returned, and the same for each client.
-    let (mut newest, mut seen) = (0, HashMap::<u64, u64>::new());
+    let (mut newest, mut own) = (0, HashMap::<u64, u64>::new());
+    let mut all = vec![Returned::default(); operations.len()];
     for at in invoked {
         let operation = &operations[at];
         while let Some(before) =
             returned.next_if(|before| operations[*before].returned < operation.invoked)
         {
-            let client = seen.entry(operations[before].client).or_default();
+            let client = own.entry(operations[before].client).or_default();
             let revision = revision(operations, placed, before).unwrap_or_default();
             *client = revision.max(*client);
             newest = newest.max(revision);
         }
+        let own = own.get(&operation.client).copied().unwrap_or_default();
+        all[at] = Returned { newest, own };
+    }
+    all
+}
+
+/// The contradictions of the revisions.
+pub(super) fn check(
+    operations: &[Operation],
+    placed: &Placed,
+    returned: &[Returned],
+) -> Vec<Violation> {
+    let mut violations = Vec::new();
+    for (at, (operation, before)) in operations.iter().zip(returned).enumerate() {
         let Some(revision) = revision(operations, placed, at) else {
             continue;
         };
+        let Returned { newest, own } = *before;
         let is_fresh = match &operation.call {
             Call::Read { latest, .. } => *latest,
             Call::Mutation { .. } if placed.makes_revision(operations, at) => {
@@ -46,11 +69,10 @@ pub(super) fn check(operations: &[Operation], placed: &Placed) -> Vec<Violation>
                 returned: newest,
             });
         }
-        let from = seen.get(&operation.client).copied().unwrap_or_default();
-        if revision < from {
+        if revision < own {
             violations.push(Violation::Backwards {
                 client: operation.client,
-                from,
+                from: own,
                 to: revision,
             });
         }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap, hash_map::Entry};
 
-use super::{Answer, Call, Operation, Point, ReadPoints, Step, Violation};
+use super::{Answer, Call, Operation, Point, ReadPoints, Step, Violation, order::Returned};
 
 /// The mutations without an answer whose effect was seen.
 #[derive(Default)]
@@ -67,21 +67,30 @@ pub(super) fn place(operations: &[Operation]) -> Result<Placed, Vec<Violation>> 
     Ok(placed)
 }
 
-/// Compares all reads with the replay. Returns the number of mutations without an answer that took effect.
-pub(super) fn check(operations: &[Operation], placed: &Placed) -> Result<u64, Vec<Violation>> {
-    let (mut mutations, mut reads, mut unplaced) = (BTreeMap::new(), Vec::new(), Vec::new());
+/// Compares all reads, and the answers without effect, with the replay. Returns the number of mutations without an answer that
+/// took effect.
+pub(super) fn check(
+    operations: &[Operation],
+    placed: &Placed,
+    returned: &[Returned],
+) -> Result<u64, Vec<Violation>> {
+    let (mut mutations, mut observations, mut unplaced) = (BTreeMap::new(), Vec::new(), Vec::new());
     for (at, operation) in operations.iter().enumerate() {
         let (steps, revision) = match &operation.call {
-            Call::Read { revision, seen, .. } => {
-                reads.push((*revision, operation, seen));
+            Call::Read { revision, .. }
+            | Call::Mutation {
+                answer:
+                    Some(Answer {
+                        revision,
+                        changed: false,
+                    }),
+                ..
+            } => {
+                observations.push((*revision, operation));
                 continue;
             }
             Call::Mutation { steps, answer } => {
-                let revision = match answer {
-                    Some(Answer { changed: false, .. }) => continue,
-                    Some(answer) => Some(answer.revision),
-                    None => placed.revision(at),
-                };
+                let revision = answer.map_or_else(|| placed.revision(at), |it| Some(it.revision));
                 (steps, revision)
             }
         };
@@ -91,18 +100,27 @@ pub(super) fn check(operations: &[Operation], placed: &Placed) -> Result<u64, Ve
                     return Err(vec![Violation::Divergent { revision }]);
                 }
             }
-            None => unplaced.push((operation.invoked, steps)),
+            None => unplaced.push(Unplaced {
+                invoked: operation.invoked,
+                newest: returned[at].newest,
+                steps,
+            }),
         }
     }
-    reads.sort_by_key(|(revision, ..)| *revision);
+    observations.sort_by_key(|(revision, _)| *revision);
     let mut replay = Replay::new(placed, unplaced);
     let mut mutations = mutations.into_iter().peekable();
     let mut violations = Vec::new();
-    for (read, operation, seen) in reads {
+    for (read, operation) in observations {
         while let Some((revision, steps)) = mutations.next_if(|(revision, _)| *revision <= read) {
             replay.apply(revision, steps);
         }
-        let compared = replay.compare(read, operation.returned, seen);
+        let compared = match &operation.call {
+            Call::Read { seen, .. } => replay.compare(read, operation.returned, seen),
+            Call::Mutation { steps, .. } => {
+                replay.compare_unchanged(read, operation.returned, steps)
+            }
+        };
         violations.extend(compared.err());
     }
     match violations.is_empty() {
@@ -121,11 +139,18 @@ struct Replay<'a> {
     removed: HashMap<u64, u64>,
     /// The coordinates that were seen of a point, by its id and the revision that stored it.
     states: HashMap<(u64, u64), u64>,
-    /// Unanswered mutations whose payloads were in no answer, each with the time of its invocation.
-    unplaced: Vec<(u64, &'a Vec<Step>)>,
+    unplaced: Vec<Unplaced<'a>>,
     found: u64,
     /// The revision of a mutation with a point that no read told.
     torn: Option<u64>,
+}
+
+/// A mutation without an answer whose payloads were in no answer.
+struct Unplaced<'a> {
+    invoked: u64,
+    /// The greatest revision that had returned then; its own is greater.
+    newest: u64,
+    steps: &'a [Step],
 }
 
 /// A point of the replay.
@@ -137,7 +162,7 @@ struct Stored {
 }
 
 impl<'a> Replay<'a> {
-    fn new(placed: &'a Placed, unplaced: Vec<(u64, &'a Vec<Step>)>) -> Self {
+    fn new(placed: &'a Placed, unplaced: Vec<Unplaced<'a>>) -> Self {
         Self {
             placed,
             points: HashMap::new(),
@@ -216,6 +241,39 @@ impl<'a> Replay<'a> {
         }
     }
 
+    /// Compares the steps of a mutation that found nothing to change with the replay at its revision.
+    fn compare_unchanged(
+        &mut self,
+        revision: u64,
+        returned: u64,
+        steps: &[Step],
+    ) -> Result<(), Violation> {
+        for step in steps {
+            let (id, tag) = match *step {
+                // Its point is too close, or stored as it is: a read finds any other.
+                Step::Put { .. } => continue,
+                Step::Remove(id) => (id, None),
+                Step::SetTag(id, tag) => (id, Some(tag)),
+            };
+            let to_change = |replay: &Self| {
+                let stored = replay.points.get(&id).copied();
+                stored.filter(|stored| Some(stored.tag) != tag)
+            };
+            if to_change(self).is_some() {
+                let is_before = |it: &Step| it == step || *it == Step::Remove(id);
+                self.place(revision, returned, is_before);
+            }
+            if let Some(stored) = to_change(self) {
+                return Err(Violation::Lost {
+                    read: revision,
+                    id,
+                    revision: stored.stored,
+                });
+            }
+        }
+        Ok(())
+    }
+
     /// Places mutations without an answer that remove what an answer lacks.
     fn find_removals(&mut self, read: u64, returned: u64, points: &BTreeMap<u64, Point>) {
         if self.unplaced.is_empty() {
@@ -227,13 +285,14 @@ impl<'a> Replay<'a> {
         }
     }
 
-    /// Applies a mutation without an answer, if one has such a step and was invoked before the answer came.
+    /// Applies a mutation without an answer, if one has such a step, was invoked before the answer came and has room for its
+    /// revision.
     fn place(&mut self, read: u64, returned: u64, is_it: impl Fn(&Step) -> bool) {
-        let mut unplaced = self.unplaced.iter();
-        let at =
-            unplaced.position(|(invoked, steps)| *invoked < returned && steps.iter().any(&is_it));
+        let at = self.unplaced.iter().position(|it| {
+            it.invoked < returned && it.newest < read && it.steps.iter().any(&is_it)
+        });
         if let Some(at) = at {
-            let (_, steps) = self.unplaced.remove(at);
+            let steps = self.unplaced.remove(at).steps;
             self.found += 1;
             self.apply(read, steps);
         }

@@ -24,7 +24,7 @@ use std::{
     collections::BTreeSet,
     env,
     sync::Arc,
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime},
 };
 
 use rand::{RngExt, SeedableRng};
@@ -35,7 +35,7 @@ use wayfold_tests::Stubs;
 
 use client::{Client, Scene};
 use disk::Disk;
-use fault::{Fault, Needs};
+use fault::{Fault, Needs, Stall};
 use history::History;
 use judge::Judge;
 use record::Record;
@@ -106,35 +106,47 @@ impl Run {
             working.spawn(Client::new(writer).work(scene.clone()));
         }
         let mut at = acknowledged.subscribe();
-        let stalled = Cell::new(false);
-        let mut reach_more = async |more: u64| {
+        let stalled = Cell::new(None);
+        // The number of acknowledgements, and the time at which the last one was seen.
+        let last = Cell::new((0, SystemTime::now()));
+        let mut reach_more = async |more: u64, stall: Stall| {
             let target = *at.borrow() + more;
-            if !stalled.get() {
-                let reached = timeout(MAX_PAUSE, at.wait_for(|&now| now >= target)).await;
-                stalled.set(reached.is_err());
+            let is_reached = |&now: &u64| {
+                if now > last.get().0 {
+                    last.set((now, SystemTime::now()));
+                }
+                now >= target
+            };
+            if stalled.get().is_none() {
+                let reached = timeout(MAX_PAUSE, at.wait_for(is_reached)).await;
+                stalled.set(reached.is_err().then_some(stall));
             }
         };
         let mut suffered = 0;
         // The servers of NATS whose stores are damaged: two of three copies are no majority until they have caught up.
         let mut damaged = BTreeSet::new();
-        for number in faults.clone().take_while(|_| !stalled.get()) {
-            suffered += 1;
+        for number in faults.clone().take_while(|_| stalled.get().is_none()) {
             let fault = Fault::of(number, &self.kinds, &mut random);
-            reach_more(random.random_range(20..100)).await;
+            reach_more(random.random_range(20..100), Stall::BeforeFault).await;
+            if stalled.get().is_some() {
+                // The repair of a fault could end the stall, and a server without NATS does not start.
+                break;
+            }
+            suffered += 1;
             let of = random.random_range(0..SERVERS);
             println!("{fault:?} of {of}");
             let began = Instant::now();
             let what = cluster
-                .suffer(fault, of, &mut random, async || reach_more(20).await)
+                .suffer(fault, of, &mut random, async || {
+                    reach_more(20, Stall::UnderFault).await
+                })
                 .await;
-            // A cut chooses its server of NATS itself.
-            let is_other = |it: &usize| *it != of || fault.needs() == Needs::Network;
-            let lacks_majority =
-                stalled.get() && fault.takes_nats() && damaged.iter().any(is_other);
+            let stall = stalled.get();
+            let lacks_majority = stall.is_some_and(|it| fault.excuses(it, of, &damaged));
             if lacks_majority {
                 // All of them run again.
-                stalled.set(false);
-                reach_more(20).await;
+                stalled.set(None);
+                reach_more(20, Stall::UnderFault).await;
             }
             if fault.takes_nats() && !lacks_majority {
                 // The others have caught up: writing went on with them.
@@ -151,9 +163,9 @@ impl Run {
         }
         over.send_replace(true);
         let judge = Judge::new(history, uid);
-        let verdict = if stalled.get() {
+        let verdict = if stalled.get().is_some() {
             assert!(
-                cluster.has_jetstream_stopped(),
+                cluster.has_jetstream_stopped(last.get().1),
                 "nothing is acknowledged any more"
             );
             let clients = working.join_all().await;
@@ -171,7 +183,7 @@ impl Run {
         let is_good = verdict.is_good() && cluster.notices.panics() == 0;
         self.record.append(&json!({
             "seed": self.seed, "kinds": self.list, "round": round, "faults": suffered, "trims": trims,
-            "jetstream_stopped": stalled.get(),
+            "jetstream_stopped": stalled.get().is_some(),
             "ok": is_good, "acknowledged": verdict.acknowledged, "latest": verdict.latest,
             "plain": verdict.plain, "lost": verdict.lost, "twice": verdict.twice,
             "divergent": verdict.divergent, "data_losses": verdict.data_losses, "violations": verdict.violations,

@@ -143,6 +143,7 @@ async fn the_owner_evaluates_the_mutations_of_all_servers_until_it_is_gone() {
         let answers = futures_util::future::join_all(ids).await;
         assert_eq!(answers[0].ids, answers[1].ids);
     }
+    stubs[0].latest("arm").await.unwrap();
     let count = stubs[0].describe("arm").await.point_count;
     assert_eq!(count, 3 * EACH + 1);
 }

@@ -111,11 +111,11 @@ async fn an_operator_chooses_the_records_that_nats_has_lost() {
     contradict(2 * LOST, 0).await;
 }
 
-/// A cluster whose NATS has lost records that server 0 had applied before it was stopped: its content then, and server 1, which
-/// has the older records alone.
-async fn set_back() -> (Cluster, Content, ServerProcess, Stubs) {
+/// A cluster whose NATS has lost records that server 0, with these settings, had applied before it was stopped: its content
+/// then, and server 1, which has the older records alone.
+async fn set_back(settings: &[(&str, &str)]) -> (Cluster, Content, ServerProcess, Stubs) {
     let mut cluster = Cluster::empty();
-    let server = cluster.start(0);
+    let server = cluster.start_with(0, settings);
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create("arm", "R1").await;
     for id in 0..KEPT {
@@ -136,7 +136,7 @@ async fn set_back() -> (Cluster, Content, ServerProcess, Stubs) {
 /// NATS loses records that one server has applied, and the other one writes others in their place, and this many more. Then
 /// the operator chooses a server.
 async fn contradict(more: u64, chosen: usize) {
-    let (cluster, expected, other, mut others) = set_back().await;
+    let (cluster, expected, other, mut others) = set_back(&[]).await;
     let mut written = 1000;
     let head = async |stubs: &mut Stubs| stubs.describe("arm").await.revision.unwrap().number;
     while head(&mut others).await < expected.revision + more {
@@ -210,7 +210,7 @@ async fn refuse(stubs: &mut Stubs, first: u64) {
 #[ignore = "needs nats-server"]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_server_ahead_of_another_history_stays_stopped() {
-    let (cluster, expected, _other, mut others) = set_back().await;
+    let (cluster, expected, _other, mut others) = set_back(&[]).await;
     insert(&mut others, 1000).await.unwrap();
 
     let mut server = cluster.start(0);
@@ -238,4 +238,43 @@ async fn a_server_ahead_of_another_history_stays_stopped() {
     // The other one compares the two before it writes.
     refuse(&mut others, 2000).await;
     assert_eq!(Content::read(&stubs, "arm").await.unwrap(), expected);
+}
+
+/// The server has the points of the records that NATS has lost, and the records are outside of its window.
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_operator_keeps_the_points_of_records_that_no_server_has() {
+    const WINDOW: [(&str, &str); 1] = [("WAYFOLD_INDEX__WINDOW_BYTES", "1")];
+    let (cluster, expected, mut other, mut others) = set_back(&WINDOW).await;
+    let server = cluster.start_with(0, &WINDOW);
+    other.log_until(JOINS);
+    let refused = insert(&mut others, 1000).await.unwrap_err();
+    assert_eq!(refused.code(), Code::Unavailable, "{refused}");
+    let applied = format!(
+        "has applied the records up to revision {}",
+        expected.revision
+    );
+    assert!(refused.message().contains(&applied), "{refused}");
+    let mut stubs = Stubs::connect(server.uri()).await;
+    insert(&mut stubs, 1000).await.unwrap_err();
+    assert_eq!(Content::read(&stubs, "arm").await.unwrap(), expected);
+
+    server.stop(Signal::Terminate);
+    cluster.reseed(0);
+    let server = cluster.start_with(0, &WINDOW);
+    let mut stubs = Stubs::connect(server.uri()).await;
+    assert_eq!(latest_content(&mut stubs).await.points, expected.points);
+    let copied = async {
+        loop {
+            let content = Content::read(&others, "arm").await;
+            if let Some(content) = content.ok().filter(|it| it.uid != expected.uid) {
+                return content.points;
+            }
+        }
+    };
+    assert_eq!(timeout(MAX_WAIT, copied).await.unwrap(), expected.points);
+    let written = insert_until_acknowledged(&mut others, 1000..1001);
+    timeout(MAX_WAIT, written).await.unwrap();
+    let written = latest_content(&mut stubs).await.points;
+    assert_eq!(written.len(), expected.points.len() + 1);
 }

@@ -33,10 +33,16 @@ fn put(client: u64, times: (u64, u64), revision: u64, id: u64) -> Operation {
 }
 
 fn mutation(client: u64, times: (u64, u64), revision: u64, step: Step) -> Operation {
-    let answer = Answer {
-        revision,
-        changed: true,
-    };
+    answered(client, times, revision, step, true)
+}
+
+/// A mutation that found nothing to change.
+fn unchanged(client: u64, times: (u64, u64), revision: u64, step: Step) -> Operation {
+    answered(client, times, revision, step, false)
+}
+
+fn answered(client: u64, times: (u64, u64), revision: u64, step: Step, changed: bool) -> Operation {
+    let answer = Answer { revision, changed };
     let call = Call::Mutation {
         steps: vec![step],
         answer: Some(answer),
@@ -167,20 +173,40 @@ fn a_stale_read_of_the_latest_is_rejected_and_a_plain_one_is_not() {
 
 #[test]
 fn an_old_answer_without_effect_is_rejected() {
-    let mut unchanged = mutation(1, (2, 3), 0, Step::Remove(9));
-    let Call::Mutation {
-        answer: Some(answer),
-        ..
-    } = &mut unchanged.call
-    else {
-        unreachable!("an answered mutation")
-    };
-    answer.changed = false;
+    let unchanged = unchanged(1, (2, 3), 0, Step::Remove(9));
     let violation = Violation::Stale {
         revision: 0,
         returned: 1,
     };
     assert_eq!(rejected(&[put(0, (0, 1), 1, 7), unchanged]), [violation]);
+}
+
+#[test]
+fn an_answer_without_effect_that_leaves_a_stored_point_is_rejected() {
+    let history = [
+        put(0, (0, 1), 1, 7),
+        unchanged(1, (2, 3), 1, Step::Remove(7)),
+        read(2, (4, 5), true, 1, &[(7, 1)]),
+    ];
+    let violation = Violation::Lost {
+        read: 1,
+        id: 7,
+        revision: 1,
+    };
+    assert_eq!(rejected(&history), [violation]);
+    let tag = [
+        put(0, (0, 1), 1, 7),
+        unchanged(1, (2, 3), 1, Step::SetTag(7, 5)),
+    ];
+    rejected(&tag);
+    // Another removal may have come first.
+    let removed = [
+        put(0, (0, 1), 1, 7),
+        unknown(1, 2, vec![Step::Remove(7)]),
+        unchanged(2, (3, 4), 2, Step::Remove(7)),
+        unchanged(2, (5, 6), 2, Step::SetTag(7, 5)),
+    ];
+    assert_eq!(check(&removed).map(|it| it.found), Ok(1));
 }
 
 #[test]
@@ -264,6 +290,25 @@ fn an_unknown_removal_takes_effect_once_and_whole() {
     assert_eq!(check(&never).map(|it| it.found), Ok(0));
     rejected(&history(&[(8, 2)], &[(8, 2)]));
     rejected(&history(&[], &[(7, 1)]));
+}
+
+#[test]
+fn an_unknown_removal_has_a_greater_revision_than_all_that_had_returned() {
+    let history = |revision, points: &[(u64, u64)]| {
+        [
+            put(0, (0, 1), 1, 7),
+            put(0, (2, 3), 2, 8),
+            unknown(1, 4, vec![Step::Remove(7)]),
+            read(2, (5, 6), false, revision, points),
+        ]
+    };
+    let violation = Violation::Lost {
+        read: 1,
+        id: 7,
+        revision: 1,
+    };
+    assert_eq!(rejected(&history(1, &[])), [violation]);
+    assert_eq!(check(&history(3, &[(8, 2)])).map(|it| it.found), Ok(1));
 }
 
 #[test]

@@ -13,9 +13,9 @@ const BEAT: u64 = 100;
 pub(crate) enum Kind {
     /// A point with an id of the store's.
     Put,
-    /// The removal of one of the stored points.
+    /// The removal of a point that is or was stored.
     Remove(u64),
-    /// A tag for one of the stored points.
+    /// A tag for such a point.
     SetTag(u64, u64),
     /// A read of all points.
     Latest,
@@ -75,8 +75,8 @@ pub(crate) struct Store {
     past: BTreeMap<u64, Points>,
     /// The end of each client's last operation, and the revision that it knows.
     clients: Vec<(u64, u64)>,
-    /// The points that are stored twice; their clients do not remove them, which would hide it.
-    twins: Vec<u64>,
+    /// The points of a fault; clients do not remove them, which would hide it.
+    faulty: Vec<u64>,
     /// True if the fault could be had.
     pub(crate) has_failed: bool,
 }
@@ -192,11 +192,12 @@ impl Store {
         answer_is_lost: bool,
         fault: Option<Fault>,
     ) -> Call {
-        let stored = self.points.keys().copied();
-        let stored: Vec<u64> = stored.filter(|id| !self.twins.contains(id)).collect();
-        let choose = |at: u64| match stored.len() as u64 {
+        let known: Vec<u64> = (0..self.next_id)
+            .filter(|id| !self.faulty.contains(id))
+            .collect();
+        let choose = |at: u64| match known.len() as u64 {
             0 => u64::MAX,
-            count => stored[(at % count) as usize],
+            count => known[(at % count) as usize],
         };
         let step = match *mutation {
             Kind::Remove(at) => Step::Remove(choose(at)),
@@ -210,12 +211,10 @@ impl Store {
                 }
             }
         };
-        if has_effect {
-            self.apply(step, fault.filter(|_| !answer_is_lost));
-        }
+        let changed = has_effect && self.apply(step, fault.filter(|_| !answer_is_lost));
         let answer = Answer {
             revision: self.revision,
-            changed: true,
+            changed,
         };
         Call::Mutation {
             steps: vec![step],
@@ -223,8 +222,9 @@ impl Store {
         }
     }
 
-    fn apply(&mut self, step: Step, fault: Option<Fault>) {
-        match step {
+    /// Returns false if it finds nothing to change.
+    fn apply(&mut self, step: Step, fault: Option<Fault>) -> bool {
+        let changed = match step {
             Step::Put { tag, payload, .. } => {
                 let point = Point {
                     tag,
@@ -237,23 +237,27 @@ impl Store {
                     Some(Fault::Double) => 2,
                     _ => 1,
                 };
-                self.has_failed |= times != 1;
-                if times == 2 {
-                    self.twins = vec![self.next_id, self.next_id + 1];
-                }
                 for id in self.next_id..self.next_id + times {
                     self.points.insert(id, point);
                 }
-                self.next_id += times.max(1);
-            }
-            Step::Remove(id) => drop(self.points.remove(&id)),
-            Step::SetTag(id, tag) => {
-                if let Some(point) = self.points.get_mut(&id) {
-                    point.tag = tag;
+                let next_id = self.next_id + times.max(1);
+                if times != 1 {
+                    self.has_failed = true;
+                    self.faulty = (self.next_id..next_id).collect();
                 }
+                self.next_id = next_id;
+                true
             }
+            Step::Remove(id) => self.points.remove(&id).is_some(),
+            Step::SetTag(id, tag) => match self.points.get_mut(&id) {
+                Some(point) => std::mem::replace(&mut point.tag, tag) != tag,
+                None => false,
+            },
+        };
+        if changed {
+            self.change();
         }
-        self.change();
+        changed
     }
 }
 

@@ -1,5 +1,7 @@
 //! The faults under the writers.
 
+use std::collections::BTreeSet;
+
 use rand::{Rng, RngExt, seq::IndexedRandom};
 
 use super::clock::DAY;
@@ -57,6 +59,13 @@ pub(super) enum Needs {
     Disks,
     /// A network namespace for each server.
     Network,
+}
+
+/// The part of a round in which writing stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stall {
+    BeforeFault,
+    UnderFault,
 }
 
 impl Fault {
@@ -126,6 +135,14 @@ impl Fault {
             )
     }
 
+    /// True if NATS may stall under this fault: it is without one server, and the store of another one is damaged, so two of three
+    /// copies are no majority.
+    pub(super) fn excuses(self, stall: Stall, of: usize, damaged: &BTreeSet<usize>) -> bool {
+        // A cut chooses its server of NATS itself.
+        let is_other = |it: &usize| *it != of || self.needs() == Needs::Network;
+        stall == Stall::UnderFault && self.takes_nats() && damaged.iter().any(is_other)
+    }
+
     /// The faults of a list of their names, or of one of the words `plain` (without root), `disks`, `partitions`, `all`.
     pub(super) fn parse(list: &str) -> Vec<Self> {
         let named = |name: &str| {
@@ -155,4 +172,17 @@ impl Fault {
 /// A jump of up to a day in either direction, in nanoseconds.
 pub(super) fn jump(random: &mut impl Rng) -> i64 {
     random.random_range(-DAY..=DAY)
+}
+
+#[test]
+fn only_a_stall_under_a_fault_that_takes_a_majority_is_excused() {
+    let damaged = BTreeSet::from([1]);
+    for fault in Fault::ALL {
+        assert!(!fault.excuses(Stall::BeforeFault, 0, &damaged), "{fault:?}");
+        assert!(!fault.excuses(Stall::UnderFault, 0, &BTreeSet::new()));
+        let takes_nats = fault.takes_nats();
+        assert_eq!(fault.excuses(Stall::UnderFault, 0, &damaged), takes_nats);
+    }
+    assert!(!Fault::KillNats.excuses(Stall::UnderFault, 1, &damaged));
+    assert!(Fault::CutNats.excuses(Stall::UnderFault, 1, &damaged));
 }

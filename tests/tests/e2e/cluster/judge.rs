@@ -16,7 +16,10 @@ use super::{
     client::Client,
     history::{History, scan},
 };
-use crate::clients::{SPACE, Tally};
+use crate::{
+    clients::{SPACE, Tally},
+    healing::latest_content,
+};
 
 /// The judge of an index.
 pub(super) struct Judge {
@@ -82,7 +85,7 @@ impl Judge {
             data_losses: clients.iter().map(|it| it.data_losses).sum(),
             ..Verdict::default()
         };
-        let contents = self.contents(&stubs, uris, &mut operations).await;
+        let contents = self.contents(&mut stubs, uris, &mut operations).await;
         let differ = |content: &&Option<Content>| content.is_none() || **content != contents[0];
         verdict.divergent = contents.iter().filter(differ).count() as u64;
         let mut tally = Tally::default();
@@ -139,12 +142,12 @@ impl Judge {
     /// The contents of all servers, at a revision that has everything; none of a server that does not answer.
     async fn contents(
         &self,
-        stubs: &Stubs,
+        stubs: &mut Stubs,
         uris: &[String],
         operations: &mut Vec<Operation>,
     ) -> Vec<Option<Content>> {
-        // Retries may have left records without effect behind the last mutation.
-        let newest = Content::read(stubs, "arm").await.unwrap().revision;
+        // Retries may have left records without effect behind the last mutation, and this server may not have them yet.
+        let newest = latest_content(stubs).await.revision;
         let mut contents = Vec::new();
         for (server, uri) in uris.iter().enumerate() {
             let (stubs, invoked) = (Stubs::connect(uri).await, Instant::now());

@@ -4,6 +4,7 @@ use std::{
     env,
     path::PathBuf,
     sync::{Arc, Mutex},
+    time::SystemTime,
 };
 
 use tokio::{task::yield_now, time::timeout};
@@ -18,7 +19,7 @@ use super::{
     disk::Disk,
     fault::{Fault, Needs},
     network::Network,
-    notices::Notices,
+    notices::{Notices, lacks_leader},
 };
 use crate::metrics::figures;
 
@@ -63,7 +64,12 @@ impl Cluster {
         let network = needs(Needs::Network).then(|| Network::new(SERVERS + NATS_SERVERS));
         let hosts = (0..NATS_SERVERS).map(|node| host(network.as_ref(), SERVERS + node));
         let sync_interval = env::var("CLUSTER_NATS_SYNC").unwrap_or_else(|_| "always".into());
-        let nats = Nats::start_at(directory.path(), hosts.collect(), &sync_interval, "");
+        let nats = Nats::start_at(
+            directory.path(),
+            hosts.collect(),
+            &sync_interval,
+            "logtime_utc: true",
+        );
         let mut cluster = Self {
             nats,
             servers: (0..SERVERS).map(|_| None).collect(),
@@ -152,10 +158,11 @@ impl Cluster {
         self.notices.read_nats(&log);
     }
 
-    /// Kills all servers of NATS, because nothing is written any more; false if their logs do not blame them.
-    pub(super) fn has_jetstream_stopped(&mut self) -> bool {
+    /// Kills all servers of NATS, because nothing was acknowledged since this time; false if their logs do not blame them.
+    pub(super) fn has_jetstream_stopped(&mut self, since: SystemTime) -> bool {
         let logs: Vec<_> = (0..NATS_SERVERS).map(|node| self.nats.kill(node)).collect();
-        let blamed = logs.iter().filter(|log| self.notices.read_nats(log));
+        logs.iter().for_each(|log| self.notices.read_nats(log));
+        let blamed = logs.iter().filter(|log| lacks_leader(log, since));
         let has_stopped = 2 * blamed.count() > NATS_SERVERS;
         if !has_stopped {
             logs.iter().for_each(|log| println!("{log}"));
