@@ -159,6 +159,8 @@ pub enum Error {
         done: usize,
         /// The number of rows to send.
         rows: usize,
+        /// The ids under which an insert stored these rows, as far as their answers were read; empty for other mutations.
+        ids: Vec<u64>,
         /// The error of the next call; `OUT_OF_RANGE` if the client did not read the answer, which is above its limit.
         source: Box<Error>,
     },
@@ -227,6 +229,14 @@ impl Error {
             call,
             timeout,
             earlier: None,
+        }
+    }
+
+    /// The error of a call whose answer violates the protocol.
+    pub(crate) fn protocol(call: &'static str, problem: impl Into<String>) -> Error {
+        Error::Protocol {
+            call,
+            problem: problem.into(),
         }
     }
 

@@ -18,6 +18,8 @@ pub(crate) struct Failure {
     message: CString,
     field: CString,
     reason: CString,
+    /// The number of rows that took effect before the error.
+    rows_done: usize,
 }
 
 thread_local! {
@@ -31,6 +33,7 @@ impl Failure {
             message: c_string(message),
             field: c_string(field),
             reason: c_string(reason),
+            rows_done: 0,
         }
     }
 
@@ -58,6 +61,7 @@ impl From<Error> for Failure {
             Error::NotInMemory { .. } => (String::new(), "NOT_IN_MEMORY"),
             Error::Closed => (String::new(), "CLOSED"),
             Error::Forked => (String::new(), "FORKED"),
+            Error::Partial { done, source, .. } => return partial(&error, *done, source),
             #[cfg(feature = "net")]
             error => (refused_field(error), ""),
             #[cfg(not(feature = "net"))]
@@ -66,6 +70,22 @@ impl From<Error> for Failure {
         #[cfg(feature = "net")]
         let reason = error.reason().unwrap_or(reason);
         Failure::new(code(&error), &field, reason, &error.to_string())
+    }
+}
+
+/// An error after `rows_done` rows took effect. Its field would count rows from there, and stays in the message.
+fn partial(error: &Error, rows_done: usize, source: &Error) -> Failure {
+    #[cfg(feature = "net")]
+    let reason = source.reason().unwrap_or_default();
+    #[cfg(not(feature = "net"))]
+    let reason = "";
+    let message = match reason {
+        "" => error.to_string(),
+        reason => format!("{error}, reason {reason}"),
+    };
+    Failure {
+        rows_done,
+        ..Failure::new(code(source), "", "PARTIAL", &message)
     }
 }
 
@@ -167,6 +187,16 @@ pub(crate) fn last(part: Part) -> *const c_char {
         text.map_or(c"".as_ptr(), |text| text.as_ptr())
     });
     text.unwrap_or(c"".as_ptr())
+}
+
+/// The number of rows that took effect before the error of this thread's last failed call.
+pub(crate) fn last_rows_done() -> usize {
+    let done = LAST.try_with(|last| {
+        last.borrow()
+            .as_ref()
+            .map_or(0, |failure| failure.rows_done)
+    });
+    done.unwrap_or(0)
 }
 
 fn c_string(text: &str) -> CString {

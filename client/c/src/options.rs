@@ -24,7 +24,7 @@ pub struct WayfoldSearch {
     pub since: u64,
     /// Answers may be farther than the true ones by a factor of 1 + epsilon; 0 is exact.
     pub epsilon: f64,
-    /// The longest time of the search in milliseconds; 0 is without a limit.
+    /// The longest time of the search in milliseconds; 0 is without a limit. An insert into a remote index ignores it.
     pub timeout_ms: u64,
 }
 
@@ -73,7 +73,13 @@ impl WayfoldSearch {
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct WayfoldPoint {
-    /// The id, below 2^63; `UINT64_MAX` for one that the index assigns.
+    /// The id, below 2^63; `UINT64_MAX` for one that the index assigns. The insert fails if a point has it.
+    ///
+    /// A shared index looks in its copy: of two processes that store the same id at once, the later one replaces the
+    /// point, and both calls succeed. Ids in a block that the server reserved for another process are refused, which ends
+    /// the writes of this one until `wayfold_index_take_unsent`. Choose a range above all assigned ids, well below 2^63,
+    /// then store and flush its last id first: the server assigns only greater ids from then on, and the ids below it
+    /// stay the caller's.
     pub id: u64,
     /// The tag, whose bits the planner defines.
     pub tag: u64,

@@ -197,7 +197,7 @@ int main(void) {
     states[3 * 5 + 1] = NAN;
     CHECK(wayfold_index_insert(index, states, 100, 3, ids) == WAYFOLD_CODE_INVALID_ARGUMENT);
     CHECK(strcmp(wayfold_error_field(), "states[5].coords[1]") == 0);
-    CHECK(strcmp(wayfold_error_reason(), "INVALID_STATE") == 0);
+    CHECK(strcmp(wayfold_error_reason(), "INVALID_STATE") == 0 && wayfold_error_rows_done() == 0);
     CHECK(wayfold_index_insert(index, states, 1, 4, ids) == WAYFOLD_CODE_INVALID_ARGUMENT);
     CHECK(strcmp(wayfold_error_reason(), "WRONG_WIDTH") == 0);
     CHECK(wayfold_index_insert(index, states, SIZE_MAX, 3, ids) == WAYFOLD_CODE_INVALID_ARGUMENT);

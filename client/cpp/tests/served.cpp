@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <fstream>
 #include <iterator>
+#include <numeric>
 #include <optional>
 #include <random>
 #include <string>
@@ -43,6 +44,40 @@ void guarded(const std::string &uri, const std::string &folder) {
     CHECK(code_of(wayfold::Credentials().ca_certificate(ca)) == WAYFOLD_CODE_UNAUTHENTICATED);
     CHECK(code_of(wayfold::Credentials().ca_certificate(ca).token("of-nobody")) == WAYFOLD_CODE_UNAUTHENTICATED);
     CHECK(code_of(wayfold::Credentials().token("a-token-that-may-write")) == WAYFOLD_CODE_INVALID_ARGUMENT);
+}
+
+// In an outage an insert of many rows stores as many as it has reserved ids for. The error tells them, so that the caller
+// repeats only the others.
+void partial(const std::string &uri, pid_t server) {
+    const auto index = wayfold::Index::shared(uri, "outage", "R1", {}, 3000);
+    std::vector<double> states(100000);
+    std::iota(states.begin(), states.end(), 0.0);
+    index.insert(std::vector<double>{-1});
+    stop(server);
+    std::optional<wayfold::Error> error;
+    try {
+        index.insert_many(states.data(), states.size());
+    } catch (const wayfold::Error &thrown) {
+        error = thrown;
+    }
+    CHECK(error && error->code() == WAYFOLD_CODE_DEADLINE_EXCEEDED && error->reason() == "PARTIAL");
+    const std::size_t done = error->rows_done();
+    CHECK(done > 0 && done < states.size() && index.size() == 1 + done);
+    CHECK(std::string(error->what()).find("of 100000 took effect") != std::string::npos && error->ids().size() == done);
+    for (std::size_t row = 0; row < done; row++) {
+        CHECK(index.get(error->ids()[row])->state[0] == states[row]);
+    }
+    go_on(server);
+    index.flush_within(60000);
+    const auto remote = wayfold::Index::remote(uri, "outage");
+    CHECK(remote.insert_many(states.data() + done, states.size() - done).size() == states.size() - done);
+    CHECK(remote.size() == 1 + states.size() && index.close(60000).empty());
+    // Another error changed nothing.
+    try {
+        index.insert_many(states.data(), states.size());
+    } catch (const wayfold::Error &closed) {
+        CHECK(closed.reason() == "CLOSED" && closed.rows_done() == 0 && closed.ids().empty());
+    }
 }
 
 } // namespace
@@ -173,6 +208,7 @@ int main(int count, char **arguments) {
     remote.remove_all();
     CHECK(remote.empty());
     CHECK(shared.close(10000).empty());
+    partial(uri, server);
     guarded(arguments[3], arguments[4]);
     std::cout << "served: ok\n";
 }

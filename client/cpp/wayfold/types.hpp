@@ -15,26 +15,50 @@ namespace wayfold {
 // The error of a call. The message names the field and the problem.
 class Error : public std::runtime_error {
 public:
-    Error(wayfold_code code, const std::string &message, std::string field, std::string reason)
-        : std::runtime_error(message), code_(code), field_(std::move(field)), reason_(std::move(reason)) {}
+    Error(wayfold_code code, const std::string &message, std::string field, std::string reason, std::size_t rows_done = 0,
+          std::vector<std::uint64_t> ids = {})
+        : std::runtime_error(message), code_(code), field_(std::move(field)), reason_(std::move(reason)),
+          rows_done_(rows_done), ids_(std::move(ids)) {}
 
     wayfold_code code() const { return code_; }
     // The wrong field, such as "states[3].coords[1]"; empty if no field is wrong.
     const std::string &field() const { return field_; }
     // The reason in UPPER_SNAKE_CASE; empty if there is none.
     const std::string &reason() const { return reason_; }
+    // The number of rows that are stored in spite of the error, from the first on; 0 unless the reason is PARTIAL.
+    std::size_t rows_done() const { return rows_done_; }
+    // The ids of these rows, from `insert_many`.
+    const std::vector<std::uint64_t> &ids() const { return ids_; }
 
 private:
     wayfold_code code_;
     std::string field_;
     std::string reason_;
+    std::size_t rows_done_;
+    std::vector<std::uint64_t> ids_;
 };
 
 namespace detail {
 
-inline void check(wayfold_code code) {
+// `ids` are those that an insert of many rows wrote, or null.
+inline void check(wayfold_code code, const std::uint64_t *ids = nullptr) {
     if (code != WAYFOLD_CODE_OK) {
-        throw Error(code, wayfold_error_message(), wayfold_error_field(), wayfold_error_reason());
+        const std::size_t done = wayfold_error_rows_done();
+        throw Error(code, wayfold_error_message(), wayfold_error_field(), wayfold_error_reason(), done,
+                    ids == nullptr ? std::vector<std::uint64_t>() : std::vector<std::uint64_t>(ids, ids + done));
+    }
+}
+
+// Reads again if the text did not fit.
+template <class Read> std::string read_text(std::string &text, Read read) {
+    for (;;) {
+        std::size_t bytes = 0;
+        check(read(text.data(), text.size(), &bytes));
+        const bool fits = bytes <= text.size();
+        text.resize(bytes);
+        if (fits) {
+            return std::move(text);
+        }
     }
 }
 

@@ -45,7 +45,7 @@ public:
     std::optional<ConnectionStatus> status() const {
         ConnectionStatus status{WAYFOLD_STATUS_NOT_SHARED, 0, {}};
         std::string why(256, '\0');
-        status.why = read_text(why, [this, &status](char *room, std::size_t capacity, std::size_t *bytes) {
+        status.why = detail::read_text(why, [this, &status](char *room, std::size_t capacity, std::size_t *bytes) {
             return wayfold_index_status(raw(), &status.name, &status.behind, room, capacity, bytes);
         });
         return status.name == WAYFOLD_STATUS_NOT_SHARED ? std::nullopt : std::optional<ConnectionStatus>(std::move(status));
@@ -92,7 +92,7 @@ public:
     // The text of the space. Equal spaces have equal texts.
     std::string space() const {
         std::string text(256, '\0');
-        return read_text(text, [this](char *room, std::size_t capacity, std::size_t *bytes) {
+        return detail::read_text(text, [this](char *room, std::size_t capacity, std::size_t *bytes) {
             return wayfold_index_space(raw(), room, capacity, bytes);
         });
     }
@@ -115,13 +115,19 @@ public:
         detail::check(wayfold_index_insert(raw(), state.data(), 1, state.size(), &id));
         return id;
     }
-    // `states` are rows, one after the other.
+    // `states` are rows, one after the other. An index in memory stores all or none. The other forms may divide many rows,
+    // and a part may fail after others were stored: the reason of the error is PARTIAL then, and it has the number and the
+    // ids of the stored rows. Repeat only the rows after them: a repeated row is a second point.
     std::vector<std::uint64_t> insert_many(const double *states, std::size_t count) const {
         std::vector<std::uint64_t> ids(count);
-        detail::check(wayfold_index_insert(raw(), states, count, width_, ids.data()));
+        detail::check(wayfold_index_insert(raw(), states, count, width_, ids.data()), ids.data());
         return ids;
     }
-    // The index assigns the id unless there is one, below 2^63.
+    // The index assigns the id unless there is one, below 2^63. The insert fails if a point has it. A shared index looks in
+    // its copy: of two processes that store the same id at once, the later one replaces the point, and both calls succeed.
+    // Ids in a block that the server reserved for another process are refused, which ends the writes of this one until
+    // `take_unsent`. Choose a range above all assigned ids, well below 2^63, then store and flush its last id first: the
+    // server assigns only greater ids from then on, and the ids below it stay the caller's.
     std::uint64_t insert(const std::vector<double> &state, std::uint64_t tag, const std::string &payload = {},
                          std::optional<std::uint64_t> own_id = {}) const {
         wayfold_point point = wayfold_point_default();
@@ -136,7 +142,8 @@ public:
     }
     // Writes the neighbours that the state had at its insertion, nearest first, at most `capacity`, and the revision of
     // the insertion for `Search::since`, unless `read_revision` is null; returns the id. `meanwhile` tells later of the
-    // points that others stored before the state and that the copy of a shared index did not have yet.
+    // points that others stored before the state and that the copy of a shared index did not have yet. A remote index does
+    // not end this search by its timeout, but by that of the call.
     std::uint64_t insert(const double *state, std::uint64_t tag, const std::string &payload, const Search &search,
                          std::size_t capacity, std::vector<std::uint64_t> &neighbors,
                          std::uint64_t *read_revision = nullptr) const {
@@ -158,6 +165,8 @@ public:
         detail::check(wayfold_index_remove(raw(), id, &removed));
         return removed;
     }
+    // The point keeps its tag and loses its payload. A remote index makes two calls: a tag that another process sets between
+    // them is lost, and a removal is undone; it returns true then too.
     bool replace(std::uint64_t id, const std::vector<double> &state) const {
         bool replaced = false;
         detail::check(wayfold_index_replace(raw(), id, state.data(), state.size(), &replaced));
@@ -182,7 +191,7 @@ public:
     }
     std::string payload(std::uint64_t id) const {
         std::string payload(256, '\0');
-        return read_text(payload, [this, id](char *room, std::size_t capacity, std::size_t *bytes) {
+        return detail::read_text(payload, [this, id](char *room, std::size_t capacity, std::size_t *bytes) {
             return wayfold_index_payload(raw(), id, reinterpret_cast<std::uint8_t *>(room), capacity, bytes);
         });
     }
@@ -319,19 +328,6 @@ private:
     explicit Index(wayfold_index *made) : handle_(made, wayfold_index_free), width_(wayfold_index_width(made)) {}
 
     wayfold_index *raw() const { return handle_.get(); }
-
-    // Reads again if the text did not fit.
-    template <class Read> static std::string read_text(std::string &text, Read read) {
-        for (;;) {
-            std::size_t bytes = 0;
-            detail::check(read(text.data(), text.size(), &bytes));
-            const bool fits = bytes <= text.size();
-            text.resize(bytes);
-            if (fits) {
-                return std::move(text);
-            }
-        }
-    }
 
     void check_width(const std::vector<double> &state) const {
         if (state.size() != width_) {

@@ -1,6 +1,6 @@
 //! Errors of the index as exceptions of the package.
 
-use pyo3::{prelude::*, sync::PyOnceLock};
+use pyo3::{call::PyCallArgs, prelude::*, sync::PyOnceLock};
 use wayfold::Error;
 
 /// Turns the error of a call into an exception.
@@ -18,26 +18,34 @@ impl<T> OrRaise<T> for Result<T, Error> {
                 Error::NotInMemory { .. } => "NOT_IN_MEMORY",
                 _ => &code,
             };
-            raise(
-                py,
-                kind,
-                &code,
-                error.reason().unwrap_or_default(),
-                &error.to_string(),
-            )
+            let (reason, message) = (error.reason().unwrap_or_default(), error.to_string());
+            match &error {
+                Error::Partial { done, ids, .. } => {
+                    let message = match reason {
+                        "" => message,
+                        reason => format!("{message}, reason {reason}"),
+                    };
+                    raise(
+                        py,
+                        (kind, code.as_str(), "PARTIAL", message, *done, &ids[..]),
+                    )
+                }
+                _ => raise(py, (kind, code.as_str(), reason, message)),
+            }
         })
     }
 }
 
 /// A `ValueError` about an argument.
 pub(crate) fn invalid(py: Python<'_>, message: &str) -> PyErr {
-    raise(py, "INVALID_ARGUMENT", "INVALID_ARGUMENT", "", message)
+    raise(py, ("INVALID_ARGUMENT", "INVALID_ARGUMENT", "", message))
 }
 
-fn raise(py: Python<'_>, kind: &str, code: &str, reason: &str, message: &str) -> PyErr {
+/// The exception that `make` makes of these arguments.
+fn raise<'py>(py: Python<'py>, arguments: impl PyCallArgs<'py>) -> PyErr {
     static MAKE: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
     let make = MAKE.import(py, "wayfold._errors", "make");
-    match make.and_then(|make| make.call1((kind, code, reason, message))) {
+    match make.and_then(|make| make.call1(arguments)) {
         Ok(exception) => PyErr::from_value(exception),
         Err(error) => error,
     }

@@ -119,6 +119,38 @@ def test_a_flush_waits_as_long_as_it_is_told() -> None:
         index.flush_within(-1.0)
 
 
+def test_an_insert_that_fails_in_an_outage_tells_its_stored_rows() -> None:
+    states = np.arange(100_000.0)[:, None]
+    with serving({}) as server:
+        index = wayfold.shared(server.url, "outage", create="R1", timeout=3.0)
+        index.insert([-1.0])
+        index.flush()
+    with pytest.raises(wayfold.Timeout, match="of 100000 took effect") as caught:
+        index.insert_many(states)
+    error = pickle.loads(pickle.dumps(caught.value))
+    assert (error.code, error.reason) == ("DEADLINE_EXCEEDED", "PARTIAL")
+    assert 0 < error.done == len(index) - 1 < len(states)
+    ids, _, rows = index.scan().columns()
+    assert ids[1:].tolist() == error.ids
+    np.testing.assert_array_equal(rows[1:], states[: error.done])
+    assert [write.id for write in index.close(0.0)] == error.ids
+
+
+def test_an_insert_of_which_a_part_is_refused_tells_its_stored_rows() -> None:
+    limits = {"WAYFOLD_LIMITS__MAX_ROWS_PER_CALL": "1000", "WAYFOLD_LIMITS__MAX_POINTS_PER_INDEX": "2500"}
+    with serving(limits) as server:
+        index = wayfold.remote(server.url, "refused", create="R1")
+        message = "rows 0 to 1999 of 3000 took effect; then: .*, reason QUOTA_EXCEEDED$"
+        with pytest.raises(wayfold.Error, match=message) as caught:
+            index.insert_many(np.arange(3_000.0)[:, None])
+        error = caught.value
+        assert (error.code, error.reason, error.done) == ("RESOURCE_EXHAUSTED", "PARTIAL", 2_000)
+        assert error.ids == [point.id for point in index.scan()]
+        with pytest.raises(wayfold.Error) as caught:
+            index.insert_many(np.arange(1_000.0)[:, None])
+        assert (caught.value.reason, caught.value.done, caught.value.ids) == ("QUOTA_EXCEEDED", 0, [])
+
+
 def test_errors_have_classes(server: Server) -> None:
     with pytest.raises(wayfold.NotFound) as caught:
         wayfold.shared(server.url, "nowhere")

@@ -162,7 +162,7 @@ impl Index {
     ///
     /// # Errors
     /// Those of [`Index::insert`]; the row in the error is the state's. Nothing is stored then, except with
-    /// [`Error::Partial`]: rows before the failed part are stored.
+    /// [`Error::Partial`]: rows before the failed part are stored, under the ids in the error.
     pub fn insert_many<S: State>(
         &self,
         states: impl IntoIterator<Item = S>,

@@ -7,14 +7,13 @@ use std::ops::Range;
 
 use tonic::Code;
 
-use crate::{Client, Error, IndexHandle, Limits, net::connections::PointStub};
+use crate::{Client, Error, IndexHandle, Limits, net::call::Call};
 
 /// The most states or ids that the client puts into one read, so that a call keeps within its timeout.
 pub const READ_ROWS: usize = 1_000;
 
 /// A mutation, divided by rows.
 pub(crate) struct Division<'a> {
-    call: &'static str,
     index: &'a IndexHandle,
     rows: usize,
     ids: &'a [u64],
@@ -22,16 +21,14 @@ pub(crate) struct Division<'a> {
 }
 
 impl<'a> Division<'a> {
-    /// The mutation `call` of this many rows, with their ids or none.
+    /// A mutation of this many rows, with their ids or none.
     pub(crate) fn new(
-        call: &'static str,
         index: &'a IndexHandle,
         rows: usize,
         ids: &'a [u64],
         operation_id: &'a str,
     ) -> Self {
         Division {
-            call,
             index,
             rows,
             ids,
@@ -41,19 +38,14 @@ impl<'a> Division<'a> {
 
     /// Sends the mutation in parts, in order. If the server names a lower limit than the client knows, as after a
     /// restart with other settings, the client divides the rest again.
-    pub(crate) async fn write<Q, A, F, Fut>(
+    pub(crate) async fn write<C: Call>(
         &self,
         max_rows: impl Fn(&Limits) -> usize,
         row_bytes: impl Fn(usize) -> usize,
-        message: impl Fn(&Range<usize>, &str) -> Q,
-        send: F,
-        mut append: impl FnMut(A, usize) -> Result<(), Error>,
-    ) -> Result<(), Error>
-    where
-        F: Fn(PointStub, tonic::Request<Q>) -> Fut,
-        Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
-    {
-        let (mut limits, mut deadline) = self.index.limits(self.call, self.rows).await?;
+        message: impl Fn(&Range<usize>, &str) -> C,
+        mut append: impl FnMut(C::Answer, usize) -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        let (mut limits, mut deadline) = self.index.limits(C::NAME, self.rows).await?;
         let (mut rest, mut most) = (0..self.rows, usize::MAX);
         'divided: loop {
             let rows = max_rows(&limits).min(most);
@@ -65,10 +57,7 @@ impl<'a> Division<'a> {
             let operation_ids = operation_ids(self.operation_id, &parts).map_err(failed)?;
             for (part, operation_id) in parts.iter().zip(&operation_ids) {
                 let message = || message(part, operation_id);
-                let sent = self
-                    .index
-                    .mutate(self.call, deadline.take(), message, &send);
-                match sent.await {
+                match self.index.mutate(deadline.take(), message).await {
                     Ok(answer) => append(answer, part.len())?,
                     Err(error) => {
                         match limits.lowered(&error) {
@@ -138,6 +127,28 @@ impl Limits {
         *limit = named;
         Some(self)
     }
+}
+
+/// Reads rows of an index like [`read_in_parts`]. `max_rows` is the most that a call may read under the server's limits,
+/// or a refusal of the whole read.
+pub(crate) async fn read<C: Call, A>(
+    index: &IndexHandle,
+    rows: usize,
+    max_rows: impl FnOnce(&Limits) -> Result<usize, Error>,
+    message: impl Fn(Range<usize>) -> C,
+    answer: impl Fn(C::Answer, Range<usize>) -> Result<A, Error>,
+    append: fn(&mut A, A),
+) -> Result<A, Error> {
+    let (limits, mut deadline) = index.limits(C::NAME, rows).await?;
+    let (message, answer) = (&message, &answer);
+    let read = |part: Range<usize>| {
+        let deadline = deadline.take();
+        async move {
+            let sent = index.call(deadline, || message(part.clone())).await?;
+            answer(sent, part)
+        }
+    };
+    read_in_parts(rows, max_rows(&limits)?, read, append).await
 }
 
 /// Reads rows in calls of at most `max_rows`, one after the other, and halves that if the server or the transport finds
@@ -254,6 +265,7 @@ fn partial(part: &Range<usize>, rows: usize, error: Error) -> Error {
         done => Error::Partial {
             done,
             rows,
+            ids: Vec::new(),
             source: Box::new(error),
         },
     }

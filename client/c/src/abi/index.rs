@@ -7,7 +7,7 @@ use client::Index;
 use super::pointers::{copy, give, index_of, parse_space, put, rows, text};
 use crate::{
     code::Code,
-    failure::{Failure, Part, call, free, last},
+    failure::{Failure, Part, call, free, last, last_rows_done},
     options::{WayfoldPoint, WayfoldSearch},
 };
 
@@ -45,6 +45,15 @@ pub extern "C" fn wayfold_error_field() -> *const c_char {
 #[unsafe(no_mangle)]
 pub extern "C" fn wayfold_error_reason() -> *const c_char {
     last(Part::Reason)
+}
+
+/// The number of rows that took effect before the last error, whose reason is "PARTIAL" then. 0 means that the reason is
+/// another one.
+///
+/// Thread-safe: each thread has its own.
+#[unsafe(no_mangle)]
+pub extern "C" fn wayfold_error_rows_done() -> usize {
+    last_rows_done()
 }
 
 /// A search that finds all points.

@@ -1,6 +1,6 @@
 //! The functions that store, change and read the points of an index.
 
-use client::{Index, InsertOptions};
+use client::{Error, Index, InsertOptions};
 
 use super::{
     index::WayfoldIndex,
@@ -13,7 +13,11 @@ use crate::{
     options::{WayfoldPoint, WayfoldSearch},
 };
 
-/// Stores `count` states, all or none in memory, and writes their ids, which ascend; `ids` may be null.
+/// Stores `count` states and writes their ids, which ascend; `ids` may be null. An index in memory stores all or none.
+/// The other forms may divide many rows, and a part may fail after others were stored. The reason is "PARTIAL" then,
+/// the code is that of the part, `wayfold_error_rows_done` tells how many rows are stored, from the first on, and `ids`
+/// gets the ids of these. Repeat only the rows after them: a repeated row is a second point. The outcome of the failed
+/// part of a remote insert is unknown after `DEADLINE_EXCEEDED`, as after every such call.
 ///
 /// Thread-safe.
 ///
@@ -37,9 +41,14 @@ pub unsafe extern "C" fn wayfold_index_insert(
             // SAFETY: the caller's promise.
             unsafe { copy(&[id], ids) };
         } else {
-            let stored = index.insert_many(rows.chunks_exact(width))?;
-            // SAFETY: the caller's promise.
-            unsafe { copy(&stored, ids) };
+            let stored = index.insert_many(rows.chunks_exact(width));
+            let done = match &stored {
+                Ok(stored) | Err(Error::Partial { ids: stored, .. }) => &stored[..],
+                Err(_) => &[],
+            };
+            // SAFETY: the caller's promise. No more rows are stored than were given.
+            unsafe { copy(done, ids) };
+            stored?;
         }
         Ok(())
     })
@@ -48,6 +57,9 @@ pub unsafe extern "C" fn wayfold_index_insert(
 /// Stores a state with a tag, a payload or an id, and writes its id; `id` may be null. `search` may be null; otherwise
 /// the neighbours that the state had at its insertion are written as by `wayfold_index_search`. `read_revision` gets
 /// the revision of the insertion, for `since` of a later search; it may be null.
+///
+/// A remote index does not end this search by its `timeout_ms`, but by that of the call. The reason "PARTIAL" means that
+/// it stored the point, under an id that the error does not tell: the answer was larger than the client reads.
 ///
 /// Thread-safe.
 ///
@@ -123,6 +135,9 @@ pub unsafe extern "C" fn wayfold_index_remove(
 
 /// Moves the point with this id to another state; it keeps its tag and loses its payload. Writes false if there is none.
 /// `replaced` may be null.
+///
+/// A remote index makes two calls: a tag that another process sets between them is lost, and a removal is undone.
+/// `replaced` is true then too.
 ///
 /// Thread-safe.
 ///

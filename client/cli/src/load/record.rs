@@ -299,6 +299,7 @@ mod tests {
         let partial = Error::Partial {
             done: 1,
             rows: 2,
+            ids: vec![7],
             source: Box::new(lost()),
         };
         for error in [

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 
 class Error(Exception):
-    """The error of a call. `code` is the gRPC status code or the nearest one, `reason` the server's reason or empty."""
+    """The error of a call. `code` is the gRPC status code or the nearest one, `reason` the server's reason or empty.
 
-    def __init__(self, message: str, code: str = "UNKNOWN", reason: str = "") -> None:
+    The reason PARTIAL means that an insert of many rows stored the first `done` of them, under `ids`, before it failed.
+    Otherwise `done` is 0.
+    """
+
+    def __init__(
+        self, message: str, code: str = "UNKNOWN", reason: str = "", done: int = 0, ids: Sequence[int] = ()
+    ) -> None:
         super().__init__(message)
         self.code = code
         self.reason = reason
+        self.done = done
+        self.ids = list(ids)
 
-    def __reduce__(self) -> tuple[type[Error], tuple[str, str, str]]:
-        return type(self), (str(self), self.code, self.reason)
+    def __reduce__(self) -> tuple[type[Error], tuple[str, str, str, int, list[int]]]:
+        return type(self), (str(self), self.code, self.reason, self.done, self.ids)
 
 
 class InvalidArgument(Error, ValueError):
@@ -60,7 +70,7 @@ _KINDS: dict[str, type[Error]] = {
 }
 
 
-def make(kind: str, code: str, reason: str, message: str) -> Error:
+def make(kind: str, code: str, reason: str, message: str, done: int = 0, ids: Sequence[int] = ()) -> Error:
     """The exception for an error of the extension."""
     remedy = _REMEDY if kind == "FORKED" else ""
-    return _KINDS.get(kind, Error)(message + remedy, code, reason)
+    return _KINDS.get(kind, Error)(message + remedy, code, reason, done, ids)

@@ -204,17 +204,36 @@ class Index:
     def __contains__(self, id: int) -> bool: ...
     def is_empty(self) -> bool: ...
     def insert(self, state: _States, *, id: int | None = None, tag: int = 0, payload: bytes | None = None) -> int:
-        """Stores a state and returns its id."""
+        """Stores a state and returns its id.
+
+        It fails if a point has the given `id`, which is below 2^63. A shared index looks in its copy: of two processes
+        that store the same id at once, the later one replaces the point, and both calls succeed. Ids in a block that the
+        server reserved for another process are refused, which ends the writes of this one until `take_unsent`. Choose a
+        range above all assigned ids, well below 2^63, then store and flush its last id first: the server assigns only
+        greater ids from then on, and the ids below it stay the caller's.
+        """
     def insert_with(
         self, state: _States, search: Search, *, id: int | None = None, tag: int = 0, payload: bytes | None = None
     ) -> InsertedPoint:
-        """Stores a state, and searches the points before it at once."""
+        """Stores a state, and searches the points before it at once. `insert` tells about ids.
+
+        A remote index does not end this search by its `timeout`, but by that of the call.
+        """
     def insert_many(self, states: _States) -> _Ids:
-        """Stores many states at once and returns their ids, which ascend."""
+        """Stores many states at once and returns their ids, which ascend.
+
+        An index in memory stores all or none. The other forms may divide many rows, and a part may fail after others were
+        stored. The `reason` of the error is PARTIAL then, and its `done` and `ids` tell the stored rows, from the first
+        on. Repeat only the rows after them: a repeated row is a second point.
+        """
     def remove(self, id: int) -> bool:
         """Removes a point. False if there is none with this id."""
     def replace(self, id: int, state: _States) -> bool:
-        """Moves a point; it keeps its tag and loses its payload. False if there is none with this id."""
+        """Moves a point; it keeps its tag and loses its payload. False if there is none with this id.
+
+        A remote index makes two calls: a tag that another process sets between them is lost, and a removal is undone. It
+        returns True then too.
+        """
     def set_tag(self, id: int, tag: int) -> bool:
         """Sets the tag of a point. False if there is none with this id."""
     def set_payload(self, id: int, payload: bytes) -> bool:

@@ -3,8 +3,7 @@
 //! `core` is what callers and the two tasks share: the points of the copy, and the `writer`. The writer holds the
 //! pending writes in batches (`batch`), the ids to give (`ids`), what is published under ids with pending writes
 //! (`rebased`) and the searches whose answers are not complete (`meanwhile`). `sender` sends the batches, `subscriber`
-//! applies what the server publishes; both call the server through `link`, over gRPC or Zenoh. `served_index` is what
-//! they know of the server's index.
+//! applies what the server publishes; both call the server through `link`, over gRPC or Zenoh.
 
 mod batch;
 mod core;
@@ -14,7 +13,6 @@ mod meanwhile;
 mod open;
 mod rebased;
 mod sender;
-mod served_index;
 mod status;
 mod subscriber;
 mod writer;
@@ -246,15 +244,18 @@ impl NearestNeighbors for SharedIndex {
         let mut ids = Vec::with_capacity(count);
         for part in rows.chunks(MAX_ROWS_AT_ONCE * width) {
             let done = ids.len();
-            self.insert_rows(part, tag, &mut ids)
-                .map_err(|error| match done {
+            if let Err(error) = self.insert_rows(part, tag, &mut ids) {
+                ids.truncate(done);
+                return Err(match done {
                     0 => error,
                     done => Error::Partial {
                         done,
                         rows: count,
+                        ids,
                         source: Box::new(error),
                     },
-                })?;
+                });
+            }
         }
         Ok(ids)
     }
@@ -282,21 +283,7 @@ impl NearestNeighbors for SharedIndex {
     }
 
     fn payload(&self, id: u64) -> Result<Option<Vec<u8>>, Error> {
-        self.core.check_readable()?;
-        {
-            let writer = self.core.writer.lock();
-            if !self.core.points.read().forest.contains(id) {
-                return Ok(None);
-            }
-            if let Some(payload) = writer.payload(id) {
-                return Ok(Some(payload));
-            }
-        }
-        let core = Arc::clone(&self.core);
-        wait_for(async move {
-            let (index, at) = core.published.lock().clone();
-            core.link.payload(&index, at, id).await
-        })
+        Ok(self.payloads(&[id])?.pop().flatten())
     }
 
     fn payloads(&self, ids: &[u64]) -> Result<Vec<Option<Vec<u8>>>, Error> {
@@ -354,7 +341,7 @@ impl Drop for SharedIndex {
         self.tasks.iter().for_each(AbortHandle::abort);
         let pending = self.pending();
         if pending > 0 {
-            let index = self.core.published.lock().0.name().to_owned();
+            let index = self.core.published.lock().0.name.clone();
             tracing::warn!(
                 index,
                 pending,

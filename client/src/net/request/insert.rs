@@ -16,9 +16,9 @@ use crate::{
 ///
 /// An insert within the server's [`Limits`] is one call, which is atomic: all of it takes effect, or nothing does. More
 /// rows or bytes, or more `neighbors` than an answer holds, are divided among several calls, in order, each atomic of
-/// its own; if one fails, [`Error::Partial`] says how many rows took effect before it. The neighbours within a radius are
-/// divided once the server has refused them: such an insert is not repeated under its operation id, because its parts may
-/// be others.
+/// its own; if one fails, [`Error::Partial`] says how many rows took effect before it, and under which ids. The neighbours
+/// within a radius are divided once the server has refused them: such an insert is not repeated under its operation id,
+/// because its parts may be others.
 #[derive(Debug)]
 #[must_use = "a request does nothing until it is awaited"]
 pub struct Insert {
@@ -160,16 +160,22 @@ impl Insert {
             neighbors: None,
             revision: self.index.revision(),
         };
-        let division = Division::new(CALL, &self.index, rows, &self.ids, &self.operation_id);
+        let division = Division::new(&self.index, rows, &self.ids, &self.operation_id);
         let written = division.write(
             |limits| self.rows_of_answer(limits).min(limits.max_rows_per_call),
             |row| self.row_bytes(&states, row),
             |part, operation_id| self.message(&states, part, operation_id),
-            |mut stub, request| async move { stub.insert(request).await },
             |answer, rows| self.append(answer, rows, &mut inserted),
         );
-        written.await?;
-        Ok(inserted)
+        match written.await {
+            Ok(()) => Ok(inserted),
+            Err(mut error) => {
+                if let Error::Partial { ids, .. } = &mut error {
+                    *ids = inserted.outcomes.iter().filter_map(|it| it.id()).collect();
+                }
+                Err(error)
+            }
+        }
     }
 
     /// The number of rows whose outcomes and neighbours fit into one answer.
@@ -221,10 +227,7 @@ impl Insert {
         inserted: &mut Inserted,
     ) -> Result<(), Error> {
         inserted.revision = self.index.answered(CALL, answer.revision.take())?;
-        let wrong = |problem: &str| Error::Protocol {
-            call: CALL,
-            problem: problem.to_owned(),
-        };
+        let wrong = |problem: &str| Error::protocol(CALL, problem);
         if answer.outcomes.len() != rows || answer.ids.len() != rows {
             return Err(wrong("not an outcome and an id for each row"));
         }
