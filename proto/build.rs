@@ -24,6 +24,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         compiler.encode_file_descriptor_set(),
     )?;
     let grpc = env::var_os("CARGO_FEATURE_GRPC").is_some();
+    let mut config = tonic_prost_build::Config::new();
+    config.enable_type_names();
     tonic_prost_build::configure()
         .build_client(grpc)
         .build_server(grpc)
@@ -33,6 +35,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         .bytes(".wayfold.v1.Neighbors.payloads")
         .bytes(".wayfold.v1.Points.payloads")
         .bytes(".wayfold.v1.SnapshotPart")
-        .compile_fds(compiler.file_descriptor_set())?;
+        .compile_fds_with_config(compiler.file_descriptor_set(), config)?;
     Ok(())
 }

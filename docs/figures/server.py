@@ -88,9 +88,9 @@ def outages():
 
 
 def writers():
-    rows = [[str(row["batch"]), digits(row["states_per_second"]), f"{100 * row['writer_held']:.0f} %", digits(row["processors"])]
+    rows = [[str(row["batch"]), digits(row["states_per_second"]), digits(row["processors"])]
             for row in of("writers")["batches"]]
-    header = ["64 writers in the process: states a call", "states a second", "the index's writer is held", "processors busy"]
+    header = ["64 writers in the process: states a call", "states a second", "processors busy"]
     return table(["writers"], header, rows)
 
 

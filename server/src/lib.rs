@@ -48,43 +48,11 @@ pub use zenoh::ZenohError;
 #[path = "../tests/extremes/mod.rs"]
 mod extremes;
 #[cfg(test)]
+#[path = "../tests/extremes/own_index.rs"]
+mod own_index;
+#[cfg(test)]
 #[path = "../tests/extremes/quiet.rs"]
 mod quiet;
 
 #[cfg(test)]
-mod testing {
-    use std::sync::Arc;
-
-    use proptest::{prelude::ProptestConfig, test_runner::RngSeed};
-
-    use crate::log::{Catalogue, Effects, Entry, Journal, MemoryLog, PointStore, Record, Uid};
-
-    /// A log with an index `arm` of R1 that has applied this many records without points.
-    pub(crate) fn recorded(records: u64) -> Arc<MemoryLog> {
-        let entry = Entry {
-            uid: Uid::unique(),
-            name: "arm".into(),
-            space: "R1".parse().expect("a space"),
-            payload_encoding: Default::default(),
-        };
-        let (uid, log) = (entry.uid, Arc::new(MemoryLog::new()));
-        log.create(entry).expect("a new index");
-        for _ in 0..records {
-            let position = log.view(uid).expect("a view").position();
-            let record = Arc::new(Record::after(position, Effects::new(1)));
-            log.submit(uid, Arc::clone(&record)).expect("a receipt");
-            log.apply(uid, &[record]).expect("a view");
-        }
-        log
-    }
-
-    /// Property tests run `cases` cases, the same ones in every run.
-    pub(crate) fn cases(cases: u32) -> ProptestConfig {
-        ProptestConfig {
-            cases,
-            rng_seed: RngSeed::Fixed(cases.into()),
-            failure_persistence: None,
-            ..ProptestConfig::default()
-        }
-    }
-}
+mod testing;

@@ -25,7 +25,7 @@ use self::files::{STAMP_BYTES, SUFFIX, prune, snapshots, stamp};
 use crate::{
     config::SnapshotConfig,
     observe::Metrics,
-    registry::{Hosted, IndexEntry},
+    registry::{Hosted, IndexState},
     service::{self, Call, Service},
     watermark::{self, Watermark, WatermarkExceeded},
 };
@@ -153,15 +153,14 @@ impl Schedule {
 
     /// Takes the snapshots that are due. Blocks.
     fn take_due(&self, service: &Service, metrics: &Metrics, runtime: &Handle, now: SystemTime) {
-        for listed in service.listed() {
+        for (index, state) in service.listed() {
             if !service.is_serving() {
                 return;
             }
             // The lists of the indices and the log tell of damaged ones.
-            let IndexEntry::Hosted(hosted) = listed else {
+            let IndexState::Hosted(hosted) = state else {
                 continue;
             };
-            let index = hosted.name();
             match self.take_one(service, runtime, &hosted, now) {
                 Ok(None) => {}
                 Ok(Some(file)) => {
@@ -351,7 +350,7 @@ mod tests {
         let call = Call::default();
         service.create_index(&call, creation).await.unwrap();
         let listed = service.listed().into_iter().next();
-        let Some(IndexEntry::Hosted(hosted)) = listed else {
+        let Some((_, IndexState::Hosted(hosted))) = listed else {
             panic!("an index");
         };
         let deletion = v1::DeleteIndexRequest {

@@ -192,10 +192,7 @@ impl NearestNeighbors for Remote {
             Some(Outcome::Inserted { id }) => *id,
             Some(Outcome::Unchanged { id }) => return Err(taken(*id)),
             other => {
-                return Err(Error::Protocol {
-                    call: "insert",
-                    problem: format!("the outcome {other:?}"),
-                });
+                return Err(Error::protocol("insert", format!("the outcome {other:?}")));
             }
         };
         found.clear();

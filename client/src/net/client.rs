@@ -19,7 +19,8 @@ use wayfold_proto::{
 
 pub use self::builder::ClientBuilder;
 use super::{
-    connections::{Connection, Connections, IndexStub},
+    call::Call,
+    connections::{Connection, Connections},
     newest::{Newest, NewestRevisions},
 };
 use crate::{
@@ -72,9 +73,8 @@ impl Client {
 
     /// Returns the result of [`Client::server`] on behalf of `call`, which an error names.
     async fn server_for(&self, call: &'static str, timeout: Duration) -> Result<ServerInfo, Error> {
-        let attempt = |connection: Connection, remaining| {
-            let request = within(remaining, v1::GetServerRequest {});
-            async move { connection.indexes().get_server(request).await }
+        let attempt = |connection, remaining| {
+            Call::send(connection, within(remaining, v1::GetServerRequest {}))
         };
         ServerInfo::from_message(call, self.call(call, timeout, attempt).await?)
     }
@@ -140,8 +140,7 @@ impl Client {
             space_form: Some(SpaceForm::Space(space::to_message(space))),
             payload_encoding: payload_encoding.into(),
         };
-        let call = |stub: IndexStub, request| async move { { stub }.create_index(request).await };
-        let answer = self.index_call(CALL, message, call).await?;
+        let answer = self.send(self.settings.timeout, &message).await?;
         let info = IndexInfo::from_message(CALL, answer.index)?;
         match self.is_newest(&info) {
             true => Ok((info, answer.created)),
@@ -173,12 +172,12 @@ impl Client {
     ) -> Result<IndexInfo, Error> {
         const CALL: &str = "get_index";
         let deadline = Instant::now() + timeout;
+        let request = v1::GetIndexRequest {
+            index_name: name.to_owned(),
+        };
         loop {
-            let attempt = |connection: Connection, remaining| {
-                let index_name = name.to_owned();
-                let request = within(remaining, v1::GetIndexRequest { index_name });
-                async move { connection.indexes().get_index(request).await }
-            };
+            let attempt =
+                |connection, remaining| Call::send(connection, within(remaining, request.clone()));
             let (answer, _) = self.call_at(CALL, timeout, deadline, attempt).await?;
             let info = IndexInfo::from_message(CALL, answer.index)?;
             if self.is_newest(&info) {
@@ -223,9 +222,7 @@ impl Client {
                 page_size: 0,
                 page_token,
             };
-            let call =
-                |stub: IndexStub, request| async move { { stub }.list_indexes(request).await };
-            let page = self.index_call(CALL, message, call).await?;
+            let page = self.send(self.settings.timeout, &message).await?;
             for index in page.indexes {
                 let info = IndexInfo::from_message(CALL, Some(index))?;
                 list.indexes.push(match self.is_newest(&info) {
@@ -269,8 +266,7 @@ impl Client {
             index_name: name.to_owned(),
             uid: uid.clone(),
         };
-        let call = |stub: IndexStub, request| async move { { stub }.delete_index(request).await };
-        match self.index_call("delete_index", message, call).await {
+        match self.send(self.settings.timeout, &message).await {
             // The index existed before this call: an earlier attempt or another caller deleted it.
             Err(error) if error.code() == Code::NotFound => {}
             deleted => drop(deleted?),
@@ -286,21 +282,15 @@ impl Client {
         Ok(named.next().map(|damaged| damaged.uid))
     }
 
-    async fn index_call<Q, A, F, Fut>(
+    /// Makes a call with one answer, with retries.
+    pub(crate) async fn send<C: Call>(
         &self,
-        call: &'static str,
-        message: Q,
-        mut send: F,
-    ) -> Result<A, Error>
-    where
-        Q: Clone,
-        F: FnMut(IndexStub, tonic::Request<Q>) -> Fut,
-        Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
-    {
-        let attempt = |connection: Connection, remaining| {
-            send(connection.indexes(), within(remaining, message.clone()))
-        };
-        self.call(call, self.settings.timeout, attempt).await
+        timeout: Duration,
+        request: &C,
+    ) -> Result<C::Answer, Error> {
+        let attempt =
+            |connection, remaining| C::send(connection, within(remaining, request.clone()));
+        self.call(C::NAME, timeout, attempt).await
     }
 
     /// Makes a call, with retries; each attempt gets the time that is left.

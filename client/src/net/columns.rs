@@ -24,10 +24,7 @@ impl Columns {
         width: usize,
         include: Include,
     ) -> Result<Columns, Error> {
-        let wrong = |problem: &str| Error::Protocol {
-            call,
-            problem: problem.to_owned(),
-        };
+        let wrong = |problem: &str| Error::protocol(call, problem);
         let found = message.ids.len();
         let states = match include.states {
             true => Some(

@@ -10,8 +10,9 @@ use crate::{
     Client, Error, Get, IndexInfo, Insert, Knn, KnnAnswers, KnnRequests, Limits, Query, Radius,
     Remove, Revision, ScanRequest, SnapshotRequest, State, States, Update, Verify, WatchRequest,
     net::{
+        call::Call,
         client::within,
-        connections::{Connection, MAX_SILENCE, PointStub},
+        connections::{Connection, MAX_SILENCE},
         newest::Newest,
         request::MAX_WAIT,
     },
@@ -43,23 +44,13 @@ struct Shared {
 
 impl IndexHandle {
     pub(crate) fn new(client: Client, info: IndexInfo) -> IndexHandle {
-        IndexHandle::of(client, info.name, info.space, info.revision)
-    }
-
-    /// The handle of an index that an answer described before, at this revision.
-    pub(crate) fn of(
-        client: Client,
-        name: String,
-        space: Space,
-        revision: Revision,
-    ) -> IndexHandle {
         let timeout = client.timeout();
         let shared = Shared {
-            newest: client.newest(&revision),
+            newest: client.newest(&info.revision),
             client,
-            name,
-            uid: revision.uid,
-            space,
+            name: info.name,
+            uid: info.revision.uid,
+            space: info.space,
         };
         IndexHandle {
             shared: Arc::new(shared),
@@ -259,46 +250,30 @@ impl IndexHandle {
 
     /// Makes a call about points, with a message made for each attempt. Without a deadline, the handle's timeout begins
     /// now.
-    pub(crate) async fn call<Q, A, M, F, Fut>(
+    pub(crate) async fn call<C: Call>(
         &self,
-        call: &'static str,
         deadline: Option<Instant>,
-        message: M,
-        send: F,
-    ) -> Result<A, Error>
-    where
-        M: Fn() -> Q,
-        F: Fn(PointStub, tonic::Request<Q>) -> Fut,
-        Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
-    {
-        let attempt = |connection: Connection, remaining| {
-            send(connection.points(), within(remaining, message()))
-        };
-        self.call_until(call, deadline, attempt).await
+        message: impl Fn() -> C,
+    ) -> Result<C::Answer, Error> {
+        let attempt = |connection, remaining| C::send(connection, within(remaining, message()));
+        self.call_until(C::NAME, deadline, attempt).await
     }
 
     /// Makes a mutation like [`IndexHandle::call`]. A server to which the client has gone evaluates it after the newest
     /// revision that the handle has seen: it may refuse an update of points that it lacks.
-    pub(crate) async fn mutate<Q, A, M, F, Fut>(
+    pub(crate) async fn mutate<C: Call>(
         &self,
-        call: &'static str,
         deadline: Option<Instant>,
-        message: M,
-        send: F,
-    ) -> Result<A, Error>
-    where
-        M: Fn() -> Q,
-        F: Fn(PointStub, tonic::Request<Q>) -> Fut,
-        Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
-    {
+        message: impl Fn() -> C,
+    ) -> Result<C::Answer, Error> {
         let attempt = |connection: Connection, remaining| {
-            let sent = send(connection.points(), within(remaining, message()));
+            let sent = C::send(connection.clone(), within(remaining, message()));
             async move {
                 self.catch_up(&connection, remaining).await?;
                 sent.await
             }
         };
-        self.call_until(call, deadline, attempt).await
+        self.call_until(C::NAME, deadline, attempt).await
     }
 
     /// Makes a call within the time of its request.

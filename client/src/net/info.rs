@@ -1,5 +1,7 @@
 //! The description of an index.
 
+use std::sync::Arc;
+
 use wayfold_index::Space;
 use wayfold_proto::{
     space,
@@ -63,15 +65,24 @@ pub struct IndexInfo {
 }
 
 impl IndexInfo {
+    pub(crate) fn uid(&self) -> &Arc<str> {
+        &self.revision.uid
+    }
+
+    /// Revision `number` of its uid.
+    pub(crate) fn revision_at(&self, number: u64) -> Revision {
+        Revision::new(Arc::clone(self.uid()), number)
+    }
+
     pub(crate) fn from_message(
         call: &'static str,
         index: Option<v1::Index>,
     ) -> Result<IndexInfo, Error> {
-        let protocol = |problem| Error::Protocol { call, problem };
-        let index = index.ok_or_else(|| protocol("it describes no index".to_owned()))?;
+        let index = index.ok_or_else(|| Error::protocol(call, "it describes no index"))?;
         let payload_encoding = index.payload_encoding();
         let message = index.space.unwrap_or_default();
-        let space = space::from_message(&message).map_err(|error| protocol(error.to_string()))?;
+        let space = space::from_message(&message)
+            .map_err(|error| Error::protocol(call, error.to_string()))?;
         Ok(IndexInfo {
             name: index.name,
             revision: Revision::from_message(call, index.revision, &"".into())?,

@@ -146,10 +146,7 @@ impl Neighbors {
             include,
             revision,
         } = expected;
-        let wrong = |problem: &str| Error::Protocol {
-            call,
-            problem: problem.to_owned(),
-        };
+        let wrong = |problem: &str| Error::protocol(call, problem);
         let message = message.unwrap_or_default();
         if rows != message.neighbor_counts.len() {
             return Err(wrong("not as many neighbor_counts as states"));

@@ -38,10 +38,7 @@ impl Revision {
         message: Option<v1::Revision>,
         known: &Arc<str>,
     ) -> Result<Revision, Error> {
-        let message = message.ok_or_else(|| Error::Protocol {
-            call,
-            problem: "it names no revision".to_owned(),
-        })?;
+        let message = message.ok_or_else(|| Error::protocol(call, "it names no revision"))?;
         let uid = match *message.uid == **known {
             true => Arc::clone(known),
             false => message.uid.into(),

@@ -74,10 +74,8 @@ impl ServerInfo {
         call: &'static str,
         message: v1::GetServerResponse,
     ) -> Result<ServerInfo, Error> {
-        let limits = message.limits.ok_or_else(|| Error::Protocol {
-            call,
-            problem: "the server names no limits".to_owned(),
-        })?;
+        let limits = message.limits;
+        let limits = limits.ok_or_else(|| Error::protocol(call, "the server names no limits"))?;
         let size = |limit: u64| usize::try_from(limit).unwrap_or(usize::MAX);
         Ok(ServerInfo {
             version: message.version,

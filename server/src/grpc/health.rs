@@ -167,9 +167,10 @@ mod tests {
 
     use crate::{
         lifecycle::Lifecycle,
-        log::{Catalogue, Durability, Entry, FjallLog, Log, MemoryLog, PointStore, Uid},
+        log::{Catalogue, Durability, FjallLog, Log, MemoryLog, PointStore},
         registry::{Registry, RegistryOptions},
         service::{Call, Limits},
+        testing::arm,
         watermark::{Resource, Usage, Watermark, Watermarks},
     };
 
@@ -279,13 +280,7 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn a_damaged_index_is_told_apart_from_serving() {
         let catalogue = Arc::new(MemoryLog::new());
-        let entry = Entry {
-            uid: Uid::unique(),
-            name: "arm".into(),
-            space: "R1".parse().unwrap(),
-            payload_encoding: Default::default(),
-        };
-        catalogue.create(entry).unwrap();
+        catalogue.create(arm()).unwrap();
         let log = Log {
             catalogue,
             ..Log::from(Arc::new(MemoryLog::new()))
@@ -321,13 +316,7 @@ mod tests {
         let store = directory.path().join("store");
         let away = directory.path().join("away");
         let open = || FjallLog::open(directory.path(), Durability::Fsync).unwrap();
-        let entry = Entry {
-            uid: Uid::unique(),
-            name: "arm".into(),
-            space: "R1".parse().unwrap(),
-            payload_encoding: Default::default(),
-        };
-        open().create(entry).unwrap();
+        open().create(arm()).unwrap();
         fs::rename(&store, &away).unwrap();
         let log = Arc::new(open());
         let registry = Registry::new(Arc::clone(&log), RegistryOptions::default());

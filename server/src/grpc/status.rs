@@ -80,24 +80,14 @@ pub(crate) fn respond_all<S: Source>(source: Result<S, Error>) -> Answer<Message
 
 /// The ending of a call with this code.
 pub(crate) fn ending(code: Code) -> Ending {
-    Ending::Failed(match code {
-        Code::Ok => return Ending::Ok,
-        Code::InvalidArgument => service::Code::InvalidArgument,
-        Code::NotFound => service::Code::NotFound,
-        Code::AlreadyExists => service::Code::AlreadyExists,
-        Code::FailedPrecondition => service::Code::FailedPrecondition,
-        Code::ResourceExhausted => service::Code::ResourceExhausted,
-        Code::Unavailable => service::Code::Unavailable,
-        Code::DeadlineExceeded => service::Code::DeadlineExceeded,
-        Code::Unauthenticated => service::Code::Unauthenticated,
-        Code::PermissionDenied => service::Code::PermissionDenied,
-        Code::DataLoss => service::Code::DataLoss,
-        Code::Internal => service::Code::Internal,
-        Code::Cancelled => return Ending::Left,
-        Code::Unknown | Code::Aborted | Code::OutOfRange | Code::Unimplemented => {
-            return Ending::Transport(code.into());
+    match code {
+        Code::Ok => Ending::Ok,
+        Code::Cancelled => Ending::Left,
+        other => {
+            let number = other.into();
+            service::Code::of_number(number).map_or(Ending::Transport(number), Ending::Failed)
         }
-    })
+    }
 }
 
 #[cfg(test)]

@@ -20,7 +20,6 @@ use http_body_util::BodyExt;
 use tokio::sync::Semaphore;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 use tracing::Instrument;
-use wayfold_proto::v1;
 
 use super::{Pages, streams::MAX_STREAMS};
 use crate::{
@@ -30,7 +29,7 @@ use crate::{
     observe::{CallRecord, Ending, Times},
     service::{Call, Code, Error},
     status::{self, Status},
-    verbs::{Form, MAX_DYNAMIC_BYTES, Named, Request, Target, dispatch, invalid},
+    verbs::{Form, MAX_DYNAMIC_BYTES, Request, Target, dispatch, invalid},
 };
 
 /// The keys begin with it.
@@ -287,7 +286,7 @@ pub(super) fn refusal(status: &Status) -> Response {
 
 /// A status as JSON.
 pub(super) fn text(status: &Status) -> Vec<u8> {
-    let text = Form::Json.write(v1::Status::NAME, &status.to_message());
+    let text = Form::Json.write(&status.to_message());
     text.unwrap_or_else(|error| error.to_string().into_bytes())
 }
 

@@ -23,7 +23,7 @@ use crate::{
     observe::Ending,
     service::{Call, Error, Service},
     status::{self, Status},
-    verbs::{Form, Named, at_length},
+    verbs::{Form, at_length},
 };
 
 /// The time between two frames.
@@ -116,7 +116,7 @@ async fn list(service: &Service, call: &Call) -> Result<v1::ListIndexesResponse,
 }
 
 fn frame(listed: &v1::ListIndexesResponse, metrics: Option<&str>) -> Result<Frames, Error> {
-    let text = Form::Json.write(v1::ListIndexesResponse::NAME, listed)?;
+    let text = Form::Json.write(listed)?;
     let listed: Value = serde_json::from_slice(&text).map_err(|error| Error::Internal {
         what: format!("the list of the indices is no JSON: {error}"),
     })?;

@@ -12,7 +12,7 @@ use prometheus_client::{
 use crate::{
     faces::Shared,
     lifecycle::{Phase, PhaseWatch},
-    registry::{IndexEntry, Part},
+    registry::{IndexState, Part},
     watermark::Usage,
 };
 
@@ -183,8 +183,8 @@ impl State {
         let mut gauges: Vec<OfIndices> = gauges.into();
         let (mut serving, mut damaged) = (0, 0);
         let mut missed = Vec::new();
-        for listed in self.shared.service.listed() {
-            let IndexEntry::Hosted(hosted) = listed else {
+        for (_, state) in self.shared.service.listed() {
+            let IndexState::Hosted(hosted) = state else {
                 damaged += 1;
                 continue;
             };

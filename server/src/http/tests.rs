@@ -21,7 +21,7 @@ use crate::{
     identity::Identities,
     lifecycle::Lifecycle,
     log::MemoryLog,
-    registry::{IndexEntry, Registry, RegistryOptions},
+    registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
 };
 
@@ -221,7 +221,7 @@ async fn programs_learn_where_grpc_is() {
 async fn strangers_and_wrong_roles_see_nothing() {
     let file = tempfile::NamedTempFile::new().unwrap();
     let digest = Sha256::digest("secret");
-    let digest: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+    let digest = hex::encode(digest);
     let text = format!(
         "[[identity]]\nname = \"leg\"\nrole = \"read\"\nindexes = [\"leg\"]\ntoken_sha256 = \"{digest}\"\n"
     );

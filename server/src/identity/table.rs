@@ -209,14 +209,9 @@ fn digest(bytes: [u8; 32]) -> Digest {
     std::array::from_fn(|at| u64::from_ne_bytes(words[at]))
 }
 
-fn digest_of_hex(hex: &str) -> Option<Digest> {
+fn digest_of_hex(text: &str) -> Option<Digest> {
     let mut bytes = [0; 32];
-    if hex.len() != 2 * bytes.len() || !hex.is_ascii() {
-        return None;
-    }
-    for (byte, at) in bytes.iter_mut().zip((0..).step_by(2)) {
-        *byte = u8::from_str_radix(&hex[at..at + 2], 16).ok()?;
-    }
+    hex::decode_to_slice(text, &mut bytes).ok()?;
     Some(digest(bytes))
 }
 
@@ -236,7 +231,7 @@ mod tests {
 
     fn hex(token: &str) -> String {
         let digest = Sha256::digest(token.as_bytes());
-        digest.iter().map(|byte| format!("{byte:02x}")).collect()
+        hex::encode(digest)
     }
 
     fn table(role: &str) -> Table {

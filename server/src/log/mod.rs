@@ -66,6 +66,14 @@ pub struct RecordPosition {
     pub digest: Digest,
 }
 
+impl RecordPosition {
+    /// The position before the first record of an index.
+    pub const START: Self = Self {
+        revision: 0,
+        digest: Record::NO_PREVIOUS,
+    };
+}
+
 /// A stream of batches of consecutive records. It waits for new records at the end of the log, and ends after an error.
 pub type RecordStream = BoxStream<'static, Result<Vec<Arc<Record>>, LogError>>;
 
@@ -118,44 +126,20 @@ pub trait Journal: Send + Sync {
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError>;
 
-    /// The record of this revision, of those that this server keeps itself; None if it does not keep it. Blocks.
-    fn retained(&self, uid: Uid, revision: u64) -> Result<Option<Arc<Record>>, LogError> {
-        let Some(before) = revision.checked_sub(1) else {
-            return Ok(None);
-        };
-        match self.read(uid, Some(before), 1) {
-            Ok(records) => Ok(records.into_iter().find(|it| it.revision() == revision)),
-            Err(LogError::Trimmed { .. }) => Ok(None),
-            Err(error) => Err(error),
-        }
-    }
-
-    /// The oldest revision of the records that this server keeps itself; None if it keeps none. Blocks.
-    fn oldest_kept(&self, uid: Uid) -> Result<Option<u64>, LogError> {
+    /// The oldest revision that the journal has; None if it has no record. Blocks.
+    fn oldest(&self, uid: Uid) -> Result<Option<u64>, LogError> {
         let oldest = self.read(uid, None, 1)?;
         Ok(oldest.first().map(|oldest| oldest.revision()))
     }
 
-    /// The oldest revision that the journal has; None if it has no record. Blocks.
-    fn oldest(&self, uid: Uid) -> Result<Option<u64>, LogError> {
-        self.oldest_kept(uid)
-    }
-
     /// The newest revision that the journal has, durable or not. Blocks.
     fn newest(&self, uid: Uid) -> Result<u64, LogError>;
-
-    /// Forgets the oldest records and operations that need not be kept, but never the newest of each. A journal with a
-    /// point store of its own still sends its follower the records that this store has not applied.
-    fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError>;
 
     /// Forgets the records up to this revision of a journal elsewhere, which enough servers store, except those that this
     /// server keeps itself and the newest of the journal. Blocks.
     fn forget(&self, _: Uid, _up_to: u64) -> Result<(), LogError> {
         Ok(())
     }
-
-    /// The records that the journal keeps of an index.
-    fn window(&self, uid: Uid) -> Result<Window, LogError>;
 
     /// Submits again the newest records that a journal elsewhere has lost and that this server has applied. Returns their
     /// number. [`LogError::Contradicted`] if they do not follow what the journal has. Blocks.
@@ -179,8 +163,9 @@ pub trait Journal: Send + Sync {
     }
 }
 
-/// The points of all indices as of the newest record that was applied: the local checkpoint, where payloads live.
-pub trait PointStore: Send + Sync {
+/// The points of all indices as of the newest record that was applied: the local checkpoint, where payloads live. As a
+/// journal it has the newest applied records, of a journal elsewhere too.
+pub trait PointStore: Journal {
     /// Applies consecutive records of an index, and returns its points as of the last of them. A record that was
     /// submitted to this engine is in the store already and is not applied again. `records` is not empty.
     fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError>;
@@ -206,23 +191,42 @@ pub trait PointStore: Send + Sync {
         }
     }
 
-    /// Forgets the oldest applied records and operations that need not be kept, but never the newest of each. Only for
-    /// a store whose journal is elsewhere: [`Journal::trim`] does both in one engine.
-    fn trim_applied(&self, uid: Uid, retention: &Retention) -> Result<(), LogError>;
+    /// Forgets the oldest records and operations that need not be kept, but never the newest of each. A follower still gets
+    /// the records that this store has not applied.
+    fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError>;
+
+    /// The records that this server keeps of an index.
+    fn window(&self, uid: Uid) -> Result<Window, LogError>;
+
+    /// The record of this revision; None if this server does not keep it. Blocks.
+    fn retained(&self, uid: Uid, revision: u64) -> Result<Option<Arc<Record>>, LogError> {
+        let Some(before) = revision.checked_sub(1) else {
+            return Ok(None);
+        };
+        match self.read(uid, Some(before), 1) {
+            Ok(records) => Ok(records.into_iter().find(|it| it.revision() == revision)),
+            Err(LogError::Trimmed { .. }) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
 
     /// The newest operations, oldest first. Operations of trimmed records are included.
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError>;
 
-    /// Starts a new index as a copy of another: at a revision, with points and without records. It appears once the
+    /// Starts an index as a copy of another: at a revision, with points and without records. It appears once the
     /// copy is finished, whole or not at all.
-    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError>;
-
-    /// Begins to replace an index by the points of another server at a later revision, under the same uid; `origin` has
-    /// the digest of the record of that revision. Until the copy is finished, the index stays as it is; then it has all
-    /// of the copy, and a crash leaves the one or the other. Earlier views stay valid. [`Restoring::finish`] fails with
-    /// [`LogError::UnknownIndex`] if the index was deleted meanwhile, and with [`LogError::Fenced`] if it can be read and
-    /// its newest revision is not below the copy's.
-    fn replace(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError>;
+    ///
+    /// A copy that `replaces` takes the place of the index with its uid, at a later revision; `origin` has the digest of the
+    /// record of that revision. Until the copy is finished, the index stays as it is; then it has all of the copy, and a crash
+    /// leaves the one or the other. Earlier views stay valid. [`Restoring::finish`] fails with [`LogError::UnknownIndex`] if
+    /// the index was deleted meanwhile, and with [`LogError::Fenced`] if it can be read and its newest revision is not below
+    /// the copy's.
+    fn restore(
+        &self,
+        entry: Entry,
+        origin: Origin,
+        replaces: bool,
+    ) -> Result<Box<dyn Restoring>, LogError>;
 
     /// The newest revision of an index that survives a loss of power here; None if nothing does.
     fn durable(&self, _: Uid) -> Result<Option<u64>, LogError> {
@@ -310,24 +314,12 @@ pub struct Log {
     pub catalogue: Arc<dyn Catalogue>,
 }
 
-impl<Engine: Journal + PointStore + Catalogue + 'static> From<Arc<Engine>> for Log {
+impl<Engine: PointStore + Catalogue + 'static> From<Arc<Engine>> for Log {
     fn from(engine: Arc<Engine>) -> Self {
         Self {
             journal: Arc::clone(&engine) as Arc<dyn Journal>,
             points: Arc::clone(&engine) as Arc<dyn PointStore>,
             catalogue: engine,
-        }
-    }
-}
-
-impl Log {
-    /// Trims the journal, and the point store if it is not part of it.
-    pub(crate) fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
-        let trimmed = self.journal.trim(uid, retention);
-        let (journal, points) = (Arc::as_ptr(&self.journal), Arc::as_ptr(&self.points));
-        match std::ptr::addr_eq(journal, points) {
-            true => trimmed,
-            false => trimmed.and(self.points.trim_applied(uid, retention)),
         }
     }
 }

@@ -162,6 +162,11 @@ pub(crate) trait Request {
         ""
     }
 
+    /// The field for the name of the index, if the request has one.
+    fn index_mut(&mut self) -> Option<&mut String> {
+        None
+    }
+
     /// The number of rows or ids that it carries, if the call has any.
     fn rows(&self) -> Option<usize> {
         None
@@ -186,6 +191,10 @@ macro_rules! requests {
         $(impl Request for v1::$message {
             $(fn index(&self) -> &str {
                 &self.$index
+            }
+
+            fn index_mut(&mut self) -> Option<&mut String> {
+                Some(&mut self.$index)
             }
 
             $(fn rows(&self) -> Option<usize> {

@@ -222,7 +222,6 @@ impl Hosted {
             return Ok(());
         }
         let view = view(records)?;
-        self.swap_in(&mut applied);
         for record in records {
             self.apply_record(&mut applied.forest, record)?;
         }

@@ -70,25 +70,7 @@ impl From<LogError> for RegistryError {
     fn from(error: LogError) -> Self {
         match error {
             LogError::UnknownIndex { .. } => Self::Deleted,
-            error @ (LogError::UidTaken { .. }
-            | LogError::NameTaken { .. }
-            | LogError::JournalBehind { .. }
-            | LogError::Contradicted { .. }
-            | LogError::Unreachable { .. }
-            | LogError::Fenced { .. }
-            | LogError::Unconfirmed { .. }
-            | LogError::Trimmed { .. }
-            | LogError::Damaged { .. }
-            | LogError::DamagedPoint { .. }
-            | LogError::Lost { .. }
-            | LogError::Incomplete { .. }
-            | LogError::Unreadable { .. }
-            | LogError::Unopened { .. }
-            | LogError::Shut { .. }
-            | LogError::Storage { .. }
-            | LogError::StorageStopped
-            | LogError::DamagedStore { .. }
-            | LogError::Closed) => Self::Log(error),
+            error => Self::Log(error),
         }
     }
 }

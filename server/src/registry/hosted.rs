@@ -23,7 +23,6 @@ use super::{
     apply::{self, AppliedForest, AwaitedReceipt, SETTLE_TIME},
     commit::Fences,
     in_flight::InFlight,
-    merging::FinishedMerge,
     operations::Operations,
     payload_sizes::PayloadSizes,
     recent::RecentRecords,
@@ -60,8 +59,6 @@ pub struct Hosted {
     pub(super) payload_sizes: parking_lot::Mutex<PayloadSizes>,
     /// The newest revision that may have removed or changed points.
     pub(super) last_change: AtomicU64,
-    /// Merges that wait to be swapped in.
-    pub(super) finished_merges: parking_lot::Mutex<Vec<FinishedMerge>>,
     /// The published revision at the last check for idleness, and at the last check that found the index idle.
     pub(super) last_seen_revision: AtomicU64,
     pub(super) last_idle_revision: AtomicU64,
@@ -71,6 +68,8 @@ pub struct Hosted {
     missed: AtomicU64,
     /// The records of a journal elsewhere that are outside of all windows and not forgotten, if this server trims it.
     pub(super) held: AtomicU64,
+    /// The revision up to which this server has forgotten records of a journal elsewhere: it does not ask for the same again.
+    pub(super) forgotten: AtomicU64,
     pub(super) first_write: FirstWrite,
     /// The oldest revision of a journal elsewhere, 1 if it has none, once it was asked.
     pub(super) oldest_at_start: OnceCell<u64>,
@@ -133,13 +132,13 @@ impl Hosted {
             operations: parking_lot::Mutex::new(operations),
             payload_sizes: parking_lot::Mutex::new(payload_sizes),
             last_change: AtomicU64::new(published.revision),
-            finished_merges: parking_lot::Mutex::default(),
             last_seen_revision: AtomicU64::new(u64::MAX),
             last_idle_revision: AtomicU64::new(u64::MAX),
             recent: parking_lot::Mutex::new(RecentRecords::new(host.options.window_bytes)),
             subscribers: Subscribers::default(),
             missed: AtomicU64::new(0),
             held: AtomicU64::new(0),
+            forgotten: AtomicU64::new(0),
             first_write: FirstWrite::default(),
             oldest_at_start: OnceCell::new(),
             fences: Fences::default(),
@@ -309,7 +308,7 @@ impl Hosted {
 
     /// The records that are kept for subscribers that fall behind; none while the log cannot be read.
     pub(crate) fn window(&self) -> Window {
-        self.host.log.journal.window(self.uid).unwrap_or_default()
+        self.host.log.points.window(self.uid).unwrap_or_default()
     }
 
     /// Trims records and operations that need not be kept.
@@ -322,12 +321,12 @@ impl Hosted {
             operations: window.count,
             operation_bytes: window.bytes,
         };
-        self.host.log.trim(self.uid, &retention)
+        self.host.log.points.trim(self.uid, &retention)
     }
 
     /// Waits for the writer, also if the index is closed.
     pub(super) async fn write_closed(&self) -> WriteGuard {
-        Arc::clone(&self.writer).lock_owned().await.into()
+        Arc::clone(&self.writer).lock_owned().await
     }
 
     /// Gives the apply loop a receipt to wait for.

@@ -2,18 +2,11 @@
 
 use std::sync::{Arc, atomic::Ordering::Relaxed};
 
-use tokio::task::JoinError;
 use tracing::{debug, error};
-use wayfold_index::{Merge, Merged};
+use wayfold_index::Merge;
 
 use super::{Hosted, Published, apply::AppliedForest};
 use crate::watermark::release_if_grown;
-
-/// A merge that ran and is not yet swapped in.
-pub(super) struct FinishedMerge {
-    rows: usize,
-    merged: Result<Merged, JoinError>,
-}
 
 impl Hosted {
     /// Starts the merges that are due. An index runs at most as many merge tasks as all indices may run merges. Further
@@ -56,41 +49,26 @@ impl Hosted {
         let rows = merge.rows();
         let merged = tokio::task::spawn_blocking(move || merge.run()).await;
         drop(turn);
-        self.finished_merges
-            .lock()
-            .push(FinishedMerge { rows, merged });
-        // Usually the apply loop gets the forest first and has swapped the merge in by then.
+        // The apply loop waits for the forest in turn: a merge waits for one batch of records at most.
         let mut applied = self.applied.lock().await;
-        if self.swap_in(&mut applied) {
-            let published = self.published();
-            self.publish(&Arc::new(Published {
-                snapshot: applied.forest.snapshot(),
-                revision: published.revision,
-                view: Arc::clone(&published.view),
-            }));
+        applied.mergers -= 1;
+        match merged {
+            Ok(merged) => {
+                applied.forest.finish_merge(merged);
+                debug!(index = self.name(), rows, "merged levels");
+                let published = self.published();
+                self.publish(&Arc::new(Published {
+                    snapshot: applied.forest.snapshot(),
+                    revision: published.revision,
+                    view: Arc::clone(&published.view),
+                }));
+            }
+            // The levels stay unmerged: answers stay exact, and searches are slower.
+            Err(error) => error!(index = self.name(), rows, %error, "a merge failed"),
         }
         self.start_merging(&mut applied);
         drop(applied);
         // The merged levels are freed by now, unless a search holds them.
         tokio::task::spawn_blocking(release_if_grown);
-    }
-
-    /// Swaps in the finished merges; true if there were any. The apply loop calls this too: a merge that queued for a
-    /// contended forest would come late, and searches would visit dozens of small levels meanwhile.
-    pub(super) fn swap_in(&self, applied: &mut AppliedForest) -> bool {
-        let finished = std::mem::take(&mut *self.finished_merges.lock());
-        let any = !finished.is_empty();
-        for FinishedMerge { rows, merged } in finished {
-            applied.mergers -= 1;
-            match merged {
-                Ok(merged) => {
-                    applied.forest.finish_merge(merged);
-                    debug!(index = self.name(), rows, "merged levels");
-                }
-                // The levels stay unmerged: answers stay exact, and searches are slower.
-                Err(error) => error!(index = self.name(), rows, %error, "a merge failed"),
-            }
-        }
-        any
     }
 }

@@ -79,7 +79,8 @@ pub struct Registry {
 
 /// The state of a named index.
 #[derive(Clone)]
-enum IndexState {
+pub enum IndexState {
+    /// An index that is served.
     Hosted(Arc<Hosted>),
     /// An index that was not replayed, and the cause: it is damaged, or takes too much memory. It can be deleted.
     Damaged(Uid, RegistryError),
@@ -93,27 +94,12 @@ impl IndexState {
         }
     }
 
-    fn hosted(&self) -> Result<&Arc<Hosted>, RegistryError> {
+    pub(crate) fn hosted(&self) -> Result<&Arc<Hosted>, RegistryError> {
         match self {
             IndexState::Hosted(hosted) => Ok(hosted),
             IndexState::Damaged(_, why) => Err(why.clone()),
         }
     }
-}
-
-/// An entry in the list of indices.
-pub enum IndexEntry {
-    /// An index that is served.
-    Hosted(Arc<Hosted>),
-    /// An index that cannot be read.
-    Damaged {
-        /// Its name.
-        name: String,
-        /// Its uid.
-        uid: Uid,
-        /// The error that every call to it gets.
-        why: RegistryError,
-    },
 }
 
 /// The log, the options, the watermarks and the merge slots that all indices share.
@@ -232,7 +218,7 @@ impl Registry {
         after: Option<&str>,
         limit: usize,
         is_wanted: impl Fn(&str) -> bool,
-    ) -> Result<Vec<IndexEntry>, RegistryError> {
+    ) -> Result<Vec<(String, IndexState)>, RegistryError> {
         let start = after.map_or(Bound::Unbounded, Bound::Excluded);
         let indexes = self.indexes.read();
         if indexes.is_empty()
@@ -242,15 +228,10 @@ impl Registry {
         }
         let page = indexes.range::<str, _>((start, Bound::Unbounded));
         let page = page.filter(|(name, _)| is_wanted(name));
-        let listed = page.take(limit).map(|(name, state)| match state {
-            IndexState::Hosted(hosted) => IndexEntry::Hosted(Arc::clone(hosted)),
-            IndexState::Damaged(uid, why) => IndexEntry::Damaged {
-                name: name.clone(),
-                uid: *uid,
-                why: why.clone(),
-            },
-        });
-        Ok(listed.collect())
+        let listed = page.take(limit);
+        Ok(listed
+            .map(|(name, state)| (name.clone(), state.clone()))
+            .collect())
     }
 
     /// The merges that run now.

@@ -30,7 +30,7 @@ impl Registry {
         }
         self.host.watermarks.check()?;
         Ok(Restore {
-            stored: self.host.log.points.replace(entry.clone(), origin)?,
+            stored: self.host.log.points.restore(entry.clone(), origin, true)?,
             loader: Loader::new(&self.host, &entry.space),
             payload_sizes: PayloadSizes::new(self.host.options.counts_payloads),
             host: Arc::clone(&self.host),
@@ -98,39 +98,12 @@ mod tests {
         atomic::{AtomicBool, Ordering::Relaxed},
     };
 
-    use bytes::Bytes;
-    use wayfold_index::PointRef;
-
     use super::*;
     use crate::{
-        log::{
-            Catalogue, Effects, Entry, Journal, Log, LogError, MemoryLog, Outcome, PointStore,
-            Record, Retention,
-        },
+        log::{Catalogue, Entry, Journal, Log, LogError, MemoryLog, PointStore},
         registry::RegistryOptions,
+        testing::{arm, log_with, submit, trim_all},
     };
-
-    /// Submits the next record to a journal: it stores a point and has an operation.
-    fn submit(journal: &MemoryLog, uid: Uid) {
-        let position = journal.view(uid).unwrap().position();
-        let mut effects = Effects::new(1);
-        let point = PointRef {
-            id: position.revision,
-            tag: 0,
-            revision: position.revision + 1,
-            row: &[0.5],
-        };
-        effects.store(point, Outcome::Inserted, Bytes::new());
-        effects.set_operation(Some(Arc::new(Operation {
-            id: format!("operation {}", position.revision + 1),
-            fingerprint: [1; 32],
-            response: Bytes::new(),
-        })));
-        let record = Arc::new(Record::after(position, effects));
-        journal.submit(uid, Arc::clone(&record)).unwrap();
-        // It follows its own records beyond what it keeps until it has applied them.
-        journal.apply(uid, &[record]).unwrap();
-    }
 
     /// A catalogue that notes if its registry reads it without the lock on changes.
     #[derive(Default)]
@@ -177,16 +150,9 @@ mod tests {
 
     #[tokio::test(flavor = "multi_thread")]
     async fn an_index_behind_a_trimmed_journal_goes_on_from_a_copy() {
-        let (peer, local) = (Arc::new(MemoryLog::new()), Arc::new(MemoryLog::new()));
-        let entry = Entry {
-            uid: Uid::unique(),
-            name: "arm".into(),
-            space: "R1".parse().unwrap(),
-            payload_encoding: Default::default(),
-        };
+        let entry = arm();
+        let (peer, local) = (log_with(&entry, &[]), log_with(&entry, &[]));
         let uid = entry.uid;
-        peer.create(entry.clone()).unwrap();
-        local.create(entry).unwrap();
         let catalogue = Arc::new(Watched {
             local: Arc::clone(&local),
             ..Watched::default()
@@ -197,13 +163,7 @@ mod tests {
             catalogue: Arc::clone(&catalogue) as Arc<dyn Catalogue>,
         };
         (0..5).for_each(|_| submit(&peer, uid));
-        let retention = Retention {
-            record_bytes: 0,
-            since: std::time::SystemTime::UNIX_EPOCH,
-            operations: usize::MAX,
-            operation_bytes: usize::MAX,
-        };
-        Journal::trim(&*peer, uid, &retention).unwrap();
+        trim_all(&peer, uid);
         let registry = Arc::new(Registry::new(log, RegistryOptions::default()));
         registry.replay().unwrap();
         let old = registry.get("arm").unwrap();

@@ -90,7 +90,7 @@ pub(crate) fn reseed(
         next_id: view.next_id(),
         digest: view.position().digest,
     };
-    let mut restoring = log.points.restore(entry.clone(), origin)?;
+    let mut restoring = log.points.restore(entry.clone(), origin, false)?;
     let (mut after, mut points) = (None, 0);
     loop {
         let page = view.page(after, PAGE_POINTS)?;

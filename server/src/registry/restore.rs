@@ -49,7 +49,7 @@ impl Registry {
             payload_encoding,
         };
         Ok(Restore {
-            stored: self.host.log.points.restore(entry.clone(), origin)?,
+            stored: self.host.log.points.restore(entry.clone(), origin, false)?,
             loader: Loader::new(&self.host, &entry.space),
             payload_sizes: PayloadSizes::new(self.host.options.counts_payloads),
             host: Arc::clone(&self.host),

@@ -251,12 +251,12 @@ impl Hosted {
         if revision == 0 {
             return Ok(Some(Record::NO_PREVIOUS));
         }
-        let journal = &self.host.log.journal;
-        if let Some(record) = journal.retained(self.uid(), revision)? {
+        let points = &self.host.log.points;
+        if let Some(record) = points.retained(self.uid(), revision)? {
             return Ok(Some(*record.digest()));
         }
         // The oldest record in the window names the one before it.
-        let next = journal.retained(self.uid(), revision + 1)?;
+        let next = points.retained(self.uid(), revision + 1)?;
         Ok(next.map(|next| *next.previous()))
     }
 }

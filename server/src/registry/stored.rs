@@ -101,7 +101,7 @@ impl Hosted {
             revision: durable.map_or(applied, |durable| durable.min(applied)),
             // A server that has stopped may store records that the journal does not have.
             is_durable: durable.is_some() && self.follows(),
-            oldest: self.host.log.journal.oldest_kept(self.uid())?,
+            oldest: self.host.log.points.oldest(self.uid())?,
             applied: position,
             requested,
         })
@@ -110,7 +110,12 @@ impl Hosted {
     /// Forgets the records of a journal elsewhere up to this revision that are outside the window. Blocks.
     pub(crate) fn forget(&self, up_to: u64) -> Result<(), LogError> {
         self.trim(SystemTime::now())?;
-        self.host.log.journal.forget(self.uid(), up_to)
+        if self.forgotten.load(Relaxed) >= up_to {
+            return Ok(());
+        }
+        self.host.log.journal.forget(self.uid(), up_to)?;
+        self.forgotten.store(up_to, Relaxed);
+        Ok(())
     }
 
     /// Counts the records of a journal elsewhere up to this revision, which are kept although all windows are behind them.

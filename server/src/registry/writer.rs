@@ -1,11 +1,6 @@
 //! The single writer of an index. Mutations are evaluated against its state.
 
-use std::{
-    collections::VecDeque,
-    ops::{Deref, DerefMut},
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{collections::VecDeque, sync::Arc};
 
 use tokio::sync::OwnedMutexGuard;
 use wayfold_index::{Overlay, Point, Space};
@@ -14,37 +9,7 @@ use super::Published;
 use crate::log::{Operation, Record, RecordPosition, Sessions};
 
 /// Exclusive access to an index's writer.
-pub struct WriteGuard {
-    writer: OwnedMutexGuard<Writer>,
-    since: Instant,
-}
-
-impl From<OwnedMutexGuard<Writer>> for WriteGuard {
-    fn from(writer: OwnedMutexGuard<Writer>) -> Self {
-        let since = Instant::now();
-        Self { writer, since }
-    }
-}
-
-impl Deref for WriteGuard {
-    type Target = Writer;
-
-    fn deref(&self) -> &Writer {
-        &self.writer
-    }
-}
-
-impl DerefMut for WriteGuard {
-    fn deref_mut(&mut self) -> &mut Writer {
-        &mut self.writer
-    }
-}
-
-impl Drop for WriteGuard {
-    fn drop(&mut self) {
-        self.writer.held += self.since.elapsed();
-    }
-}
+pub type WriteGuard = OwnedMutexGuard<Writer>;
 
 /// The published state of an index and, over it, the records that were submitted and are not yet published.
 pub struct Writer {
@@ -59,8 +24,6 @@ pub struct Writer {
     refusals: u64,
     /// The newest published revision that may have done more than add points.
     last_change: u64,
-    /// The time that dropped guards held the writer, in total.
-    held: Duration,
 }
 
 struct Pending {
@@ -98,7 +61,6 @@ impl Writer {
             pending: VecDeque::new(),
             overlays: [Part::empty(space), Part::empty(space)],
             refusals: 0,
-            held: Duration::ZERO,
         }
     }
 
@@ -144,11 +106,6 @@ impl Writer {
     /// The pending records.
     pub fn pending(&self) -> impl DoubleEndedIterator<Item = &Arc<Record>> {
         self.pending.iter().map(|pending| &pending.record)
-    }
-
-    /// The total time the writer was held: the serial part of the index's mutations.
-    pub fn held(&self) -> Duration {
-        self.held
     }
 
     /// The count of refusals at which the pending records were submitted.

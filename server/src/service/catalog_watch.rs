@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use tokio::sync::watch;
 
 use super::{Error, Service, error_map::catalog_error};
-use crate::registry::IndexEntry;
+use crate::registry::IndexState;
 
 /// Follows the set of served indices.
 pub struct CatalogWatch {
@@ -38,9 +38,7 @@ impl CatalogWatch {
     }
 }
 
-fn hosted(listed: IndexEntry) -> Option<(String, String)> {
-    match listed {
-        IndexEntry::Hosted(hosted) => Some((hosted.name().into(), hosted.uid_text().into())),
-        IndexEntry::Damaged { .. } => None,
-    }
+fn hosted((name, state): (String, IndexState)) -> Option<(String, String)> {
+    let hosted = state.hosted().ok()?;
+    Some((name, hosted.uid_text().into()))
 }

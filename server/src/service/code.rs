@@ -31,48 +31,37 @@ pub enum Code {
 }
 
 impl Code {
-    /// All of them, with their numbers in google.rpc.Code.
-    const NUMBERS: [(Code, i32); 11] = [
-        (Code::InvalidArgument, 3),
-        (Code::DeadlineExceeded, 4),
-        (Code::NotFound, 5),
-        (Code::AlreadyExists, 6),
-        (Code::PermissionDenied, 7),
-        (Code::ResourceExhausted, 8),
-        (Code::FailedPrecondition, 9),
-        (Code::Internal, 13),
-        (Code::Unavailable, 14),
-        (Code::DataLoss, 15),
-        (Code::Unauthenticated, 16),
+    /// All of them, with their numbers in google.rpc.Code and their names as gRPC spells them.
+    const ALL: [(Code, i32, &str); 11] = [
+        (Code::InvalidArgument, 3, "INVALID_ARGUMENT"),
+        (Code::DeadlineExceeded, 4, "DEADLINE_EXCEEDED"),
+        (Code::NotFound, 5, "NOT_FOUND"),
+        (Code::AlreadyExists, 6, "ALREADY_EXISTS"),
+        (Code::PermissionDenied, 7, "PERMISSION_DENIED"),
+        (Code::ResourceExhausted, 8, "RESOURCE_EXHAUSTED"),
+        (Code::FailedPrecondition, 9, "FAILED_PRECONDITION"),
+        (Code::Internal, 13, "INTERNAL"),
+        (Code::Unavailable, 14, "UNAVAILABLE"),
+        (Code::DataLoss, 15, "DATA_LOSS"),
+        (Code::Unauthenticated, 16, "UNAUTHENTICATED"),
     ];
 
     /// Its number.
     pub fn number(self) -> i32 {
-        let found = Self::NUMBERS.iter().find(|(code, _)| *code == self);
-        found.map_or(0, |(_, number)| *number)
+        let found = Self::ALL.iter().find(|known| known.0 == self);
+        found.map_or(0, |known| known.1)
     }
 
-    /// The code of this number; [`Code::Internal`] for one that no server of Wayfold gives.
-    pub fn of_number(number: i32) -> Self {
-        let found = Self::NUMBERS.iter().find(|(_, known)| *known == number);
-        found.map_or(Code::Internal, |(code, _)| *code)
+    /// The code of this number; `None` for one that no server of Wayfold gives.
+    pub fn of_number(number: i32) -> Option<Self> {
+        let found = Self::ALL.iter().find(|known| known.1 == number);
+        found.map(|known| known.0)
     }
 
     /// Its name as gRPC spells it.
     pub fn name(self) -> &'static str {
-        match self {
-            Code::InvalidArgument => "INVALID_ARGUMENT",
-            Code::NotFound => "NOT_FOUND",
-            Code::AlreadyExists => "ALREADY_EXISTS",
-            Code::FailedPrecondition => "FAILED_PRECONDITION",
-            Code::ResourceExhausted => "RESOURCE_EXHAUSTED",
-            Code::Unavailable => "UNAVAILABLE",
-            Code::DeadlineExceeded => "DEADLINE_EXCEEDED",
-            Code::Unauthenticated => "UNAUTHENTICATED",
-            Code::PermissionDenied => "PERMISSION_DENIED",
-            Code::DataLoss => "DATA_LOSS",
-            Code::Internal => "INTERNAL",
-        }
+        let found = Self::ALL.iter().find(|known| known.0 == self);
+        found.map_or("", |known| known.2)
     }
 }
 
@@ -109,7 +98,7 @@ impl Error {
                 }
             },
             Error::DeadlineExceeded { .. } => Code::DeadlineExceeded,
-            Error::Forwarded { status } => Code::of_number(status.code),
+            Error::Forwarded { status } => Code::of_number(status.code).unwrap_or(Code::Internal),
             Error::DataLoss { .. } => Code::DataLoss,
             Error::Internal { .. } => Code::Internal,
         }

@@ -19,7 +19,7 @@ use super::{
 use crate::{
     identity::{Caller, Role},
     log::Uid,
-    registry::{Hosted, IndexEntry, IndexLimit, Published, Registry, RegistryError},
+    registry::{Hosted, IndexLimit, IndexState, Published, Registry, RegistryError},
 };
 
 /// A page of the indices, by name. Both lists together are consecutive.
@@ -180,24 +180,18 @@ impl Service {
         let listed = listed.map_err(catalog_error)?;
         let mut page = Listing::default();
         let (mut bytes, mut last) = (0, None::<String>);
-        for (at, listed) in listed.into_iter().enumerate() {
-            let damaged = |name: &str, uid: Uid, why| Damaged {
-                name: name.into(),
+        for (at, (name, state)) in listed.into_iter().enumerate() {
+            let damaged = |uid: Uid, why| Damaged {
+                name: name.clone(),
                 uid: uid.to_string(),
-                error: registry_error(name, why),
+                error: registry_error(&name, why),
             };
-            let (name, entry) = match listed {
-                IndexEntry::Hosted(hosted) => {
-                    let entry = match hosted.problem() {
-                        Some(why) => Err(damaged(hosted.name(), hosted.uid(), why)),
-                        None => Ok(describe(&hosted, &hosted.published())),
-                    };
-                    (hosted.name().to_owned(), entry)
-                }
-                IndexEntry::Damaged { name, uid, why } => {
-                    let entry = Err(damaged(&name, uid, why));
-                    (name, entry)
-                }
+            let entry = match state {
+                IndexState::Hosted(hosted) => match hosted.problem() {
+                    Some(why) => Err(damaged(hosted.uid(), why)),
+                    None => Ok(describe(&hosted, &hosted.published())),
+                },
+                IndexState::Damaged(uid, why) => Err(damaged(uid, why)),
             };
             bytes += match &entry {
                 Ok(index) => index.encoded_len() + 8,
@@ -205,7 +199,7 @@ impl Service {
             };
             let full = at == size || bytes > self.limits().max_answer_bytes;
             if let Some(last) = last.filter(|_| full) {
-                page.next_page_token = write_token(&last);
+                page.next_page_token = hex::encode(&last);
                 break;
             }
             match entry {
@@ -319,27 +313,13 @@ fn read_space(form: Option<SpaceForm>, violations: &mut Violations) -> Option<Sp
     None
 }
 
-/// A page token is the last name of the page before, in hexadecimal: opaque, and good even if that index is gone.
-fn write_token(name: &str) -> String {
-    name.bytes().map(|byte| format!("{byte:02x}")).collect()
-}
-
+/// Reads a page token: the last name of the page before, in hexadecimal. It is opaque, and good even if that index is gone.
 fn read_token(token: &str, violations: &mut Violations) -> Option<String> {
     if token.is_empty() {
         return None;
     }
-    let digits: Option<Vec<u8>> = token
-        .chars()
-        .map(|digit| digit.to_digit(16).map(|digit| digit as u8))
-        .collect();
-    let name = digits
-        .filter(|digits| digits.len().is_multiple_of(2))
-        .map(|digits| {
-            digits
-                .chunks_exact(2)
-                .map(|pair| pair[0] * 16 + pair[1])
-                .collect()
-        })
+    let bytes = hex::decode(token).ok();
+    let name = bytes
         .and_then(|bytes| String::from_utf8(bytes).ok())
         .filter(|name| is_name(name));
     if name.is_none() {
@@ -371,7 +351,7 @@ mod tests {
     #[test]
     fn tokens_round_trip_and_others_are_refused() {
         let mut violations = Violations::default();
-        let read = read_token(&write_token("arm-7"), &mut violations);
+        let read = read_token(&hex::encode("arm-7"), &mut violations);
         assert_eq!(read.as_deref(), Some("arm-7"));
         assert!(violations.finish().is_ok());
         for token in ["a", "zz", "00", "ff", "é"] {

@@ -23,7 +23,7 @@ use super::{
 };
 use crate::{
     identity::Role,
-    registry::{CommitOutcome, Hosted, Published},
+    registry::{Hosted, Published},
 };
 
 const DOING: &str = "while evaluating the rows; nothing was changed";
@@ -97,18 +97,13 @@ impl Service {
             insertion.evaluate(&mut evaluation, &mut pace).await?;
             let unread = std::mem::take(&mut evaluation.unread);
             if unread.is_empty() {
-                let (effects, mut response) = match evaluation.finish() {
-                    Ok(evaluated) => evaluated,
-                    Err(error) => {
-                        refused(call, &hosted, writer, error).await?;
-                        continue;
-                    }
-                };
-                let after = writer.revision() + u64::from(!effects.is_empty());
-                response.revision = Some(revision(&hosted, after));
-                let key = key.as_ref();
-                let committed = self.commit(call, &hosted, writer, effects, key, &response);
-                if committed.await? == CommitOutcome::Done {
+                let evaluated = evaluation.finish().map(|(effects, mut response)| {
+                    let after = writer.revision() + u64::from(!effects.is_empty());
+                    response.revision = Some(revision(&hosted, after));
+                    (effects, response)
+                });
+                let committed = self.commit(call, &hosted, writer, key.as_ref(), evaluated);
+                if let Some(response) = committed.await? {
                     return Ok(response);
                 }
                 continue;

@@ -71,7 +71,7 @@ use tokio_util::sync::CancellationToken;
 use crate::{
     identity::Role,
     log::{Durability, LogError},
-    registry::{IndexEntry, Part, Registry, RegistryError},
+    registry::{IndexState, Part, Registry, RegistryError},
     watermark::Usage,
 };
 pub use call::{Call, Peer};
@@ -236,7 +236,7 @@ impl Service {
     }
 
     /// All indices; none before they are read.
-    pub(crate) fn listed(&self) -> Vec<IndexEntry> {
+    pub(crate) fn listed(&self) -> Vec<(String, IndexState)> {
         let registry = self.inner.registry.get();
         let listed = registry.and_then(|registry| registry.page(None, usize::MAX, |_| true).ok());
         listed.unwrap_or_default()

@@ -200,17 +200,24 @@ impl Service {
         }
     }
 
-    /// Commits a mutation that was evaluated under `writer`; returns [`CommitOutcome::Done`] once it may be acknowledged
-    /// with `response`. Before the first poll nothing has happened; after it the mutation completes or is refused.
-    pub(super) async fn commit(
+    /// Commits the effects that were `evaluated` under `writer`; returns the response once the mutation may be acknowledged
+    /// with it, or `None` if it has to be evaluated again. Before the first poll nothing has happened; after it the mutation
+    /// completes or is refused.
+    pub(super) async fn commit<R: Message>(
         &self,
         call: &Call,
         hosted: &Arc<Hosted>,
         writer: WriteGuard,
-        mut effects: Effects,
         key: Option<&IdempotencyKey>,
-        response: &impl Message,
-    ) -> Result<CommitOutcome, Error> {
+        evaluated: Result<(Effects, R), Error>,
+    ) -> Result<Option<R>, Error> {
+        let (mut effects, response) = match evaluated {
+            Ok(evaluated) => evaluated,
+            Err(error) => {
+                refused(call, hosted, writer, error).await?;
+                return Ok(None);
+            }
+        };
         call.check("before anything was changed")?;
         let (index, limits) = (hosted.name(), self.limits());
         let inserted = effects.inserted();
@@ -232,7 +239,7 @@ impl Service {
         };
         if let Err(error) = fits() {
             refused(call, hosted, writer, error).await?;
-            return Ok(CommitOutcome::Refused);
+            return Ok(None);
         }
         if let Some(key) = key {
             key.mark(&mut effects, response.encode_to_vec().into());
@@ -252,7 +259,7 @@ impl Service {
             if hosted.is_shared() && committed == CommitOutcome::Done {
                 remember();
             }
-            return Ok(committed);
+            return Ok((committed == CommitOutcome::Done).then_some(response));
         }
         let doing = match hosted.is_shared() {
             true => {
@@ -260,9 +267,9 @@ impl Service {
             }
             false => "after the mutation was logged; it takes place",
         };
-        call.bound(doing, hosted.commit(writer, effects))
-            .await?
-            .map_err(|error| registry_error(hosted.name(), error))
+        let committed = call.bound(doing, hosted.commit(writer, effects)).await?;
+        let committed = committed.map_err(|error| registry_error(hosted.name(), error))?;
+        Ok((committed == CommitOutcome::Done).then_some(response))
     }
 }
 

@@ -8,7 +8,7 @@ use super::{
     mutation::{IdempotencyKey, Start},
     read_view::revision,
 };
-use crate::{identity::Role, log::Effects, registry::CommitOutcome};
+use crate::{identity::Role, log::Effects};
 
 impl Service {
     /// Removes points by id, and counts those that were not stored.
@@ -49,8 +49,9 @@ impl Service {
                 missing_count: request.ids.len() as u64 - removed,
                 revision: Some(revision(&hosted, after)),
             };
-            let committed = self.commit(call, &hosted, writer, effects, key.as_ref(), &response);
-            if committed.await? == CommitOutcome::Done {
+            let evaluated = Ok((effects, response));
+            let committed = self.commit(call, &hosted, writer, key.as_ref(), evaluated);
+            if let Some(response) = committed.await? {
                 return Ok(response);
             }
         }

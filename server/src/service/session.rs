@@ -12,13 +12,13 @@ use wayfold_proto::{END_OF_IDS, v1};
 use super::{
     Call, Error, Limits, Service,
     check::{self, Violations},
-    mutation::{IdempotencyKey, Start, refused},
+    mutation::{IdempotencyKey, Start},
     read_view::revision,
 };
 use crate::{
     identity::Role,
     log::{Batch, Effects},
-    registry::{CommitOutcome, Hosted, Writer},
+    registry::{Hosted, Writer},
 };
 
 impl Service {
@@ -49,31 +49,25 @@ impl Service {
             let mut effects = Effects::new(hosted.space().coordinates());
             let evaluated = ended(&writer, limits).and_then(|ended| {
                 let count = request.reserve_count;
-                Ok((ended, reserve(&hosted, &writer, &effects, count, limits)?))
+                let reserved = reserve(&hosted, &writer, &effects, count, limits)?;
+                let response = v1::OpenSessionResponse {
+                    session,
+                    reserved: Some(block(&reserved)),
+                    idle_seconds: limits.max_session_idle_seconds,
+                    revision: Some(revision(&hosted, session)),
+                };
+                effects.set_batch(Some(Arc::new(Batch {
+                    session,
+                    number: 0,
+                    fingerprint: [0; 32],
+                    response: Bytes::new(),
+                    reserved,
+                    ended,
+                })));
+                Ok((effects, response))
             });
-            let (ended, reserved) = match evaluated {
-                Ok(evaluated) => evaluated,
-                Err(error) => {
-                    refused(call, &hosted, writer, error).await?;
-                    continue;
-                }
-            };
-            let response = v1::OpenSessionResponse {
-                session,
-                reserved: Some(block(&reserved)),
-                idle_seconds: limits.max_session_idle_seconds,
-                revision: Some(revision(&hosted, session)),
-            };
-            effects.set_batch(Some(Arc::new(Batch {
-                session,
-                number: 0,
-                fingerprint: [0; 32],
-                response: Bytes::new(),
-                reserved,
-                ended,
-            })));
-            let committed = self.commit(call, &hosted, writer, effects, key, &response);
-            if committed.await? == CommitOutcome::Done {
+            let committed = self.commit(call, &hosted, writer, key, evaluated);
+            if let Some(response) = committed.await? {
                 return Ok(response);
             }
         }

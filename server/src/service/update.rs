@@ -10,14 +10,14 @@ use super::{
     Call, Error, Limits, Service,
     call::TimeSlicer,
     check::{self, Violations},
-    mutation::{IdempotencyKey, Start, refused},
+    mutation::{IdempotencyKey, Start},
     read_view::{revision, revision_number},
     stored::ReadAhead,
 };
 use crate::{
     identity::Role,
     log::{Effects, Outcome, StoredPoint},
-    registry::{CommitOutcome, Hosted},
+    registry::Hosted,
 };
 
 const DOING: &str = "while evaluating the update; nothing was changed";
@@ -47,22 +47,18 @@ impl Service {
                 Start::Writing(writer) => writer,
             };
             let evaluated = updated(&request, if_revision, &stored, &hosted, &mut pace).await;
-            let effects = match evaluated {
-                Ok(effects) => effects,
-                Err(error) => {
-                    refused(call, &hosted, writer, error).await?;
-                    continue;
-                }
-            };
-            let updated = effects.len() as u64;
-            let after = writer.revision() + u64::from(updated > 0);
-            let response = v1::UpdateResponse {
-                updated_count: updated,
-                unchanged_count: request.ids.len() as u64 - updated,
-                revision: Some(revision(&hosted, after)),
-            };
-            let committed = self.commit(call, &hosted, writer, effects, key.as_ref(), &response);
-            if committed.await? == CommitOutcome::Done {
+            let evaluated = evaluated.map(|effects| {
+                let updated = effects.len() as u64;
+                let after = writer.revision() + u64::from(updated > 0);
+                let response = v1::UpdateResponse {
+                    updated_count: updated,
+                    unchanged_count: request.ids.len() as u64 - updated,
+                    revision: Some(revision(&hosted, after)),
+                };
+                (effects, response)
+            });
+            let committed = self.commit(call, &hosted, writer, key.as_ref(), evaluated);
+            if let Some(response) = committed.await? {
                 return Ok(response);
             }
         }

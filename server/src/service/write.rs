@@ -16,7 +16,7 @@ use super::{
     Call, Error, Limits, Service,
     call::TimeSlicer,
     check::{self, Rows, Violations},
-    mutation::{IdempotencyKey, Start, refused},
+    mutation::{IdempotencyKey, Start},
     read_view::revision,
     session::{block, reserve},
     stored::ReadAhead,
@@ -24,7 +24,7 @@ use super::{
 use crate::{
     identity::Role,
     log::{Effects, Outcome, StoredPoint},
-    registry::{CommitOutcome, Hosted, Writer},
+    registry::{Hosted, Writer},
 };
 
 const DOING: &str = "while evaluating the steps; nothing was changed";
@@ -96,23 +96,16 @@ impl Service {
             let evaluated = steps.net(&hosted, &writer, &stored, &mut pace).await;
             let evaluated = evaluated.and_then(|(effects, missing)| {
                 let reserved = reserve(&hosted, &writer, &effects, reserve_count, self.limits())?;
-                Ok((effects, missing, reserved))
+                let response = v1::WriteResponse {
+                    reserved: Some(block(&reserved)),
+                    missing_count: missing,
+                    revision: Some(revision(&hosted, writer.revision() + 1)),
+                };
+                key.reserve(reserved);
+                Ok((effects, response))
             });
-            let (effects, missing, reserved) = match evaluated {
-                Ok(evaluated) => evaluated,
-                Err(error) => {
-                    refused(call, &hosted, writer, error).await?;
-                    continue;
-                }
-            };
-            let response = v1::WriteResponse {
-                reserved: Some(block(&reserved)),
-                missing_count: missing,
-                revision: Some(revision(&hosted, writer.revision() + 1)),
-            };
-            key.reserve(reserved);
-            let committed = self.commit(call, &hosted, writer, effects, Some(&key), &response);
-            if committed.await? == CommitOutcome::Done {
+            let committed = self.commit(call, &hosted, writer, Some(&key), evaluated);
+            if let Some(response) = committed.await? {
                 return Ok(response);
             }
         }

@@ -2,15 +2,16 @@
 
 use std::pin::Pin;
 
+use prost::Name;
 use wayfold_proto::v1;
 
 use super::{
     codec::invalid,
-    message::{Named, SearchRequest},
     request::Request,
     verb::{IndexVerb, PointVerb, Verb},
 };
 use crate::{
+    observe,
     service::{Call, Error, Service},
     status,
 };
@@ -45,8 +46,14 @@ pub(crate) async fn dispatch(
     }
     match verb {
         Verb::OfIndex(verb) => match verb {
-            PointVerb::Knn => encoded(request, service.knn(call, search(request).await?).await),
-            PointVerb::Query => encoded(request, service.query(call, search(request).await?).await),
+            PointVerb::Knn => {
+                let search = search(request, |it: &v1::KnnRequest| it.include).await?;
+                encoded(request, service.knn(call, search).await)
+            }
+            PointVerb::Query => {
+                let search = search(request, |it: &v1::QueryRequest| it.include).await?;
+                encoded(request, service.query(call, search).await)
+            }
             PointVerb::Insert => mutate!(insert, InsertRequest),
             PointVerb::Update => mutate!(update, UpdateRequest),
             PointVerb::Remove => mutate!(remove, RemoveRequest),
@@ -74,12 +81,15 @@ pub(crate) async fn dispatch(
 
 /// Decodes a request for neighbours. One with payloads may read a disk: it yields first, which moves it off the
 /// thread that reads a link of Zenoh.
-async fn search<R: SearchRequest>(request: &Request<'_>) -> Result<R, Error> {
-    let request: R = request.decode_for_index()?;
-    if request
-        .include()
-        .is_some_and(|include| include.with_payloads)
-    {
+async fn search<R>(
+    request: &Request<'_>,
+    include: fn(&R) -> Option<v1::Include>,
+) -> Result<R, Error>
+where
+    R: Name + Default + observe::Request,
+{
+    let request = request.decode_for_index()?;
+    if include(&request).is_some_and(|include| include.with_payloads) {
         tokio::task::yield_now().await;
     }
     Ok(request)
@@ -90,6 +100,6 @@ fn boxed<F: Future>(answering: F) -> Pin<Box<F>> {
     Box::pin(answering)
 }
 
-fn encoded<M: Named>(request: &Request<'_>, answer: Result<M, Error>) -> Result<Vec<u8>, Error> {
+fn encoded<M: Name>(request: &Request<'_>, answer: Result<M, Error>) -> Result<Vec<u8>, Error> {
     request.encode(&answer?)
 }

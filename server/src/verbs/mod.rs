@@ -5,13 +5,11 @@
 
 mod codec;
 mod dispatch;
-mod message;
 mod request;
 mod verb;
 
 pub(crate) use codec::{Form, MAX_DYNAMIC_BYTES, invalid};
 pub(crate) use dispatch::dispatch;
-pub(crate) use message::Named;
 pub(crate) use request::{MAX_TIMEOUT, Request, at_length};
 #[cfg(test)]
 pub(crate) use verb::{IndexVerb, PointVerb};

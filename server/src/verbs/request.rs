@@ -5,9 +5,10 @@ use std::{
     time::{Duration, Instant},
 };
 
+use prost::Name;
+
 use super::{
     codec::{Form, MAX_DYNAMIC_BYTES, invalid},
-    message::{IndexRequest, Named},
     verb::Verb,
 };
 use crate::{observe, service::Error};
@@ -82,29 +83,33 @@ impl<'a> Request<'a> {
     }
 
     /// Decodes the request for the index that the key names.
-    pub(crate) fn decode_for_index<R: IndexRequest>(&self) -> Result<R, Error> {
+    pub(crate) fn decode_for_index<R>(&self) -> Result<R, Error>
+    where
+        R: Name + Default + observe::Request,
+    {
         let mut request: R = self.decode()?;
-        let index = request.index_mut();
-        if index.is_empty() {
-            index.push_str(self.index);
-        } else if index != self.index {
-            let text = format!("the payload names {index:?}, the key {:?}", self.index);
-            return Err(invalid("index_name", "CONFLICT", text));
+        match request.index_mut() {
+            Some(index) if index.is_empty() => index.push_str(self.index),
+            Some(index) if index != self.index => {
+                let text = format!("the payload names {index:?}, the key {:?}", self.index);
+                return Err(invalid("index_name", "CONFLICT", text));
+            }
+            _ => {}
         }
         observe::request(&request);
         Ok(request)
     }
 
     /// Decodes the request if the key names no index.
-    pub(crate) fn decode<R: Named>(&self) -> Result<R, Error> {
-        let read = || self.form.read(R::NAME, &self.payload, &self.parameters);
+    pub(crate) fn decode<R: Name + Default>(&self) -> Result<R, Error> {
+        let read = || self.form.read(&self.payload, &self.parameters);
         let parameters = self.parameters.iter().map(|(_, value)| value.len());
         at_length(self.payload.len() + parameters.sum::<usize>(), read)
     }
 
     /// Encodes an answer in the form of the request.
-    pub(crate) fn encode<M: Named>(&self, answer: &M) -> Result<Vec<u8>, Error> {
-        let write = || self.form.write(M::NAME, answer);
+    pub(crate) fn encode<M: Name>(&self, answer: &M) -> Result<Vec<u8>, Error> {
+        let write = || self.form.write(answer);
         at_length(answer.encoded_len(), write)
     }
 }

@@ -47,7 +47,7 @@ fn identities(others: &[&str]) -> String {
             role => (role, "arm"),
         };
         let digest = Sha256::digest(name);
-        let digest: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+        let digest = hex::encode(digest);
         text += &format!(
             "[[identity]]\nname = \"{name}\"\nrole = \"{role}\"\nindexes = [\"{pattern}\"]\ntoken_sha256 = \"{digest}\"\n"
         );

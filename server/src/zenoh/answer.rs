@@ -6,12 +6,7 @@ use tracing::debug;
 use zenoh::{Wait, key_expr::KeyExpr, query::Query};
 
 use super::encoding::encoding;
-use crate::{
-    admission::HeldBytes,
-    status::Status,
-    verbs::{Form, Named},
-};
-use wayfold_proto::v1;
+use crate::{admission::HeldBytes, status::Status, verbs::Form};
 
 /// The replies to one query, each under its own key.
 pub(super) type Replies = Vec<(KeyExpr<'static>, Vec<u8>)>;
@@ -70,7 +65,7 @@ fn reply(query: &Query, key: KeyExpr<'static>, form: Form, payload: Vec<u8>) {
 
 /// Sends a refusal. Blocks as [`reply`] does.
 fn refuse(query: &Query, form: Form, status: &Status) {
-    let payload = form.write(v1::Status::NAME, &status.to_message());
+    let payload = form.write(&status.to_message());
     let payload = payload.unwrap_or_else(|error| error.to_string().into_bytes());
     let sent = query.reply_err(payload).encoding(encoding(form)).wait();
     if let Err(error) = sent {

@@ -19,7 +19,7 @@ use zenoh::{
 use super::encoding::encoding;
 use crate::{
     service::{Call, CatalogWatch, Code, Error, Service, Unavailability},
-    verbs::{Form, Named},
+    verbs::Form,
 };
 
 /// The pause before an index whose log could not be read is read again.
@@ -262,7 +262,7 @@ impl Feed {
                     .await
                     .is_ok_and(|it| it.matching())
             {
-                let payload = self.form.form.write(v1::WatchResponse::NAME, &message)?;
+                let payload = self.form.form.write(&message)?;
                 self.put(publisher, payload).await;
             }
             let whole = message.mutations.iter().rfind(|last| !last.continued);

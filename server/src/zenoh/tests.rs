@@ -140,7 +140,7 @@ async fn messages_to_a_subscriber_that_does_not_read_are_counted_as_dropped() {
 async fn every_key_refuses_a_query_without_a_right_token() {
     let file = tempfile::NamedTempFile::new().unwrap();
     let digest = Sha256::digest("secret");
-    let digest: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+    let digest = hex::encode(digest);
     let robot = "[[identity]]\nname = \"robot\"\nrole = \"admin\"\nindexes = [\"*\"]\n";
     fs::write(file.path(), format!("{robot}token_sha256 = \"{digest}\"\n")).unwrap();
     let identities = Identities::open(Some(file.path())).unwrap();

@@ -7,7 +7,7 @@ use super::answer::Replies;
 use crate::{
     service::{Call, Error, Service},
     status,
-    verbs::{Form, Named, invalid},
+    verbs::{Form, invalid},
 };
 
 /// Indices described at a time.
@@ -33,7 +33,7 @@ pub(super) async fn answer(
     if lists {
         let listed = service.list_indexes(call, v1::ListIndexesRequest::default());
         let listed = status::listing(listed.await?);
-        let payload = form.write(v1::ListIndexesResponse::NAME, &listed)?;
+        let payload = form.write(&listed)?;
         replies.push((list.into(), payload));
     }
     let mut request = v1::ListIndexesRequest {
@@ -46,7 +46,7 @@ pub(super) async fn answer(
             let info = key(format!("{prefix}/{}/info", index.name))?;
             if key_expr.intersects(&info) {
                 let response = v1::GetIndexResponse { index: Some(index) };
-                let payload = form.write(v1::GetIndexResponse::NAME, &response)?;
+                let payload = form.write(&response)?;
                 replies.push((KeyExpr::from(info), payload));
             }
         }

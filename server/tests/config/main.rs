@@ -5,3 +5,5 @@
 mod command_line;
 mod layers;
 mod repair;
+#[path = "../log/tables.rs"]
+mod tables;

@@ -8,11 +8,12 @@ use std::{
 };
 
 use bytes::Bytes;
-use fjall::{Database, KeyspaceCreateOptions};
 use wayfold_index::PointRef;
 use wayfold_server::log::{
     Catalogue, Durability, Effects, Entry, FjallLog, Journal, Outcome, PointStore, Record, Uid,
 };
+
+use crate::tables::move_to_tables;
 
 fn repair(directory: &Path, arguments: &[&str]) -> (Option<i32>, String) {
     let Output {
@@ -58,9 +59,7 @@ fn fill(directory: &Path) {
         }
     }
     drop(log);
-    let database = Database::builder(directory.join("store")).open().unwrap();
-    let keyspace = database.keyspace("wayfold", KeyspaceCreateOptions::default);
-    keyspace.unwrap().rotate_memtable_and_wait().unwrap();
+    move_to_tables(directory);
 }
 
 /// Flips a bit in the second payload of `arm`. The points come first in the largest table, and the records after them.

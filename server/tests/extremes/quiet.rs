@@ -7,15 +7,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use prost_reflect::{DynamicMessage, ReflectMessage};
 use wayfold_proto::v1::{self, create_index_request::SpaceForm};
 use wayfold_server::{
     log::MemoryLog,
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
 };
-
-use crate::extremes::{requests, variants};
 
 /// The maximum number of polls of a call about two points; a call that spins exceeds it.
 const MAX_POLLS: usize = 300;
@@ -50,22 +47,6 @@ pub(crate) async fn two_points() -> (Service, String) {
     };
     service.open_session(&call, session).await.unwrap();
     (service, created.index.unwrap().revision.unwrap().uid)
-}
-
-/// A fresh index, and variant `at` of `request` for it, if the request is one whose earlier variants would decide how the
-/// next is refused.
-pub(crate) async fn own_index(
-    request: &DynamicMessage,
-    at: usize,
-) -> Option<(Service, DynamicMessage)> {
-    let name = request.descriptor();
-    if !["OpenSessionRequest", "WriteRequest"].contains(&name.name()) {
-        return None;
-    }
-    let (service, uid) = two_points().await;
-    let mut good = requests(&uid).into_iter();
-    let good = good.find(|good| good.descriptor() == name)?;
-    Some((service, variants(&good).swap_remove(at).1))
 }
 
 /// A deadline in a minute of the paused clock, which each wait moves ahead of the real one.

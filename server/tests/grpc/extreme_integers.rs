@@ -14,9 +14,9 @@ use wayfold_server::{InProcess, config::Config};
 use crate::{
     extremes::{pool, requests, variants},
     harness::{TestServer, insert, uid_of},
-    quiet::{deadline, own_index, quietly, two_points},
+    own_index::own_index,
+    quiet::{deadline, quietly, two_points},
     raw::Raw,
-    restores::restores,
 };
 
 /// The timeout of a call that may wait for a revision that does not exist.
@@ -107,13 +107,12 @@ impl Answered {
 async fn call(
     channel: &Channel,
     method: &MethodDescriptor,
-    messages: &[&impl Message],
+    message: &impl Message,
     timeout: Duration,
 ) -> Answered {
     let service = method.parent_service().full_name();
     let path = format!("/{service}/{}", method.name());
-    let messages: Vec<_> = messages.iter().map(|it| it.encode_to_vec()).collect();
-    let mut request = Request::new(stream::iter(messages));
+    let mut request = Request::new(stream::iter([message.encode_to_vec()]));
     request.set_timeout(timeout);
     let mut client = Grpc::new(channel.clone());
     client.ready().await.unwrap();
@@ -160,13 +159,13 @@ async fn every_method_answers_or_refuses_extreme_integers() {
         .collect();
     for method in &all {
         let takes = |request: &DynamicMessage| methods(&all, request).any(|it| it == method);
-        // It has a test of its own.
+        // The suite of the service tries it.
         let is_tried = method.name() == "RestoreIndex" || requests.iter().any(takes);
         assert!(is_tried, "{} is not tried", method.full_name());
     }
     for request in &requests {
         for method in methods(&all, request) {
-            let answered = call(&server.channel, method, &[request], NEVER).await;
+            let answered = call(&server.channel, method, request, NEVER).await;
             answered.assert_good(request.descriptor().name());
         }
     }
@@ -175,28 +174,8 @@ async fn every_method_answers_or_refuses_extreme_integers() {
         let may_wait = may_wait(&variant);
         let timeout = if may_wait { WAIT } else { NEVER };
         for method in methods(&all, &variant) {
-            let answered = call(&server.channel, method, &[&variant], timeout).await;
+            let answered = call(&server.channel, method, &variant, timeout).await;
             answered.assert_answered_or_refused(may_wait);
-        }
-    }
-}
-
-#[tokio::test]
-async fn snapshots_with_extreme_integers_are_restored_or_refused() {
-    let server = TestServer::start(|_| ()).await;
-    let method = pool()
-        .get_service_by_name("wayfold.v1.IndexService")
-        .unwrap()
-        .methods()
-        .find(|it| it.name() == "RestoreIndex")
-        .unwrap();
-    for (at, (what, requests)) in restores().iter().enumerate() {
-        println!("{what}");
-        let requests: Vec<_> = requests.iter().collect();
-        let answered = call(&server.channel, &method, &requests, NEVER).await;
-        match at {
-            0 => answered.assert_good("RestoreIndexRequest"),
-            _ => answered.assert_answered_or_refused(false),
         }
     }
 }

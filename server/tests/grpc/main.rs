@@ -15,13 +15,13 @@ mod extreme_integers;
 #[path = "../extremes/mod.rs"]
 mod extremes;
 mod health;
+#[path = "../extremes/own_index.rs"]
+mod own_index;
 #[path = "../extremes/quiet.rs"]
 mod quiet;
 mod receiving;
 mod reflection;
 mod refusals;
-#[path = "../extremes/restores.rs"]
-mod restores;
 mod shutdown;
 mod starting;
 mod stream_knn;

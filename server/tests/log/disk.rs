@@ -2,12 +2,16 @@
 
 use std::{
     fs,
+    ops::Range,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
-use wayfold_server::log::{Catalogue, Durability, Entry, FjallLog, LogError, Uid};
+use bytes::Bytes;
+use tempfile::TempDir;
+use wayfold_server::log::{Batch, Catalogue, Durability, Effects, Entry, FjallLog, LogError, Uid};
 
-use super::{copied::copied, effects, submit, synced};
+use super::{copied::copied, effects, journal_end::newest_journal, submit, synced};
 
 pub(crate) fn open(directory: &Path) -> FjallLog {
     open_at(directory, Durability::Fsync)
@@ -25,6 +29,50 @@ pub(crate) fn append(log: &FjallLog, uid: Uid, revision: u64) {
 pub(crate) fn append_synced(log: &FjallLog, uid: Uid, revision: u64) {
     append(log, uid, revision);
     synced(log, uid, revision).unwrap();
+}
+
+/// The index of this name.
+pub(crate) fn index(log: &FjallLog, name: &str) -> Entry {
+    let indexes = log.indexes().unwrap();
+    let mut named = indexes.into_iter().filter(|entry| entry.name == name);
+    named.next().unwrap()
+}
+
+/// The effects with a batch of a session.
+pub(crate) fn with_batch(
+    mut effects: Effects,
+    (session, number): (u64, u64),
+    reserved: Range<u64>,
+    ended: &[u64],
+) -> Effects {
+    effects.set_batch(Some(Arc::new(Batch {
+        session,
+        number,
+        fingerprint: [session as u8; 32],
+        response: Bytes::from(format!("batch {number} of {session}")),
+        reserved,
+        ended: ended.into(),
+    })));
+    effects
+}
+
+/// A copy of the directory of this version that is kept beside these tests.
+pub(crate) fn of_version(version: u32) -> TempDir {
+    let kept = format!("{}/tests/log/version-{version}", env!("CARGO_MANIFEST_DIR"));
+    let copy = copied(Path::new(&kept));
+    // git keeps no empty directory.
+    for tree in ["0", "1"] {
+        let tree = copy.path().join("store/keyspaces").join(tree);
+        fs::create_dir_all(tree.join("tables")).unwrap();
+    }
+    let line = format!("wayfold-server data, version {version}\n");
+    assert_eq!(marker(copy.path()), line);
+    copy
+}
+
+/// The line that names the version of a directory.
+pub(crate) fn marker(directory: &Path) -> String {
+    fs::read_to_string(directory.join("wayfold-data")).unwrap()
 }
 
 /// Asserts that only this index is lost, and returns the reason.
@@ -46,36 +94,21 @@ pub(crate) struct JournalFile<'a> {
 
 impl<'a> JournalFile<'a> {
     pub(crate) fn of(directory: &'a Path) -> Self {
-        let files = fs::read_dir(directory.join("store")).unwrap();
-        let journals = files
-            .map(|file| file.unwrap().path())
-            .filter(|path| path.extension().is_some_and(|kind| kind == "jnl"));
-        let path = journals.max().unwrap();
-        let bytes = fs::read(&path).unwrap();
+        let (path, used) = newest_journal(&directory.join("store"));
         Self {
             directory,
             name: path.strip_prefix(directory).unwrap().into(),
-            used: bytes.iter().rposition(|&byte| byte != 0).unwrap() as u64 + 1,
+            used,
         }
     }
 
     /// A copy of the directory in which the journal has this length.
-    pub(crate) fn cut(&self, length: u64) -> tempfile::TempDir {
+    pub(crate) fn cut(&self, length: u64) -> TempDir {
         let copy = copied(self.directory);
         let file = fs::File::options()
             .write(true)
             .open(copy.path().join(&self.name));
         file.unwrap().set_len(length).unwrap();
-        copy
-    }
-
-    /// A copy of the directory in which one bit of this byte of the journal is flipped.
-    pub(crate) fn flipped(&self, at: u64) -> tempfile::TempDir {
-        let copy = copied(self.directory);
-        let path = copy.path().join(&self.name);
-        let mut bytes = fs::read(&path).unwrap();
-        bytes[at as usize] ^= 0x10;
-        fs::write(path, bytes).unwrap();
         copy
     }
 }

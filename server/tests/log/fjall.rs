@@ -1,5 +1,4 @@
-//! Promises of the log on disk beyond those of the others: its state after a crash, and its behaviour while its disk
-//! fails.
+//! Promises of the log on disk beyond those of the others: its syncs, its state after a crash, its views.
 
 use std::{fs, slice};
 
@@ -11,7 +10,7 @@ use wayfold_server::log::{
 use super::{
     all_points,
     copied::copied,
-    disk::{Part, append, append_synced, open, open_at},
+    disk::{append, append_synced, open, open_at},
     effects, entry, submit, synced,
 };
 
@@ -81,53 +80,6 @@ fn a_copy_hands_each_batch_to_the_operating_system_and_is_synced_later() {
     append(&log, uid, 51);
     drop(log);
     assert_eq!(open(directory.path()).view(uid).unwrap().revision(), 51);
-}
-
-/// The disk is removed and put back. Every acknowledged mutation is stored, and any other is stored whole or not at
-/// all.
-#[test]
-fn a_store_that_failed_is_read_and_is_opened_anew_once_it_can_be() {
-    let directory = tempfile::tempdir().unwrap();
-    let log = open(directory.path());
-    let arm = entry("arm");
-    let uid = arm.uid;
-    log.create(arm.clone()).unwrap();
-    for revision in 1..=3 {
-        append_synced(&log, uid, revision);
-    }
-    let store = Part::of(directory.path(), "store");
-    for head in [3, 4, 5] {
-        assert_eq!(log.failure(), None);
-        let view = log.view(uid).unwrap();
-        let before = all_points(&*view);
-        store.take_away();
-        append(&log, uid, head + 1);
-        let failed = synced(&log, uid, head + 1).unwrap_err();
-        assert!(matches!(failed, LogError::Storage { .. }));
-        for _ in 0..2 {
-            let refused = submit(&log, uid, head + 1, effects(head + 2, &[99], &[]));
-            assert_eq!(refused.unwrap_err(), failed);
-            assert_eq!(log.create(entry("other")), Err(failed.clone()));
-            assert_eq!(log.delete(uid), Err(failed.clone()));
-            // The disk is still missing, so the store does not reopen.
-            assert!(matches!(log.reopen(), Err(LogError::Storage { .. })));
-            assert_eq!(log.failure(), Some(failed.clone()));
-            assert_eq!(all_points(&*view), before);
-        }
-        store.bring_back();
-        log.reopen().unwrap();
-        assert_eq!(view.get(1).unwrap_err(), LogError::Closed);
-        let (found, tail) = (
-            log.view(uid).unwrap(),
-            log.read(uid, None, usize::MAX).unwrap(),
-        );
-        // The last record reached the system's cache, so it survived by chance.
-        assert_eq!((found.revision(), tail.len() as u64), (head + 1, head + 1));
-        assert_eq!(all_points(&*found).len() as u64, head + 1);
-    }
-    drop(log);
-    let log = open(directory.path());
-    assert_eq!(log.view(uid).unwrap().revision(), 6);
 }
 
 /// An unreadable disk is not reported as damage.
@@ -203,5 +155,44 @@ fn below_fsync_a_crash_that_may_have_lost_something_makes_new_uids() {
         drop(log);
         let after = open_at(directory.path(), durability);
         assert_eq!(after.view(arm.uid).unwrap().revision(), 1);
+    }
+}
+
+/// The view follows no later revision, whether it was read before that revision or not.
+#[test]
+fn a_view_stays_at_its_revision_when_its_index_is_written_and_deleted() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path());
+    let (arm, other) = (entry("arm"), entry("other"));
+    for entry in [&arm, &other] {
+        log.create(entry.clone()).unwrap();
+    }
+    let mut views = Vec::new();
+    for revision in 1..=5 {
+        append_synced(&log, arm.uid, revision);
+        let view = log.view(arm.uid).unwrap();
+        let shared = log.view(arm.uid).unwrap();
+        if revision % 2 == 0 {
+            assert_eq!(all_points(&*shared).len() as u64, revision);
+        }
+        views.push(view);
+    }
+    // This removes a point that every view holds.
+    let removed: Vec<u64> = (1..=5).collect();
+    submit(&log, arm.uid, 5, effects(6, &[9], &removed)).unwrap();
+    views.push(log.view(arm.uid).unwrap());
+    append_synced(&log, other.uid, 1);
+    log.delete(arm.uid).unwrap();
+    for (view, revision) in views.iter().zip(1..) {
+        assert_eq!(view.revision(), revision);
+        let ids: Vec<u64> = all_points(&**view).into_keys().collect();
+        let expected: Vec<u64> = if revision < 6 {
+            (1..=revision).collect()
+        } else {
+            vec![9]
+        };
+        assert_eq!(ids, expected);
+        let point = view.get(ids[0]).unwrap().unwrap();
+        assert_eq!(point.modified, if revision < 6 { 1 } else { 6 });
     }
 }

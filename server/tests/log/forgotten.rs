@@ -6,8 +6,7 @@ use bytes::Bytes;
 use tokio::runtime::Builder;
 use wayfold_index::PointRef;
 use wayfold_server::log::{
-    Catalogue, Effects, LogError, MemoryLog, Origin, Outcome, Receipt, Record, RecordPosition,
-    connect_nats,
+    Catalogue, Effects, LogError, MemoryLog, Outcome, Receipt, Record, RecordPosition, connect_nats,
 };
 
 use crate::{entry, nats::NatsServer, next, retention};
@@ -28,10 +27,7 @@ fn whole_packs_are_forgotten_in_nats() {
             .0
     };
     local.create(entry).unwrap();
-    let mut position = RecordPosition {
-        revision: 0,
-        digest: Origin::START.digest,
-    };
+    let mut position = RecordPosition::START;
     let mut records = Vec::new();
     for revision in 1..=RECORDS {
         let mut effects = Effects::new(1);
@@ -65,7 +61,7 @@ fn whole_packs_are_forgotten_in_nats() {
     log.journal.forget(uid, RECORDS).unwrap();
     assert_eq!(oldest(), 0);
 
-    log.points.trim_applied(uid, &retention(0)).unwrap();
+    log.points.trim(uid, &retention(0)).unwrap();
     for up_to in 1..RECORDS {
         log.journal.forget(uid, up_to).unwrap();
         assert_eq!(oldest(), up_to);

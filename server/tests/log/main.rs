@@ -14,7 +14,7 @@ mod fjall;
 mod flips;
 mod following;
 mod forgotten;
-mod idle_view;
+mod journal_end;
 mod lost;
 mod model;
 mod nats;
@@ -26,6 +26,7 @@ mod replaced_in_nats;
 mod restored_in_nats;
 mod shared_files;
 mod suite;
+mod tables;
 mod test_log;
 mod version_3;
 mod version_4;
@@ -45,9 +46,9 @@ use wayfold_server::log::{
 use test_log::TestLog;
 
 /// A log whose three parts are one store.
-trait Engine: Journal + PointStore + Catalogue {}
+trait Engine: PointStore + Catalogue {}
 
-impl<Log: Journal + PointStore + Catalogue> Engine for Log {}
+impl<Log: PointStore + Catalogue> Engine for Log {}
 
 /// Submits a record after the revision `expected`.
 fn submit(

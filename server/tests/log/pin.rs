@@ -7,8 +7,7 @@
 //!   `fjall/journal.rs`, checked by `a_synced_commit_is_in_the_newest_file`,
 //!   `a_file_that_was_made_and_is_not_written_to_does_not_hide_the_one_before`.
 //! - An entry of the journal never begins with a zero, and a damaged entry ends the journal in silence. Relied on in
-//!   `fjall/journal.rs`, `fjall/sync_marks.rs`, checked by `log::lost`, above all
-//!   `a_flipped_byte_of_the_journal_is_never_a_silent_gap`.
+//!   `fjall/journal.rs`, `fjall/sync_marks.rs`, checked by `log::lost`, `log::flips`.
 //! - The trees `keyspaces/0` and `keyspaces/1`, their files `vN`, and `current`: number, XXH3, kind. Relied on in
 //!   `fjall/manifest.rs`, checked by `any_missing_part_of_a_store_is_named_and_nothing_else_is_touched`,
 //!   `log::flips`.
@@ -20,7 +19,8 @@
 //! - Fjall refuses a block whose checksum does not match, in reads and in compactions. Relied on in `fjall/rebuild.rs`,
 //!   checked by `log::rebuilt`, `log::flips`.
 //! - A snapshot sees all that was committed before it, and pins what was overwritten since. Relied on in
-//!   `fjall/view.rs`, checked by `log::idle_view`, `views_are_never_torn`.
+//!   `fjall/view.rs`, checked by `a_view_stays_at_its_revision_when_its_index_is_written_and_deleted`,
+//!   `views_are_never_torn`, service `idle_index`.
 //! - A database that is dropped has ended its threads and writes nothing more. Relied on in `fjall/journal.rs`,
 //!   `fjall/manifest_copy.rs`, checked by `a_start_rewrites_the_journal_unless_the_shutdown_was_clean`, e2e `power_loss`.
 //! - All keys in one keyspace reach the tables in the order of the journal. Relied on in `fjall/layout.rs`, checked by

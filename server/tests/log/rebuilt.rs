@@ -10,13 +10,12 @@ use std::{
 };
 
 use bytes::Bytes;
-use fjall::{Database, Keyspace, KeyspaceCreateOptions};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold_index::PointRef;
 use wayfold_server::log::{
-    Catalogue, Durability, Effects, Entry, FjallLog, Journal, LogError, Operation, Outcome,
-    PointStore, RepairError, Uid, repair,
+    Catalogue, Durability, Effects, Entry, FjallLog, LogError, Operation, Outcome, PointStore,
+    RepairError, Uid, repair,
 };
 
 use super::{
@@ -24,6 +23,7 @@ use super::{
     copied::copied,
     disk::{append_synced, open, open_at},
     effects, entry, retention, submit, synced,
+    tables::{move_to_tables, open_store},
 };
 
 /// The bytes of a payload, which fill several blocks, so that fjall soon begins another table.
@@ -51,14 +51,6 @@ fn grow(log: &FjallLog, uid: Uid, revision: u64, payload: Bytes) -> Result<(), L
     synced(log, uid, revision).map(|_| ())
 }
 
-/// The store of a closed log.
-fn store(directory: &Path) -> (Database, Keyspace) {
-    let database = Database::builder(directory.join("store")).open().unwrap();
-    let keyspace = database.keyspace("wayfold", KeyspaceCreateOptions::default);
-    let keyspace = keyspace.unwrap();
-    (database, keyspace)
-}
-
 /// Creates two indices that are wholly in tables: `arm` with 20 points with payloads, `base` with one revision. fjall
 /// will rewrite the tables with the next one or two.
 fn fill(directory: &Path) -> [Entry; 2] {
@@ -75,7 +67,7 @@ fn fill(directory: &Path) -> [Entry; 2] {
             grow(&log, entries[0].uid, revision, payload(revision)).unwrap();
         }
         drop(log);
-        store(directory).1.rotate_memtable_and_wait().unwrap();
+        move_to_tables(directory);
     }
     entries
 }
@@ -130,7 +122,7 @@ fn damaged(log: &FjallLog, entry: &Entry) {
 
 /// Lets fjall rewrite all of its files by holding nothing of the store.
 fn can_be_rewritten(directory: &Path) {
-    store(directory).1.major_compact().unwrap();
+    open_store(directory).1.major_compact().unwrap();
 }
 
 #[test]
@@ -289,10 +281,7 @@ fn no_block_of_a_table_costs_all_indices() {
             }
         }
         drop(log);
-        store(directory.path())
-            .1
-            .rotate_memtable_and_wait()
-            .unwrap();
+        move_to_tables(directory.path());
         let tables = tables(directory.path());
         let name = tables[0].strip_prefix(directory.path()).unwrap();
         let bytes = fs::read(&tables[0]).unwrap();

@@ -170,24 +170,6 @@ impl Journal for RemoteLog {
     fn newest(&self, uid: Uid) -> Result<u64, LogError> {
         self.connection.newest(uid)
     }
-
-    /// Only what is applied here may be forgotten.
-    fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
-        let applied = self.local.view(uid)?.revision();
-        if let Machine::Stream(stream) = &self.machine {
-            stream.trim(uid, retention, applied);
-        }
-        self.local.trim_applied(uid, retention)
-    }
-
-    fn window(&self, uid: Uid) -> Result<Window, LogError> {
-        let held = self.connection.read(uid, None, usize::MAX)?;
-        let bytes = held.iter().map(|record| record.effects().bytes() as u64);
-        Ok(Window {
-            records: held.len() as u64,
-            bytes: bytes.sum(),
-        })
-    }
 }
 
 impl PointStore for RemoteLog {
@@ -200,15 +182,34 @@ impl PointStore for RemoteLog {
         self.local.view(uid)
     }
 
-    fn trim_applied(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
-        self.local.trim_applied(uid, retention)
+    /// Only what is applied here may be forgotten.
+    fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
+        let applied = self.local.view(uid)?.revision();
+        if let Machine::Stream(stream) = &self.machine {
+            stream.trim(uid, retention, applied);
+        }
+        self.local.trim(uid, retention)
+    }
+
+    fn window(&self, uid: Uid) -> Result<Window, LogError> {
+        let held = self.connection.read(uid, None, usize::MAX)?;
+        let bytes = held.iter().map(|record| record.effects().bytes() as u64);
+        Ok(Window {
+            records: held.len() as u64,
+            bytes: bytes.sum(),
+        })
     }
 
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
         self.local.operations(uid)
     }
 
-    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+    fn restore(
+        &self,
+        entry: Entry,
+        origin: Origin,
+        replaces: bool,
+    ) -> Result<Box<dyn Restoring>, LogError> {
         let position = RecordPosition {
             revision: origin.revision,
             digest: origin.digest,
@@ -216,11 +217,7 @@ impl PointStore for RemoteLog {
         if let Machine::Stream(stream) = &self.machine {
             stream.origins.lock().insert(entry.uid, position);
         }
-        self.local.restore(entry, origin)
-    }
-
-    fn replace(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        self.local.replace(entry, origin)
+        self.local.restore(entry, origin, replaces)
     }
 }
 

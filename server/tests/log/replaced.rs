@@ -59,7 +59,7 @@ fn sessions() -> Sessions {
 
 /// Replaces an index by the points 100 to 139.
 fn replace(log: &(impl Engine + ?Sized), entry: &Entry, origin: Origin) -> Result<(), LogError> {
-    let mut copy = log.replace(entry.clone(), origin)?;
+    let mut copy = log.restore(entry.clone(), origin, true)?;
     for ids in [100..120, 120..140] {
         let before = log.view(entry.uid).unwrap().revision();
         copy.add(&ids.map(point).collect::<Vec<_>>())?;
@@ -151,7 +151,7 @@ fn an_index_is_never_taken_back_or_brought_back() {
         submit(log, arm.uid, 0, effects(1, &[1], &[])).unwrap();
         for revision in [0, 1] {
             let origin = Origin { revision, ..ORIGIN };
-            let copy = log.replace(arm.clone(), origin).unwrap();
+            let copy = log.restore(arm.clone(), origin, true).unwrap();
             let fenced = LogError::Fenced {
                 uid: arm.uid,
                 expected: revision,
@@ -163,7 +163,7 @@ fn an_index_is_never_taken_back_or_brought_back() {
         submit(log, arm.uid, 1, effects(2, &[2], &[])).unwrap();
         assert_eq!(all_points(&*log.view(arm.uid).unwrap()).len(), 2);
         // The index is deleted while it is copied.
-        let copy = log.replace(arm.clone(), ORIGIN).unwrap();
+        let copy = log.restore(arm.clone(), ORIGIN, true).unwrap();
         log.delete(arm.uid).unwrap();
         assert_eq!(copy.finish(sessions(), vec![]), Err(unknown));
         assert_eq!(log.indexes().unwrap(), []);
@@ -179,7 +179,7 @@ fn a_copy_with_more_operations_than_revisions_is_refused() {
             revision: 1,
             ..ORIGIN
         };
-        let copy = log.replace(arm.clone(), origin).unwrap();
+        let copy = log.restore(arm.clone(), origin, true).unwrap();
         let refused = copy.finish(sessions(), operations());
         assert!(matches!(
             refused,
@@ -197,7 +197,7 @@ fn a_crash_leaves_the_index_or_its_copy() {
         let arm = entry("arm");
         log.create(arm.clone()).unwrap();
         append_synced(&log, arm.uid, 1);
-        let mut copy = log.replace(arm.clone(), ORIGIN).unwrap();
+        let mut copy = log.restore(arm.clone(), ORIGIN, true).unwrap();
         copy.add(&(100..140).map(point).collect::<Vec<_>>())
             .unwrap();
         let before = copied(directory.path());
@@ -221,7 +221,7 @@ fn a_journal_that_ends_in_the_last_batch_leaves_one_of_both() {
     let arm = entry("arm");
     log.create(arm.clone()).unwrap();
     append_synced(&log, arm.uid, 1);
-    let mut copy = log.replace(arm.clone(), ORIGIN).unwrap();
+    let mut copy = log.restore(arm.clone(), ORIGIN, true).unwrap();
     copy.add(&(100..140).map(point).collect::<Vec<_>>())
         .unwrap();
     let marks = fs::read(directory.path().join("marks")).unwrap();

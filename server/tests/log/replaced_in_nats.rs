@@ -4,16 +4,11 @@ use std::sync::Arc;
 
 use tokio::runtime::{Builder, Runtime};
 use wayfold_server::log::{
-    Journal, Log, LogError, MemoryLog, Origin, Receipt, Record, RecordPosition, RecordStream, Uid,
+    Journal, Log, LogError, MemoryLog, Receipt, Record, RecordPosition, RecordStream, Uid,
     connect_nats,
 };
 
 use crate::{effects, nats::NatsServer, next};
-
-const START: RecordPosition = RecordPosition {
-    revision: 0,
-    digest: Origin::START.digest,
-};
 
 /// Submits the record after `position`, which stores a point with this id.
 fn publish(
@@ -51,7 +46,7 @@ fn a_follower_compares_the_newest_record_in_nats() {
         connected.unwrap().0
     };
     let journal = &*log.journal;
-    let mut position = START;
+    let mut position = RecordPosition::START;
     for id in 0..3 {
         position = publish(&runtime, journal, uid, position, id).position();
     }

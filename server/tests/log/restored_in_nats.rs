@@ -113,7 +113,7 @@ fn a_journal_that_nats_has_lost_whole_begins_again_once_in_nats() {
                 next_id: 1,
                 digest: ORIGIN.digest,
             };
-            let restoring = local.restore(entry.clone(), origin).unwrap();
+            let restoring = local.restore(entry.clone(), origin, false).unwrap();
             restoring.finish(Sessions::default(), vec![]).unwrap();
             for record in &records {
                 local.submit(uid, Arc::clone(record)).unwrap();
@@ -126,9 +126,9 @@ fn a_journal_that_nats_has_lost_whole_begins_again_once_in_nats() {
                     operations: usize::MAX,
                     operation_bytes: usize::MAX,
                 };
-                local.trim_applied(uid, &retention).unwrap();
+                local.trim(uid, &retention).unwrap();
             }
-            assert_eq!(local.oldest_kept(uid), Ok(Some(newest + 1 - kept)));
+            assert_eq!(local.oldest(uid), Ok(Some(newest + 1 - kept)));
             let _entered = runtime.enter();
             connect_nats(&server.options(), local).unwrap().0
         })

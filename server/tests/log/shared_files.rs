@@ -9,18 +9,10 @@ use super::{
     copied::copied,
     disk::{append_synced, open},
     entry,
+    tables::move_to_tables,
 };
 
 const CURRENTS: [&str; 2] = ["store/keyspaces/0/current", "store/keyspaces/1/current"];
-
-/// Moves the content of a closed log to tables, so that fjall writes another list of them.
-fn move_to_tables(directory: &Path) {
-    let database = fjall::Database::builder(directory.join("store"))
-        .open()
-        .unwrap();
-    let keyspace = database.keyspace("wayfold", fjall::KeyspaceCreateOptions::default);
-    keyspace.unwrap().rotate_memtable_and_wait().unwrap();
-}
 
 /// A closed log with two revisions of one index, most of it in tables.
 fn fill(directory: &Path) -> wayfold_server::log::Entry {
@@ -29,6 +21,7 @@ fn fill(directory: &Path) -> wayfold_server::log::Entry {
     log.create(arm.clone()).unwrap();
     append_synced(&log, arm.uid, 1);
     drop(log);
+    // fjall writes another list of its tables.
     move_to_tables(directory);
     append_synced(&open(directory), arm.uid, 2);
     arm

@@ -256,7 +256,8 @@ impl Run {
         };
         let copy = entry("copy");
         let stored: Vec<StoredPoint> = sum.points.values().map(|point| (**point).clone()).collect();
-        let copied = log.restore(copy.clone(), origin).and_then(|mut copying| {
+        let copying = log.restore(copy.clone(), origin, false);
+        let copied = copying.and_then(|mut copying| {
             for part in stored.chunks(3) {
                 copying.add(part)?;
                 assert!(log.view(copy.uid).is_err(), "it is not there yet");
@@ -270,8 +271,7 @@ impl Run {
             Ok(()) => finished,
             Err(why) => {
                 self.recover(&why, None);
-                let entries = self.kept.log().indexes().unwrap();
-                entries.contains(&copy)
+                self.kept.log().indexes().unwrap().contains(&copy)
             }
         };
         let log = self.kept.log();
@@ -298,7 +298,7 @@ impl Run {
 fn check_applied(kept: &TestLog, model: &Model) {
     let (log, entry) = (kept.log(), entry("applied"));
     let (origin, sum) = model.origin();
-    let mut copying = log.restore(entry.clone(), origin).unwrap();
+    let mut copying = log.restore(entry.clone(), origin, false).unwrap();
     for point in sum.points.values() {
         copying.add(std::slice::from_ref(&**point)).unwrap();
     }

@@ -5,36 +5,19 @@
 //! another call point 10, an update changed point 1, and the operation `second` removed the points 2 and 10. In `leg`
 //! the operation `third` inserted the points 0 and 1, and another call removed point 1.
 
-use std::{fs, path::Path, sync::Arc};
+use std::fs;
 
 use bytes::Bytes;
-use tempfile::TempDir;
 use wayfold_server::log::{
-    Batch, Catalogue, Effects, Entry, FjallLog, Journal, PointStore, StoredPoint, View, repair,
+    Catalogue, Effects, FjallLog, Journal, PointStore, StoredPoint, View, repair,
 };
 
-use super::{all_points, copied::copied, disk::open, effects, submit, synced};
-
-const VERSION_3: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/log/version-3");
-
-/// A copy of the directory.
-fn directory() -> TempDir {
-    let copy = copied(Path::new(VERSION_3));
-    // git keeps no empty directory.
-    fs::create_dir_all(copy.path().join("store/keyspaces/1/tables")).unwrap();
-    assert_eq!(marker(copy.path()), "wayfold-server data, version 3\n");
-    copy
-}
-
-fn marker(directory: &Path) -> String {
-    fs::read_to_string(directory.join("wayfold-data")).unwrap()
-}
-
-fn index(log: &FjallLog, name: &str) -> Entry {
-    let indexes = log.indexes().unwrap();
-    let mut named = indexes.into_iter().filter(|entry| entry.name == name);
-    named.next().unwrap()
-}
+use super::{
+    all_points,
+    copied::copied,
+    disk::{index, marker, of_version, open, with_batch},
+    effects, submit, synced,
+};
 
 fn point(
     id: u64,
@@ -98,24 +81,23 @@ fn check_old(log: &FjallLog) {
     assert_eq!(records[3].effects().removed(), [2, 10]);
 }
 
-/// The batch of session 3 of `leg` that reserves three ids.
-fn batch(mut effects: Effects, number: u64, first: u64) -> Effects {
-    effects.set_batch(Some(Arc::new(Batch {
-        session: 3,
-        number,
-        fingerprint: [7; 32],
-        response: Bytes::from(format!("batch {number}")),
-        reserved: first..first + 3,
-        ended: Vec::new(),
-    })));
-    effects
-}
-
 /// Opens session 3 of `leg` and writes its first batch.
 fn write_batches(log: &FjallLog) {
     let leg = index(log, "leg");
-    submit(log, leg.uid, 2, batch(Effects::new(1), 0, 2)).unwrap();
-    submit(log, leg.uid, 3, batch(effects(4, &[3], &[]), 1, 5)).unwrap();
+    submit(
+        log,
+        leg.uid,
+        2,
+        with_batch(Effects::new(1), (3, 0), 2..5, &[]),
+    )
+    .unwrap();
+    submit(
+        log,
+        leg.uid,
+        3,
+        with_batch(effects(4, &[3], &[]), (3, 1), 5..8, &[]),
+    )
+    .unwrap();
     synced(log, leg.uid, 4).unwrap();
 }
 
@@ -128,7 +110,10 @@ fn check_batches(log: &FjallLog) {
     assert_eq!(ids, [0, 3]);
     let sessions = view.sessions();
     let session = sessions.get(3).unwrap();
-    assert_eq!((session.batch, &session.response[..]), (1, &b"batch 1"[..]));
+    assert_eq!(
+        (session.batch, &session.response[..]),
+        (1, &b"batch 1 of 3"[..])
+    );
     let owners = [1, 2, 7, 8].map(|id| sessions.owner(id));
     assert_eq!(owners, [None, Some(3), Some(3), None]);
     assert_eq!(stored(&*log.view(index(log, "arm").uid).unwrap()).len(), 2);
@@ -137,7 +122,7 @@ fn check_batches(log: &FjallLog) {
 #[test]
 fn a_directory_of_version_3_is_opened_and_takes_batches() {
     for ended_cleanly in [true, false] {
-        let directory = directory();
+        let directory = of_version(3);
         let path = directory.path();
         if !ended_cleanly {
             fs::remove_file(path.join("journal-synced")).unwrap();
@@ -160,7 +145,7 @@ fn a_directory_of_version_3_is_opened_and_takes_batches() {
 
 #[test]
 fn an_interrupted_upgrade_is_completed() {
-    let directory = directory();
+    let directory = of_version(3);
     let path = directory.path();
     write_batches(&open(path));
     for left in [
@@ -175,7 +160,7 @@ fn an_interrupted_upgrade_is_completed() {
 
 #[test]
 fn repair_reads_a_directory_of_version_3_and_leaves_the_version() {
-    let directory = directory();
+    let directory = of_version(3);
     for dry_run in [true, false] {
         let report = repair(directory.path(), dry_run).unwrap();
         assert_eq!((report.damage, report.whole), (None, 2));

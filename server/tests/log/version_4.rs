@@ -7,54 +7,16 @@
 //! point 0 again, reserved the id 8 and ended session 4 (revision 6). In `leg` session 1 was opened with the ids 0 to 3.
 //! An index `gone` was created and deleted.
 
-use std::{fs, path::Path, sync::Arc};
+use std::fs;
 
 use bytes::Bytes;
-use tempfile::TempDir;
-use wayfold_server::log::{
-    Batch, Catalogue, Effects, Entry, FjallLog, Journal, LogError, PointStore, Session, repair,
+use wayfold_server::log::{Catalogue, FjallLog, Journal, LogError, PointStore, Session, repair};
+
+use super::{
+    all_points,
+    disk::{index, of_version, open, with_batch},
+    effects, submit, synced,
 };
-
-use super::{all_points, copied::copied, disk::open, effects, submit, synced};
-
-const VERSION_4: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/log/version-4");
-
-/// A copy of the directory.
-fn directory() -> TempDir {
-    let copy = copied(Path::new(VERSION_4));
-    // git keeps no empty directory.
-    for keyspace in ["0", "1"] {
-        let tables = copy.path().join("store/keyspaces").join(keyspace);
-        fs::create_dir_all(tables.join("tables")).unwrap();
-    }
-    let marker = fs::read_to_string(copy.path().join("wayfold-data")).unwrap();
-    assert_eq!(marker, "wayfold-server data, version 4\n");
-    copy
-}
-
-fn index(log: &FjallLog, name: &str) -> Entry {
-    let indexes = log.indexes().unwrap();
-    let mut named = indexes.into_iter().filter(|entry| entry.name == name);
-    named.next().unwrap()
-}
-
-/// The effects with a batch of a session of this file's form.
-fn with_batch(
-    mut effects: Effects,
-    (session, number): (u64, u64),
-    reserved: std::ops::Range<u64>,
-    ended: &[u64],
-) -> Effects {
-    effects.set_batch(Some(Arc::new(Batch {
-        session,
-        number,
-        fingerprint: [session as u8; 32],
-        response: Bytes::from(format!("batch {number} of {session}")),
-        reserved,
-        ended: ended.into(),
-    })));
-    effects
-}
 
 /// Asserts what the index `leg` and the catalogue held.
 fn check_leg(log: &FjallLog) {
@@ -146,7 +108,7 @@ fn check_next_batch(log: &FjallLog) {
 #[test]
 fn a_directory_of_version_4_is_opened() {
     for ended_cleanly in [true, false] {
-        let directory = directory();
+        let directory = of_version(4);
         let path = directory.path();
         if !ended_cleanly {
             fs::remove_file(path.join("journal-synced")).unwrap();
@@ -165,7 +127,7 @@ fn a_directory_of_version_4_is_opened() {
 #[test]
 fn repair_finds_a_directory_of_version_4_whole() {
     for dry_run in [true, false] {
-        let directory = directory();
+        let directory = of_version(4);
         let report = repair(directory.path(), dry_run).unwrap();
         assert_eq!((report.damage, report.whole), (None, 2));
         let log = open(directory.path());

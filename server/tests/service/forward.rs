@@ -31,20 +31,8 @@ macro_rules! forward_journal {
             self.$field.read(uid, after, max_bytes)
         }
 
-        fn trim(
-            &self,
-            uid: Uid,
-            retention: &wayfold_server::log::Retention,
-        ) -> Result<(), LogError> {
-            self.$field.trim(uid, retention)
-        }
-
         fn newest(&self, uid: Uid) -> Result<u64, LogError> {
             self.$field.newest(uid)
-        }
-
-        fn window(&self, uid: Uid) -> Result<wayfold_server::log::Window, LogError> {
-            self.$field.window(uid)
         }
     };
 }
@@ -73,12 +61,16 @@ macro_rules! forward_whole_journal {
 /// Forwards all of `PointStore` but `apply` and `view`.
 macro_rules! forward_points {
     ($field:tt) => {
-        fn trim_applied(
+        fn trim(
             &self,
             uid: Uid,
             retention: &wayfold_server::log::Retention,
         ) -> Result<(), LogError> {
-            self.$field.trim_applied(uid, retention)
+            self.$field.trim(uid, retention)
+        }
+
+        fn window(&self, uid: Uid) -> Result<wayfold_server::log::Window, LogError> {
+            self.$field.window(uid)
         }
 
         fn operations(
@@ -92,16 +84,9 @@ macro_rules! forward_points {
             &self,
             entry: wayfold_server::log::Entry,
             origin: wayfold_server::log::Origin,
+            replaces: bool,
         ) -> Result<Box<dyn wayfold_server::log::Restoring>, LogError> {
-            self.$field.restore(entry, origin)
-        }
-
-        fn replace(
-            &self,
-            entry: wayfold_server::log::Entry,
-            origin: wayfold_server::log::Origin,
-        ) -> Result<Box<dyn wayfold_server::log::Restoring>, LogError> {
-            self.$field.replace(entry, origin)
+            self.$field.restore(entry, origin, replaces)
         }
     };
 }

@@ -22,6 +22,8 @@ mod idle_index;
 mod in_flight;
 mod indexes;
 mod insert;
+#[path = "../log/journal_end.rs"]
+mod journal_end;
 mod lifecycle;
 mod limits;
 mod log;
@@ -47,6 +49,8 @@ mod slow_disk;
 mod snapshot;
 mod storage_failure;
 mod support;
+#[path = "../log/tables.rs"]
+mod tables;
 mod trims;
 mod update;
 mod verify;

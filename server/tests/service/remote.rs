@@ -17,13 +17,12 @@ use rand_chacha::ChaCha8Rng;
 use tokio::time::timeout;
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{Catalogue, Entry, Journal, Log, MemoryLog, PointStore, Uid},
+    log::{Catalogue, Entry, Journal, Log, MemoryLog, PointStore, RecordPosition, Uid},
     registry::{Registry, RegistryOptions},
     service::{Code, Limits, Service},
 };
 
 use crate::support::*;
-use stream::START;
 pub(crate) use stream::{Remote, Stream};
 
 /// A small window makes most catching up read the journal.
@@ -84,7 +83,7 @@ async fn points_at(service: &Service, uid: Uid, number: u64) -> v1::Points {
 /// Asserts that the records form one chain and that all servers store the points of the records. Returns these points.
 pub(crate) async fn settled(stream: &Stream, entry: &Entry, servers: &[&Service]) -> v1::Points {
     let records = stream.records(entry.uid);
-    let (mut position, mut expected) = (START, BTreeMap::new());
+    let (mut position, mut expected) = (RecordPosition::START, BTreeMap::new());
     for record in &records {
         assert!(record.follows(position) && record.is_intact());
         position = record.position();

@@ -18,7 +18,7 @@ use wayfold_server::{
     service::{Code, Limits, Service},
 };
 
-use crate::{copied::copied, support::*};
+use crate::{copied::copied, journal_end::newest_journal, support::*, tables::move_to_tables};
 
 /// A service over a store whose directory can be removed.
 struct Failing {
@@ -166,23 +166,12 @@ async fn reads_across_the_end_of_a_failure_are_unavailable() {
     assert_eq!(everything(service).await.point_count, 6);
 }
 
-/// The newest journal of a store, with a bit in the middle of it flipped.
+/// Flips a bit in the middle of the newest journal file of a store.
 fn damage(store: &Path) {
-    let files = std::fs::read_dir(store).unwrap();
-    let journals = files.map(|file| file.unwrap().path());
-    let journal = journals.filter(|path| path.extension().is_some_and(|kind| kind == "jnl"));
-    let journal = journal.max().unwrap();
+    let (journal, used) = newest_journal(store);
     let mut bytes = std::fs::read(&journal).unwrap();
-    let used = bytes.iter().rposition(|&byte| byte != 0).unwrap();
-    bytes[used / 2] ^= 1;
+    bytes[used as usize / 2] ^= 1;
     std::fs::write(&journal, bytes).unwrap();
-}
-
-/// Moves the content of a closed store to tables.
-fn move_to_tables(store: &Path) {
-    let database = fjall::Database::builder(store).open().unwrap();
-    let keyspace = database.keyspace("wayfold", fjall::KeyspaceCreateOptions::default);
-    keyspace.unwrap().rotate_memtable_and_wait().unwrap();
 }
 
 /// Flips a bit of this payload in the one table that holds it.
@@ -249,7 +238,7 @@ async fn damage_found_during_a_reopening_costs_only_the_damaged_content() {
     }
     drop(service);
     let store = directory.path().join("store");
-    move_to_tables(&store);
+    move_to_tables(directory.path());
 
     let failing = Failing::at(directory);
     let service = &failing.service;
@@ -350,7 +339,7 @@ async fn a_store_that_meets_damage_while_it_is_written_is_read_and_asks_for_a_re
             drop(log.apply(uid, &[record]).unwrap());
         }
         drop(log);
-        move_to_tables(&store);
+        move_to_tables(directory.path());
     }
     let failing = Failing::at(directory);
     let service = &failing.service;

@@ -3,12 +3,7 @@
 //!
 //!     cargo run --release -p wayfold-tests --bin writers -- [--rounds 5] [--json FILE]
 
-use std::{
-    path::PathBuf,
-    process::ExitCode,
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{path::PathBuf, process::ExitCode, sync::Arc, time::Instant};
 
 use clap::Parser;
 use serde_json::{Value, json};
@@ -75,7 +70,6 @@ fn figures(batch: usize, rounds: &[WriterRates]) -> Value {
     json!({
         "batch": batch,
         "states_per_second": of(|written| written.rate),
-        "writer_held": of(|written| written.writer),
         "processors": of(|written| written.processors),
     })
 }
@@ -85,8 +79,6 @@ fn figures(batch: usize, rounds: &[WriterRates]) -> Value {
 struct WriterRates {
     /// States inserted per second.
     rate: f64,
-    /// The fraction of the time in which one of them held the writer.
-    writer: f64,
     /// The average number of used processors.
     processors: f64,
 }
@@ -95,9 +87,7 @@ struct WriterRates {
 async fn write(batch: usize, round: u64) -> WriterRates {
     let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
     registry.replay().expect("an empty log");
-    let registry = Arc::new(registry);
-    let service = Service::starting(Limits::default());
-    service.set_registry(Arc::clone(&registry));
+    let service = Service::new(registry, Limits::default());
     service.set_ready();
     let request = CreateIndexRequest {
         name: INDEX.into(),
@@ -115,7 +105,6 @@ async fn write(batch: usize, round: u64) -> WriterRates {
         .collect();
     let inserted: usize = of_each.iter().map(|rows| rows.len() / WIDTH).sum();
 
-    let held_before = held(&registry).await;
     let (started, processor) = (Instant::now(), processor());
     let mut writers = JoinSet::new();
     for rows in of_each {
@@ -130,7 +119,6 @@ async fn write(batch: usize, round: u64) -> WriterRates {
     let seconds = started.elapsed().as_secs_f64();
     WriterRates {
         rate: inserted as f64 / seconds,
-        writer: (held(&registry).await - held_before).as_secs_f64() / seconds,
         processors: (self::processor() - processor) / seconds,
     }
 }
@@ -144,11 +132,6 @@ async fn insert(service: &Service, rows: &[f64], with_neighbors: bool) {
     };
     let inserted = service.insert(&Call::default(), request).await;
     assert_eq!(inserted.expect("an insert").ids.len(), rows.len() / WIDTH);
-}
-
-async fn held(registry: &Registry) -> Duration {
-    let hosted = registry.get(INDEX).expect("the index");
-    hosted.write().await.expect("its writer").held()
 }
 
 /// Processor time of this process.

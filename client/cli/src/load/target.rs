@@ -5,7 +5,7 @@ mod shared;
 
 use std::time::{Duration, Instant};
 
-use tokio::{sync::watch, time::timeout_at};
+use tokio::{runtime::Runtime, sync::watch, time::timeout_at};
 use wayfold::{Durability, Error, Neighbor, Space};
 
 use super::{
@@ -65,7 +65,7 @@ pub(super) struct ServerFacts {
 /// A connection, or a shared index. Its methods block the thread that calls them.
 pub(super) trait Target: Send {
     /// The runtime of this thread.
-    fn runtime(&self) -> &tokio::runtime::Runtime;
+    fn runtime(&self) -> &Runtime;
 
     fn space(&self) -> Space;
 
@@ -112,32 +112,10 @@ pub(super) fn open(
     })
 }
 
-/// A runtime on the thread that calls it, for one connection or for waiting.
-pub(super) struct OwnRuntime(Option<tokio::runtime::Runtime>);
-
-impl OwnRuntime {
-    fn new() -> Result<OwnRuntime, LoadError> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build();
-        let runtime = runtime.map_err(|source| LoadError::Thread { source })?;
-        Ok(OwnRuntime(Some(runtime)))
-    }
-}
-
-impl std::ops::Deref for OwnRuntime {
-    type Target = tokio::runtime::Runtime;
-
-    fn deref(&self) -> &tokio::runtime::Runtime {
-        self.0.as_ref().expect("it is taken on drop alone")
-    }
-}
-
-impl Drop for OwnRuntime {
-    fn drop(&mut self) {
-        // A plain drop panics on a thread of another runtime.
-        if let Some(runtime) = self.0.take() {
-            runtime.shutdown_background();
-        }
-    }
+/// A runtime on the thread that calls it, for one connection or for waiting. It is dropped on a thread outside of any
+/// other runtime.
+fn own_runtime() -> Result<Runtime, LoadError> {
+    let mut builder = tokio::runtime::Builder::new_current_thread();
+    let built = builder.enable_all().build();
+    built.map_err(|source| LoadError::Thread { source })
 }

@@ -80,7 +80,7 @@ pub(crate) fn token(args: &TokenArgs, format: Format) -> Result<(), Failure> {
     let TokenCommand::Create(args) = &args.command;
     let mut secret = [0; 32];
     getrandom::fill(&mut secret).map_err(|error| Failure::Random(error.to_string()))?;
-    let token = format!("wayfold_{}", hex(&secret));
+    let token = format!("wayfold_{}", hex::encode(secret));
     let entry = entry(args, &token);
     let shown = match &args.to {
         Some(file) => {
@@ -121,7 +121,7 @@ fn entry(args: &CreateArgs, token: &str) -> String {
         text(&args.name),
         text(role),
         indexes.join(", "),
-        hex(&Sha256::digest(token))
+        hex::encode(Sha256::digest(token))
     );
     if args.metrics {
         entry += "metrics = true\n";
@@ -141,10 +141,6 @@ fn expiry(text: &str) -> Result<String, &'static str> {
         true => Ok(text.to_owned()),
         false => Err("it is past"),
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn write_secret(file: &Path, token: &str) -> Result<(), Failure> {

@@ -1,7 +1,5 @@
 //! `wayfold verify`
 
-use std::fmt::Write;
-
 use serde::Serialize;
 
 use super::index_info::InfoLine;
@@ -112,7 +110,7 @@ fn print(context: &mut Context, client: &Client, verified: &Verified) -> Result<
             agrees: verified.agrees(),
             index: InfoLine::of(index),
             stored_point_count: verified.stored_point_count,
-            content_hash: hex(&verified.content_hash),
+            content_hash: hex::encode(verified.content_hash),
             query_count: verified.query_count,
             disagreement_count: verified.disagreement_count,
             first_disagreements: &verified.first_disagreements,
@@ -134,7 +132,10 @@ fn print(context: &mut Context, client: &Client, verified: &Verified) -> Result<
         "  queries   {}, each compared with brute force",
         verified.query_count
     ))?;
-    output.text(format_args!("  content   {}", hex(&verified.content_hash)))?;
+    output.text(format_args!(
+        "  content   {}",
+        hex::encode(verified.content_hash)
+    ))?;
     output.text(format_args!(
         "  revision  {} (uid {})",
         index.revision.number, index.revision.uid
@@ -191,15 +192,10 @@ fn differences(one: (&Client, &Verified), other: (&Client, &Verified)) -> Vec<St
         one.stored_point_count.to_string(),
         other.stored_point_count.to_string(),
     );
-    add("content", hex(&one.content_hash), hex(&other.content_hash));
+    add(
+        "content",
+        hex::encode(one.content_hash),
+        hex::encode(other.content_hash),
+    );
     differences
-}
-
-fn hex(hash: &[u8]) -> String {
-    let mut text = String::with_capacity(2 * hash.len());
-    for byte in hash {
-        // Writing to a string does not fail.
-        let _ = write!(text, "{byte:02x}");
-    }
-    text
 }

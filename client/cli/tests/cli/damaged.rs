@@ -11,7 +11,7 @@ use wayfold_server::{
     service::{Call, Limits, Service},
 };
 
-use crate::server::Server;
+use crate::{journal_end::newest_journal, server::Server};
 
 /// Stores the indices `arm`, `leg` and `rail` in a directory, and then loses the last mutation, which was of `leg`.
 /// Returns the uids of all three.
@@ -47,15 +47,9 @@ fn lose_a_mutation(directory: &Path) -> Vec<String> {
     });
     drop(runtime);
 
-    let files = fs::read_dir(directory.join("store")).unwrap();
-    let journals = files
-        .map(|file| file.unwrap().path())
-        .filter(|path| path.extension().is_some_and(|kind| kind == "jnl"));
-    let journal = journals.max().unwrap();
-    let written = fs::read(&journal).unwrap();
-    let end = written.iter().rposition(|&byte| byte != 0).unwrap();
+    let (journal, used) = newest_journal(&directory.join("store"));
     let file = fs::File::options().write(true).open(journal).unwrap();
-    file.set_len(end as u64).unwrap();
+    file.set_len(used - 1).unwrap();
     uids
 }
 

@@ -12,6 +12,8 @@ mod fake;
 mod files;
 mod generate;
 mod health;
+#[path = "../../../../server/tests/log/journal_end.rs"]
+mod journal_end;
 mod lasting;
 mod load;
 mod pipes;

@@ -13,12 +13,11 @@ use super::{
     batch::UnsentWrite,
     link::Link,
     meanwhile::{Answerable, MeanwhileAnswers},
-    served_index::ServedIndex,
     status::ConnectionStatus,
     writer::Writer,
 };
 use crate::{
-    Error,
+    Error, IndexInfo,
     index::{
         local::LocalPoints,
         merger::{self, Merged},
@@ -49,8 +48,9 @@ pub(super) struct Core {
     /// Wakes the sender if it waits before the next batch.
     pub(super) urgent: Notify,
     pub(super) points: RwLock<LocalPoints>,
-    /// The index that the copy follows, and the revision that it has reached.
-    pub(super) published: Mutex<(Arc<ServedIndex>, u64)>,
+    /// The index that the copy follows, and the revision that it has reached. The revision and the number of points in
+    /// its description grow stale.
+    pub(super) published: Mutex<(Arc<IndexInfo>, u64)>,
     connection: Mutex<Connection>,
     /// The cause for which the index is gone.
     ended: OnceLock<Arc<Error>>,
@@ -88,7 +88,7 @@ pub(super) enum Task {
 impl Core {
     pub(super) fn new(
         link: Link,
-        index: Arc<ServedIndex>,
+        index: Arc<IndexInfo>,
         revision: u64,
         points: LocalPoints,
         mut writer: Writer,
@@ -96,7 +96,7 @@ impl Core {
     ) -> Arc<Core> {
         writer.published_points = points.forest.len();
         Arc::new_cyclic(|this| Core {
-            space: index.space().clone(),
+            space: index.space.clone(),
             link,
             timeout: settings.timeout,
             max_pending_bytes: settings.max_pending_bytes,
@@ -241,7 +241,7 @@ impl Core {
     }
 
     /// True if the answer to a call on `index` is about the history that the copy follows.
-    pub(super) fn is_current(&self, index: &ServedIndex) -> bool {
+    pub(super) fn is_current(&self, index: &IndexInfo) -> bool {
         self.published.lock().0.uid() == index.uid()
     }
 

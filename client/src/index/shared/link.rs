@@ -1,7 +1,5 @@
-//! The calls that a shared index makes, over gRPC (`grpc`) or Zenoh (`zenoh`, `publications`).
+//! The calls that a shared index makes, over gRPC, by a client, or over Zenoh (`zenoh`, `publications`).
 
-mod call;
-mod grpc;
 mod load;
 #[cfg(feature = "zenoh")]
 mod publications;
@@ -16,15 +14,16 @@ use wayfold_proto::{
     v1::{self, PayloadEncoding, create_index_request::SpaceForm},
 };
 
-use super::served_index::ServedIndex;
 #[cfg(feature = "zenoh")]
 use crate::RetryPolicy;
 use crate::{
-    Code, Credentials, Error, Include, IndexInfo, Limits, Points, Revision, ServerInfo, Watch,
-    net::limits::{READ_ROWS, read_in_parts},
+    Client, Code, Credentials, Error, Include, IndexHandle, IndexInfo, Limits, Points, Revision,
+    ServerInfo, Watch,
+    net::{
+        call::Call,
+        limits::{READ_ROWS, read_in_parts},
+    },
 };
-use call::Call;
-use grpc::GrpcLink;
 
 /// The address of a server.
 #[derive(Clone, Debug)]
@@ -50,7 +49,7 @@ pub(super) struct Link {
 
 #[derive(Clone, Debug)]
 enum Transport {
-    Grpc(GrpcLink),
+    Grpc(Client),
     #[cfg(feature = "zenoh")]
     Zenoh(zenoh::ZenohLink),
 }
@@ -66,9 +65,13 @@ impl Link {
         let request = v1::GetServerRequest {};
         let (transport, answer) = match address {
             Address::Grpc { uri } => {
-                let link = GrpcLink::connect(&uri, timeout, credentials.clone()).await?;
-                let answer = link.call(&request).await?;
-                (Transport::Grpc(link), answer)
+                let builder = Client::builder().timeout(timeout);
+                let client = builder
+                    .credentials(credentials.clone())
+                    .connect(&uri)
+                    .await?;
+                let answer = client.send(timeout, &request).await?;
+                (Transport::Grpc(client), answer)
             }
             #[cfg(feature = "zenoh")]
             Address::Zenoh { session, prefix } => {
@@ -89,7 +92,7 @@ impl Link {
 
     async fn call<C: Call>(&self, request: &C) -> Result<C::Answer, Error> {
         match &self.transport {
-            Transport::Grpc(link) => link.call(request).await,
+            Transport::Grpc(client) => client.send(self.timeout, request).await,
             #[cfg(feature = "zenoh")]
             Transport::Zenoh(link) => link.call(request, RetryPolicy::default()).await,
         }
@@ -98,7 +101,7 @@ impl Link {
     /// The pause after this many failures in a row, the last with `error`.
     pub(super) fn pause(&self, failures: u32, error: Option<&Error>) -> Duration {
         let policy = match &self.transport {
-            Transport::Grpc(link) => link.retry_policy(),
+            Transport::Grpc(client) => client.retry_policy(),
             #[cfg(feature = "zenoh")]
             Transport::Zenoh(_) => RetryPolicy::default(),
         };
@@ -109,7 +112,7 @@ impl Link {
     /// lags behind.
     pub(super) fn may_lag(&self, error: &Error) -> bool {
         let has_others = match &self.transport {
-            Transport::Grpc(link) => link.has_others(),
+            Transport::Grpc(client) => client.connections().are_several(),
             #[cfg(feature = "zenoh")]
             Transport::Zenoh(_) => false,
         };
@@ -120,14 +123,14 @@ impl Link {
     /// Makes the next calls at another server, if there is one.
     pub(super) fn leave(&self) {
         match &self.transport {
-            Transport::Grpc(link) => link.leave(),
+            Transport::Grpc(client) => client.connections().leave(&client.connection()),
             #[cfg(feature = "zenoh")]
             Transport::Zenoh(_) => {}
         }
     }
 
     /// The index that has the name now.
-    pub(super) async fn index(&self) -> Result<ServedIndex, Error> {
+    pub(super) async fn index(&self) -> Result<IndexInfo, Error> {
         let request = v1::GetIndexRequest {
             index_name: self.name.clone(),
         };
@@ -139,7 +142,7 @@ impl Link {
         &self,
         space: &Space,
         payload_encoding: PayloadEncoding,
-    ) -> Result<ServedIndex, Error> {
+    ) -> Result<IndexInfo, Error> {
         let request = v1::CreateIndexRequest {
             name: self.name.clone(),
             space_form: Some(SpaceForm::Space(space::to_message(space))),
@@ -152,20 +155,20 @@ impl Link {
         &self,
         request: &C,
         index: fn(C::Answer) -> Option<v1::Index>,
-    ) -> Result<ServedIndex, Error> {
+    ) -> Result<IndexInfo, Error> {
         let answer = self.call(request).await?;
-        IndexInfo::from_message(C::NAME, index(answer)).map(ServedIndex::of)
+        IndexInfo::from_message(C::NAME, index(answer))
     }
 
     /// Opens a writer session.
     pub(super) async fn open_session(
         &self,
-        index: &ServedIndex,
+        index: &IndexInfo,
         reserve_count: u64,
         operation_id: &str,
     ) -> Result<v1::OpenSessionResponse, Error> {
         let request = v1::OpenSessionRequest {
-            index_name: index.name().to_owned(),
+            index_name: index.name.clone(),
             uid: index.uid().to_string(),
             reserve_count,
             operation_id: operation_id.to_owned(),
@@ -176,7 +179,7 @@ impl Link {
     /// Writes a batch. Returns the ids it reserved and the number of the revision it made.
     pub(super) async fn write(
         &self,
-        index: &ServedIndex,
+        index: &IndexInfo,
         request: &v1::WriteRequest,
     ) -> Result<(Option<v1::IdBlock>, u64), Error> {
         let answer = self.call(request).await?;
@@ -185,22 +188,11 @@ impl Link {
         Ok((answer.reserved, revision.number))
     }
 
-    /// The payload of a point at revision `at` or a later one; `None` if there is no such point.
-    pub(super) async fn payload(
-        &self,
-        index: &ServedIndex,
-        at: u64,
-        id: u64,
-    ) -> Result<Option<Vec<u8>>, Error> {
-        let mut payloads = self.some_payloads(index, at, &[id]).await?;
-        Ok(payloads.pop().flatten())
-    }
-
     /// The payloads of points at revision `at` or later ones, in the order of the ids; `None` for a point that is not
     /// stored.
     pub(super) async fn payloads(
         &self,
-        index: &ServedIndex,
+        index: &IndexInfo,
         at: u64,
         ids: &[u64],
     ) -> Result<Vec<Option<Vec<u8>>>, Error> {
@@ -213,7 +205,7 @@ impl Link {
 
     async fn some_payloads(
         &self,
-        index: &ServedIndex,
+        index: &IndexInfo,
         at: u64,
         ids: &[u64],
     ) -> Result<Vec<Option<Vec<u8>>>, Error> {
@@ -241,25 +233,26 @@ impl Link {
     /// The payloads of points that are all stored.
     async fn stored_payloads(
         &self,
-        index: &ServedIndex,
+        index: &IndexInfo,
         at: u64,
         ids: &[u64],
     ) -> Result<Vec<Vec<u8>>, Error> {
         let include = Include::none().payloads();
         let request = v1::GetRequest {
-            index_name: index.name().to_owned(),
+            index_name: index.name.clone(),
             ids: ids.to_vec(),
             include: include.to_message(),
             min_revision: Some(index.revision_at(at).to_message()),
             latest: false,
         };
         let answer = self.call(&request).await?;
-        let (call, width) = (v1::GetRequest::NAME, index.coordinates());
+        let (call, width) = (v1::GetRequest::NAME, index.coordinate_count);
         let revision = Revision::from_message(call, answer.revision, index.uid())?;
         let points = Points::from_message(call, answer.points, revision, width, include)?;
         if points.ids() != ids {
-            return Err(protocol(
-                "the points have other ids than the request".to_owned(),
+            return Err(Error::protocol(
+                call,
+                "the points have other ids than the request",
             ));
         }
         let payload =
@@ -270,12 +263,16 @@ impl Link {
     /// Watches the index after a revision. The points that `own_session` stores may be left out.
     pub(super) async fn watch(
         &self,
-        index: &std::sync::Arc<ServedIndex>,
+        index: &std::sync::Arc<IndexInfo>,
         after: u64,
         own_session: u64,
     ) -> Result<Watch, Error> {
         match &self.transport {
-            Transport::Grpc(link) => link.watch(index, after, own_session).await,
+            Transport::Grpc(client) => {
+                let watch = handle(client, index, after).watch();
+                let watch = watch.after(index.revision_at(after));
+                watch.own_session(own_session).await
+            }
             #[cfg(feature = "zenoh")]
             Transport::Zenoh(link) => link.watch(index, after, own_session).await,
         }
@@ -305,11 +302,13 @@ pub(super) fn is_transient(error: &Error) -> bool {
     }
 }
 
-pub(super) fn protocol(problem: String) -> Error {
-    Error::Protocol {
-        call: "shared",
-        problem,
-    }
+/// The handle of the index at revision `at`.
+fn handle(client: &Client, index: &IndexInfo, at: u64) -> IndexHandle {
+    let info = IndexInfo {
+        revision: index.revision_at(at),
+        ..index.clone()
+    };
+    IndexHandle::new(client.clone(), info)
 }
 
 #[cfg(test)]

@@ -130,13 +130,13 @@ impl OpenShared {
             Some(space) => link.create(space, self.payload_encoding).await?,
             None => link.index().await?,
         });
-        let mut writer = Writer::new(index.coordinates());
+        let mut writer = Writer::new(index.coordinate_count);
         writer.limit(limits.max_rows_per_call, limits.max_request_bytes);
         let operation_id = fresh_operation_id();
         let id_block = ID_BLOCK.min(limits.max_reserved_ids);
         let opened = link.open_session(&index, id_block, &operation_id).await?;
         writer.open(opened.session, opened.reserved);
-        let mut points = LocalPoints::new(index.space());
+        let mut points = LocalPoints::new(&index.space);
         let (forest, revision) = link.load(&index, points.read_revision().0 + 1).await?;
         drop(points.replace(forest));
         Ok(Core::new(

@@ -8,9 +8,8 @@ use wayfold_proto::v1;
 use super::{
     core::{Core, Task},
     link::is_transient,
-    served_index::ServedIndex,
 };
-use crate::{Code, Error, net::request::fresh_operation_id};
+use crate::{Code, Error, IndexInfo, net::request::fresh_operation_id};
 
 /// The least time between the beginnings of two batches that no caller waits for. A call costs server and client more
 /// than its rows: batches sent back to back cost planners of a maze on two cores a quarter of their speed.
@@ -79,7 +78,7 @@ pub(super) async fn run(core: Arc<Core>) {
     }
 }
 
-fn next(core: &Core, index: &ServedIndex) -> Next {
+fn next(core: &Core, index: &IndexInfo) -> Next {
     let mut writer = core.writer.lock();
     let is_over = core.has_ended() || writer.is_closed && writer.settled == writer.written;
     if writer.refused.is_none() && !is_over {
@@ -91,7 +90,7 @@ fn next(core: &Core, index: &ServedIndex) -> Next {
         if core.is_current(index)
             && let Some(mut request) = writer.next(session, reserve_count)
         {
-            request.index_name = index.name().to_owned();
+            request.index_name = index.name.clone();
             request.uid = index.uid().to_string();
             return Next::Batch(Box::new(request));
         }
@@ -100,7 +99,7 @@ fn next(core: &Core, index: &ServedIndex) -> Next {
     Next::Nothing
 }
 
-async fn open(core: &Core, index: &ServedIndex, operation_id: &str) -> Result<(), Error> {
+async fn open(core: &Core, index: &IndexInfo, operation_id: &str) -> Result<(), Error> {
     let opened = core
         .link
         .open_session(index, core.id_block, operation_id)
@@ -113,7 +112,7 @@ async fn open(core: &Core, index: &ServedIndex, operation_id: &str) -> Result<()
     Ok(())
 }
 
-async fn write(core: &Core, index: &ServedIndex, request: &v1::WriteRequest) -> Result<(), Error> {
+async fn write(core: &Core, index: &IndexInfo, request: &v1::WriteRequest) -> Result<(), Error> {
     let (reserved, revision) = core.link.write(index, request).await?;
     let answerable = {
         let mut writer = core.writer.lock();
@@ -143,7 +142,7 @@ fn is_final(error: &Error) -> bool {
 }
 
 /// The server refused a batch or a session for good, unless the session is another one by now.
-fn refuse(core: &Core, index: &ServedIndex, session: Option<u64>, error: Error) {
+fn refuse(core: &Core, index: &IndexInfo, session: Option<u64>, error: Error) {
     let mut writer = core.writer.lock();
     if writer.session == session && core.is_current(index) {
         core.refuse(&mut writer, error);

@@ -6,13 +6,11 @@ use tokio::time::{Instant, sleep_until};
 
 use super::{
     core::{Core, Task},
-    link::protocol,
     meanwhile::Answerable,
-    served_index::ServedIndex,
     writer::Writer,
 };
 use crate::{
-    Code, Error, Mutation, Reset, ResetReason, Watch, WatchEvent,
+    Code, Error, IndexInfo, Mutation, Reset, ResetReason, Watch, WatchEvent,
     index::local::{LocalPoints, NewRow},
 };
 
@@ -28,7 +26,7 @@ const MAX_LOCKED_ROWS: usize = 256;
 
 pub(super) struct Subscriber {
     core: Arc<Core>,
-    index: Arc<ServedIndex>,
+    index: Arc<IndexInfo>,
     /// The newest revision that was applied.
     revision: u64,
     /// True if the feed must hold what own sessions wrote.
@@ -58,7 +56,7 @@ impl From<Error> for Stop {
 }
 
 impl Subscriber {
-    pub(super) fn new(core: Arc<Core>, index: Arc<ServedIndex>, revision: u64) -> Subscriber {
+    pub(super) fn new(core: Arc<Core>, index: Arc<IndexInfo>, revision: u64) -> Subscriber {
         Subscriber {
             core,
             index,
@@ -106,7 +104,7 @@ impl Subscriber {
                 .following(watch.newest().number.saturating_sub(self.revision));
             match watch.next().await? {
                 Some(first) => self.apply(first, &mut watch, session)?,
-                None => return Err(Stop::Failed(protocol("the feed ended".to_owned()))),
+                None => return Err(Error::protocol("watch", "the feed ended").into()),
             }
         }
     }
@@ -160,11 +158,11 @@ impl Subscriber {
             // This server lags behind the one that named the present uid.
             return self.index.revision_at(self.revision).check_uid(index.uid());
         }
-        if index.space() != &core.space {
+        if index.space != core.space {
             return Err(Error::OtherSpace {
-                index: index.name().to_owned(),
+                index: index.name.clone(),
                 expected: core.space.to_string(),
-                found: index.space().to_string(),
+                found: index.space.to_string(),
             });
         }
         let at = core.points.read().read_revision().0 + RELOAD_CHANGES;

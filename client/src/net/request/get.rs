@@ -6,8 +6,11 @@ use wayfold_proto::v1;
 
 use super::awaitable;
 use crate::{
-    Error, Include, IndexHandle, Points,
-    net::limits::{self, READ_ROWS},
+    Error, Include, IndexHandle, Limits, Points,
+    net::{
+        call::Call,
+        limits::{self, READ_ROWS},
+    },
 };
 
 /// Reads points by id, each id once; await it to send it. Ids that are not stored are `NOT_FOUND`, by name.
@@ -39,42 +42,45 @@ impl Get {
     }
 
     async fn send(self) -> Result<Points, Error> {
-        const CALL: &str = "get";
-        let (limits, mut deadline) = self.index.limits(CALL, self.ids.len()).await?;
-        let max_rows = limits.max_ids_per_call.min(READ_ROWS);
-        if self.ids.len() > max_rows {
-            limits::check_unique(&self.ids)?;
-        }
-        let this = &self;
-        let read = |part: Range<usize>| {
-            let deadline = deadline.take();
-            async move {
-                let message = || v1::GetRequest {
-                    index_name: this.index.name().to_owned(),
-                    ids: this.ids[part.clone()].to_vec(),
-                    include: this.include.to_message(),
-                    min_revision: this.index.min_revision(),
-                    latest: this.index.reads_latest(),
-                };
-                let answer = this
-                    .index
-                    .call(CALL, deadline, message, |mut stub, request| async move {
-                        stub.get(request).await
-                    })
-                    .await?;
-                let revision = this.index.answered(CALL, answer.revision)?;
-                let width = this.index.coordinates();
-                let points =
-                    Points::from_message(CALL, answer.points, revision, width, this.include)?;
-                match points.ids() == &this.ids[part.clone()] {
-                    true => Ok(points),
-                    false => Err(Error::Protocol {
-                        call: CALL,
-                        problem: "the points have other ids than the request".to_owned(),
-                    }),
-                }
+        let max_rows = |limits: &Limits| {
+            let max_rows = limits.max_ids_per_call.min(READ_ROWS);
+            if self.ids.len() > max_rows {
+                limits::check_unique(&self.ids)?;
             }
+            Ok(max_rows)
         };
-        limits::read_in_parts(self.ids.len(), max_rows, read, Points::append).await
+        limits::read(
+            &self.index,
+            self.ids.len(),
+            max_rows,
+            |part| self.message(part),
+            |answer, part| self.points(answer, part),
+            Points::append,
+        )
+        .await
+    }
+
+    fn message(&self, part: Range<usize>) -> v1::GetRequest {
+        v1::GetRequest {
+            index_name: self.index.name().to_owned(),
+            ids: self.ids[part].to_vec(),
+            include: self.include.to_message(),
+            min_revision: self.index.min_revision(),
+            latest: self.index.reads_latest(),
+        }
+    }
+
+    fn points(&self, answer: v1::GetResponse, part: Range<usize>) -> Result<Points, Error> {
+        const CALL: &str = v1::GetRequest::NAME;
+        let revision = self.index.answered(CALL, answer.revision)?;
+        let width = self.index.coordinates();
+        let points = Points::from_message(CALL, answer.points, revision, width, self.include)?;
+        match points.ids() == &self.ids[part] {
+            true => Ok(points),
+            false => Err(Error::protocol(
+                CALL,
+                "the points have other ids than the request",
+            )),
+        }
     }
 }

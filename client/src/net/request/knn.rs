@@ -6,9 +6,12 @@ use wayfold_proto::v1::{self, neighbor_spec};
 
 use super::{SearchOptions, awaitable, search_options};
 use crate::{
-    Error, Filter, Include, IndexHandle, Neighbors, Radius, States,
-    net::limits::{self, READ_ROWS},
-    net::neighbors::Expected,
+    Error, Filter, Include, IndexHandle, Limits, Neighbors, Radius, States,
+    net::{
+        call::Call,
+        limits::{self, READ_ROWS},
+        neighbors::Expected,
+    },
     search::{Bounds, K},
 };
 
@@ -64,28 +67,24 @@ impl Knn {
     }
 
     async fn send(mut self) -> Result<Neighbors, Error> {
-        const CALL: &str = "knn";
         let states = std::mem::replace(&mut self.states, Ok(States::new(0)))?;
-        let (limits, mut deadline) = self.index.limits(CALL, states.len()).await?;
-        let row_bytes = self.row_bytes();
-        let max_rows = limits::rows_of_answer(self.index.client(), &limits, row_bytes);
-        let max_rows = max_rows.min(limits.max_rows_per_call).min(READ_ROWS);
-        let (this, states) = (&self, &states);
-        let read = |part: Range<usize>| {
-            let deadline = deadline.take();
-            async move {
-                let message = || this.message(states, part.clone());
-                let answer = this
-                    .index
-                    .call(CALL, deadline, message, |mut stub, request| async move {
-                        stub.knn(request).await
-                    })
-                    .await?;
-                let include = this.options.include;
-                neighbors(CALL, &this.index, answer, part.len(), include)
-            }
+        let max_rows = |limits: &Limits| {
+            let rows = limits::rows_of_answer(self.index.client(), limits, self.row_bytes());
+            Ok(rows.min(limits.max_rows_per_call).min(READ_ROWS))
         };
-        limits::read_in_parts(states.len(), max_rows, read, Neighbors::append).await
+        limits::read(
+            &self.index,
+            states.len(),
+            max_rows,
+            |part| self.message(&states, part),
+            |answer, part| {
+                let (call, include) = (v1::KnnRequest::NAME, self.options.include);
+                let found = (answer.neighbors, answer.revision);
+                neighbors(call, &self.index, found, part.len(), include)
+            },
+            Neighbors::append,
+        )
+        .await
     }
 
     /// The bytes of the most neighbours of one state.
@@ -119,7 +118,7 @@ impl Knn {
 pub(super) fn neighbors(
     call: &'static str,
     index: &IndexHandle,
-    answer: v1::KnnResponse,
+    (neighbors, revision): (Option<v1::Neighbors>, Option<v1::Revision>),
     rows: usize,
     include: Include,
 ) -> Result<Neighbors, Error> {
@@ -128,7 +127,7 @@ pub(super) fn neighbors(
         rows,
         width: index.coordinates(),
         include,
-        revision: index.answered(call, answer.revision)?,
+        revision: index.answered(call, revision)?,
     };
-    Neighbors::from_message(answer.neighbors, expected)
+    Neighbors::from_message(neighbors, expected)
 }

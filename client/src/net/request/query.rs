@@ -4,11 +4,13 @@ use std::ops::Range;
 
 use wayfold_proto::v1::{self, neighbor_spec};
 
-use super::{SearchOptions, awaitable, search_options};
+use super::{SearchOptions, awaitable, knn::neighbors, search_options};
 use crate::{
     Error, Filter, Include, IndexHandle, Neighbors, Radius, States,
-    net::limits::{self, READ_ROWS},
-    net::neighbors::Expected,
+    net::{
+        call::Call,
+        limits::{self, READ_ROWS},
+    },
 };
 
 /// Finds all points within a radius of each state, the closed ball, nearest first; await it to send it.
@@ -42,32 +44,20 @@ impl Query {
     }
 
     async fn send(mut self) -> Result<Neighbors, Error> {
-        const CALL: &str = "query";
         let states = std::mem::replace(&mut self.states, Ok(States::new(0)))?;
-        let (limits, mut deadline) = self.index.limits(CALL, states.len()).await?;
-        let max_rows = limits.max_rows_per_call.min(READ_ROWS);
-        let (this, states) = (&self, &states);
-        let read = |part: Range<usize>| {
-            let deadline = deadline.take();
-            async move {
-                let message = || this.message(states, part.clone());
-                let answer = this
-                    .index
-                    .call(CALL, deadline, message, |mut stub, request| async move {
-                        stub.query(request).await
-                    })
-                    .await?;
-                let expected = Expected {
-                    call: CALL,
-                    rows: part.len(),
-                    width: this.index.coordinates(),
-                    include: this.options.include,
-                    revision: this.index.answered(CALL, answer.revision)?,
-                };
-                Neighbors::from_message(answer.neighbors, expected)
-            }
-        };
-        limits::read_in_parts(states.len(), max_rows, read, Neighbors::append).await
+        limits::read(
+            &self.index,
+            states.len(),
+            |limits| Ok(limits.max_rows_per_call.min(READ_ROWS)),
+            |part| self.message(&states, part),
+            |answer, part| {
+                let (call, include) = (v1::QueryRequest::NAME, self.options.include);
+                let found = (answer.neighbors, answer.revision);
+                neighbors(call, &self.index, found, part.len(), include)
+            },
+            Neighbors::append,
+        )
+        .await
     }
 
     fn message(&self, states: &States, part: Range<usize>) -> v1::QueryRequest {

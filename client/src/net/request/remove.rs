@@ -50,7 +50,7 @@ impl Remove {
             missing_count: 0,
             revision: self.index.revision(),
         };
-        let division = Division::new(CALL, &self.index, rows, &self.ids, &self.operation_id);
+        let division = Division::new(&self.index, rows, &self.ids, &self.operation_id);
         let written = division.write(
             |limits| limits.max_ids_per_call,
             |_| ID_BYTES,
@@ -60,7 +60,6 @@ impl Remove {
                 operation_id: operation_id.to_owned(),
                 uid: self.index.uid().to_owned(),
             },
-            |mut stub, request| async move { stub.remove(request).await },
             |answer, _| {
                 removed.removed_count += answer.removed_count;
                 removed.missing_count += answer.missing_count;

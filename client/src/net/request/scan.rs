@@ -80,10 +80,7 @@ impl ScanRequest {
         };
         let mut parts = client.call(CALL, index.timeout(), attempt).await?;
         let Some(first) = receive(CALL, index, &mut parts).await? else {
-            return Err(Error::Protocol {
-                call: CALL,
-                problem: "a scan without any part".to_owned(),
-            });
+            return Err(Error::protocol(CALL, "a scan without any part"));
         };
         let (revision, point_count) = (index.answered(CALL, first.revision)?, first.point_count);
         let width = index.coordinates();

@@ -9,7 +9,9 @@ use wayfold_proto::{
 };
 
 use super::{awaitable, into_stream};
-use crate::{Error, IndexHandle, Revision, SnapshotPart, net::connections::Connection};
+use crate::{
+    Error, IndexHandle, Revision, SnapshotError, SnapshotPart, net::connections::Connection,
+};
 
 /// Reads all of an index at one revision, as a backup or for another server; await it to begin.
 #[derive(Clone, Debug)]
@@ -81,10 +83,7 @@ impl SnapshotRequest {
                     first: Some(part),
                 })
             }
-            _ => Err(Error::Protocol {
-                call: CALL,
-                problem: "a snapshot without a header".to_owned(),
-            }),
+            _ => Err(Error::protocol(CALL, "a snapshot without a header")),
         }
     }
 }
@@ -96,20 +95,12 @@ async fn receive(
     reader: &mut Reader,
 ) -> Result<Option<(SnapshotPart, Content)>, Error> {
     let response = super::receive(CALL, index, parts).await?;
-    let protocol = |problem: String| Error::Protocol {
-        call: CALL,
-        problem,
-    };
+    let damaged = |error: SnapshotError| Error::protocol(CALL, error.to_string());
     let Some(response) = response else {
-        return reader
-            .finish()
-            .map(|()| None)
-            .map_err(|error| protocol(error.to_string()));
+        return reader.finish().map(|()| None).map_err(damaged);
     };
     let part = response.part.unwrap_or_default();
-    let content = reader
-        .read(&part)
-        .map_err(|error| protocol(error.to_string()))?;
+    let content = reader.read(&part).map_err(damaged)?;
     Ok(Some((SnapshotPart::new(part, &content), content)))
 }
 

@@ -160,15 +160,13 @@ impl KnnAnswers {
     }
 
     fn answer(&mut self, response: v1::StreamKnnResponse) -> Result<Neighbors, Error> {
-        let wrong = |problem: &str| Error::Protocol {
-            call: CALL,
-            problem: problem.to_owned(),
-        };
+        let wrong = |problem: &str| Error::protocol(CALL, problem);
         let pending = self.pending.try_recv();
         let request = pending.map_err(|_| wrong("an answer to no request"))?;
         match response.result {
             Some(Answer::Knn(answer)) => {
-                knn::neighbors(CALL, &request.index, answer, request.rows, request.include)
+                let found = (answer.neighbors, answer.revision);
+                knn::neighbors(CALL, &request.index, found, request.rows, request.include)
             }
             Some(Answer::Error(status)) => {
                 Err(Error::Refused(Box::new(Refusal::from_message(&status))))

@@ -89,12 +89,11 @@ impl Update {
             unchanged_count: 0,
             revision: self.index.revision(),
         };
-        let division = Division::new(CALL, &self.index, rows, &self.ids, &self.operation_id);
+        let division = Division::new(&self.index, rows, &self.ids, &self.operation_id);
         let written = division.write(
             |limits| limits.max_ids_per_call,
             |row| self.row_bytes(row),
             |part, operation_id| self.message(part, operation_id),
-            |mut stub, request| async move { stub.update(request).await },
             |answer, _| {
                 updated.updated_count += answer.updated_count;
                 updated.unchanged_count += answer.unchanged_count;

@@ -118,7 +118,7 @@ impl Verify {
                     index.note(&verified.index.revision);
                     return Ok(verified);
                 }
-                None => return Err(protocol("it ends without a report")),
+                None => return Err(Error::protocol(CALL, "it ends without a report")),
             }
         }
     }
@@ -139,16 +139,10 @@ fn verified(report: v1::VerifyReport) -> Result<Verified, Error> {
     Ok(Verified {
         index: IndexInfo::from_message(CALL, report.index)?,
         stored_point_count: report.stored_point_count,
-        content_hash: hash.map_err(|_| protocol("the content hash does not have 32 bytes"))?,
+        content_hash: hash
+            .map_err(|_| Error::protocol(CALL, "the content hash does not have 32 bytes"))?,
         query_count: report.query_count,
         disagreement_count: report.disagreement_count,
         first_disagreements: report.first_disagreements,
     })
-}
-
-fn protocol(problem: &str) -> Error {
-    Error::Protocol {
-        call: CALL,
-        problem: problem.to_owned(),
-    }
 }

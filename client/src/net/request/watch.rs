@@ -214,7 +214,8 @@ impl Watch {
         };
         let first = timeout(waited, watch.messages.next()).await;
         let first = first.map_err(|_| Error::timeout(CALL, waited))?;
-        let mut first = first.ok_or_else(|| protocol("a watch without any message"))??;
+        let mut first =
+            first.ok_or_else(|| Error::protocol(CALL, "a watch without any message"))??;
         let begins_at = first.revision.as_ref().map(|revision| revision.number);
         let uid = first.revision.as_ref().map(|revision| &*revision.uid);
         if watch.start.after.is_none() && uid != Some(&*watch.start.uid) {
@@ -283,7 +284,7 @@ impl Watch {
             return Ok(());
         }
         if revision.uid != self.start.uid {
-            return Err(protocol("mutations of another uid"));
+            return Err(Error::protocol(CALL, "mutations of another uid"));
         }
         self.newest = revision;
         for piece in message.mutations {
@@ -298,7 +299,8 @@ impl Watch {
         let expected = self.after.checked_add(1);
         if revision.uid != self.start.uid || Some(revision.number) != expected {
             let after = Revision::new(Arc::clone(&self.start.uid), self.after);
-            return Err(protocol(&format!("revision {revision} after {after}")));
+            let problem = format!("revision {revision} after {after}");
+            return Err(Error::protocol(CALL, problem));
         }
         let WatchStart {
             coordinates,
@@ -323,14 +325,13 @@ impl Watch {
                 mutation
             }
             (_, piece) => {
-                return Err(protocol(&format!(
-                    "piece {piece} of revision {revision} without those before"
-                )));
+                let problem = format!("piece {piece} of revision {revision} without those before");
+                return Err(Error::protocol(CALL, problem));
             }
         };
         if message.continued {
             let next = message.piece.checked_add(1);
-            let next = next.ok_or_else(|| protocol("a mutation without an end"))?;
+            let next = next.ok_or_else(|| Error::protocol(CALL, "a mutation without an end"))?;
             self.unfinished = Some((mutation, next));
         } else {
             self.after = revision.number;
@@ -348,12 +349,5 @@ impl fmt::Debug for Watch {
             .field("after", &self.after)
             .field("newest", &self.newest)
             .finish_non_exhaustive()
-    }
-}
-
-fn protocol(problem: &str) -> Error {
-    Error::Protocol {
-        call: CALL,
-        problem: problem.to_owned(),
     }
 }

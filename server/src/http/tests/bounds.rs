@@ -26,8 +26,9 @@ use tokio_util::task::AbortOnDropHandle;
 
 use super::*;
 use crate::{
-    log::{Catalogue, Durability, Entry, FjallLog, Uid},
+    log::{Catalogue, Durability, FjallLog},
     observe::MAX_SCRAPES,
+    testing::arm,
 };
 
 /// Enough for other tasks to begin.
@@ -210,13 +211,7 @@ async fn a_wrong_parameter_counts_as_an_invalid_argument() {
 /// A service of a store whose files were lost after its server had written them.
 fn unreadable(directory: &Path) -> Service {
     let open = || FjallLog::open(directory, Durability::Fsync).unwrap();
-    let entry = Entry {
-        uid: Uid::unique(),
-        name: "arm".into(),
-        space: "R1".parse().unwrap(),
-        payload_encoding: Default::default(),
-    };
-    open().create(entry).unwrap();
+    open().create(arm()).unwrap();
     fs::rename(directory.join("store"), directory.join("elsewhere")).unwrap();
     let registry = Registry::new(Arc::new(open()), RegistryOptions::default());
     let service = Service::new(registry, Limits::default());

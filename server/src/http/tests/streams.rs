@@ -182,10 +182,8 @@ async fn the_page_is_no_subscriber() {
         }
         insert(&service, revision).await;
     }
-    let subscribers = service.listed().into_iter().map(|listed| match listed {
-        IndexEntry::Hosted(hosted) => hosted.subscribers_and_lag(),
-        IndexEntry::Damaged { .. } => panic!("a damaged index"),
-    });
+    let listed = service.listed().into_iter();
+    let subscribers = listed.map(|(_, state)| state.hosted().unwrap().subscribers_and_lag());
     assert_eq!(subscribers.collect::<Vec<_>>(), [(0, 0)]);
 }
 

@@ -13,13 +13,13 @@ use super::{
     failure::Failure,
     follow,
     index::{Index, State},
-    journal::{self, Journal},
-    layout::{EntryState, Number, StagedEntry, Sum, entry_key},
+    journal::{self, StoreJournal},
+    layout::{Number, Stage, StagedEntry, Sum, entry_key},
     manifest, manifest_copy, recovery,
     restoring::RestoringIndex,
     store::{Store, not_readable, shut, storage, unopened},
     sweeper::Sweeper,
-    sync_marks::{Mark, MarkTable, Marks},
+    sync_marks::{Mark, Marks},
     syncer::Syncer,
     unclean_marker,
 };
@@ -29,7 +29,6 @@ use crate::log::{Entry, LogError, LostIndex, Origin, Receipt, Record, RecordStre
 /// batch would take more of one machine's disk and processors than their journal.
 const COPY_SYNC_INTERVAL: Duration = Duration::from_millis(100);
 
-/// An open store.
 pub(super) struct Engine {
     syncer: Option<Syncer>,
     pub(super) sweeper: Sweeper,
@@ -37,7 +36,7 @@ pub(super) struct Engine {
     lost: Mutex<BTreeMap<Number, LostIndex>>,
     /// The number of the next index. Its lock serialises creating and deleting indices.
     next: Mutex<Number>,
-    failure: Arc<Failure>,
+    pub(super) failure: Arc<Failure>,
     pub(super) store: Arc<Store>,
     directory: Arc<Directory>,
 }
@@ -47,10 +46,10 @@ impl Engine {
     pub(super) fn open(
         directory: &Arc<Directory>,
         options: StoreOptions,
-        marks: (Marks, &MarkTable),
     ) -> Result<Self, LogError> {
         let durability = options.durability;
-        let (mut marks, marked) = marks;
+        let marks_path = directory.join(MARKS);
+        let (mut marks, marked) = Marks::open(&marks_path).map_err(shut)?;
         let path = directory.join(STORE);
         if !path.try_exists().map_err(shut)? {
             return Err(not_readable(format!("there is no {}", path.display())));
@@ -60,9 +59,9 @@ impl Engine {
         journal::ensure_durable(directory).map_err(shut)?;
         let store = Store::open(&path, options).map_err(unopened)?;
         let store = Arc::new(store);
-        let renamed = unclean_marker::may_have_lost(directory.path()).map_err(shut)?;
+        let may_have_lost = unclean_marker::may_have_lost(directory.path()).map_err(shut)?;
         let handles = store.handles()?;
-        let found = recovery::recover(&handles, marked, renamed)?;
+        let found = recovery::recover(&handles, &marked, may_have_lost)?;
         drop(handles);
         // A server without fsync may have ended before it wrote the first mark.
         if marked.is_empty()
@@ -70,13 +69,13 @@ impl Engine {
             && !unclean_marker::was_begun(directory.path()).map_err(shut)?
         {
             warn!(
-                file = %directory.join(MARKS).display(),
+                file = %marks_path.display(),
                 indexes = found.indexes.len(),
                 "the file of the marks is missing or empty, so a journal that was cut short cannot be noticed; the \
                  indices get marks of their present revisions"
             );
         }
-        let mut journal = Journal::new(Arc::clone(&store), directory.join(STORE));
+        let mut journal = StoreJournal::new(Arc::clone(&store), path);
         let failure = Arc::new(Failure::default());
         match journal.sync() {
             Ok(()) => {}
@@ -92,10 +91,9 @@ impl Engine {
 
         // Everything found is now on disk, acknowledged or not, so readers may rely on it.
         write_marks(&mut marks, &found.indexes).map_err(shut)?;
-        let path = directory.join(MARKS);
-        let compacted = marks.compact(&path, found.next, &found.used);
+        let compacted = marks.compact(&marks_path, found.next, &found.used);
         let marks = compacted.map_err(shut)?;
-        let (sweeping, _) = Marks::open(&path).map_err(shut)?;
+        let (sweeping, _) = Marks::open(&marks_path).map_err(shut)?;
         let sweeper = Sweeper::start(Arc::clone(&store), sweeping, Arc::clone(&failure));
         let sweeper = sweeper.map_err(shut)?;
         let syncer = match durability {
@@ -141,29 +139,8 @@ impl Engine {
         self.lost.lock().values().cloned().collect()
     }
 
-    /// The failure that stopped all writing.
-    pub(super) fn failure(&self) -> Option<LogError> {
-        self.failure.get()
-    }
-
-    /// See [`Failure::note`].
-    pub(super) fn note(&self, error: LogError) -> LogError {
-        self.failure.note(error)
-    }
-
-    /// See [`Failure::explain`].
-    pub(super) fn explain(&self, why: &LogError) {
-        self.failure.explain(why);
-    }
-
-    /// Stops all writing.
-    pub(super) fn fail(&self, why: &LogError) {
-        self.failure.note(why.clone());
-        self.failure.explain(why);
-    }
-
     fn writable(&self) -> Result<(), LogError> {
-        match self.failure() {
+        match self.failure.get() {
             Some(why) => Err(why),
             None => Ok(()),
         }
@@ -186,17 +163,17 @@ impl Engine {
     }
 
     /// Stores the entry of an index durably.
-    fn put(&self, index: &Arc<Index>, stage: EntryState, mark: Mark) -> Result<(), LogError> {
+    fn put(&self, index: &Arc<Index>, stage: Stage, mark: Mark) -> Result<(), LogError> {
         self.writable()?;
         let handles = self.store.handles()?;
         let entry = index.entry.clone();
-        let named = StagedEntry { entry, stage }.encode(index.number);
+        let staged = StagedEntry { entry, stage }.encode(index.number);
         let stored = handles.wait_for_room().and_then(|()| {
-            let stored = handles.keyspace.insert(entry_key(index.number), named);
+            let stored = handles.keyspace.insert(entry_key(index.number), staged);
             stored.map_err(storage)
         });
         drop(handles);
-        stored.map_err(|error| self.note(error))?;
+        stored.map_err(|error| self.failure.note(error))?;
         self.written(index, mark);
         self.wait()
     }
@@ -207,7 +184,7 @@ impl Engine {
         let number = *next;
         let index = Index::new(number, entry, State::new(Origin::START, Sum::default()));
         *next += 1;
-        self.put(&index, EntryState::Whole, index.head_mark())?;
+        self.put(&index, Stage::Whole, index.head_mark())?;
         self.indexes.write().insert(index.entry.uid, index);
         Ok(())
     }
@@ -216,26 +193,12 @@ impl Engine {
         self: Arc<Self>,
         entry: Entry,
         origin: Origin,
-    ) -> Result<RestoringIndex, LogError> {
-        self.check_uid_is_free(entry.uid)?;
-        self.begin(entry, origin, false)
-    }
-
-    pub(super) fn replace(
-        self: Arc<Self>,
-        entry: Entry,
-        origin: Origin,
-    ) -> Result<RestoringIndex, LogError> {
-        self.index(entry.uid)?;
-        self.begin(entry, origin, true)
-    }
-
-    fn begin(
-        self: Arc<Self>,
-        entry: Entry,
-        origin: Origin,
         replaces: bool,
     ) -> Result<RestoringIndex, LogError> {
+        match replaces {
+            true => drop(self.index(entry.uid)?),
+            false => self.check_uid_is_free(entry.uid)?,
+        }
         self.writable()?;
         let mut next = self.next.lock();
         let number = *next;
@@ -294,7 +257,7 @@ impl Engine {
     pub(super) fn delete(&self, uid: Uid) -> Result<(), LogError> {
         let _alone = self.next.lock();
         self.writable()?;
-        if self.forget(uid)? {
+        if self.delete_lost(uid)? {
             return Ok(());
         }
         let index = self.index(uid)?;
@@ -302,7 +265,7 @@ impl Engine {
             deleted: true,
             ..index.close(LogError::UnknownIndex { uid })
         };
-        if let Err(why) = self.put(&index, EntryState::Deleted, mark) {
+        if let Err(why) = self.put(&index, Stage::Deleted, mark) {
             index.close(why.clone());
             return Err(why);
         }
@@ -312,7 +275,7 @@ impl Engine {
     }
 
     /// Marks a lost index as deleted, of which only the mark is left; false if the index is not lost.
-    fn forget(&self, uid: Uid) -> Result<bool, LogError> {
+    fn delete_lost(&self, uid: Uid) -> Result<bool, LogError> {
         let mut lost = self.lost.lock();
         let found = lost.iter().find(|(_, lost)| lost.uid == uid);
         let Some((&number, _)) = found else {
@@ -333,7 +296,7 @@ impl Engine {
         self.writable()?;
         let index = self.index(uid)?;
         let submitted = index.submit(&self.store, record, |mark| self.written(&index, mark));
-        submitted.map_err(|error| self.note(error))?;
+        submitted.map_err(|error| self.failure.note(error))?;
         Ok(Receipt::Accepted)
     }
 
@@ -344,13 +307,13 @@ impl Engine {
     ) -> Result<Arc<dyn View>, LogError> {
         let index = self.index(uid)?;
         let view = index.apply(&self.store, records, |mark| self.written(&index, mark));
-        view.map_err(|error| self.note(error))
+        view.map_err(|error| self.failure.note(error))
     }
 
     /// The newest revision of an index that is synced; None if nothing is.
     pub(super) fn durable(&self, uid: Uid) -> Result<Option<u64>, LogError> {
-        let index = self.index(uid)?;
-        Ok(self.syncer.as_ref().map(|_| index.durable()))
+        let durable = self.index(uid)?.durable()?;
+        Ok(self.syncer.as_ref().map(|_| durable))
     }
 
     pub(super) fn follow(&self, uid: Uid, after: u64) -> Result<RecordStream, LogError> {
@@ -361,18 +324,6 @@ impl Engine {
             self.failure.watch(),
             after,
         ))
-    }
-
-    /// The approximate number of bytes that the store has yet to move out of its journal.
-    pub(super) fn unflushed_bytes(&self) -> u64 {
-        let handles = self.store.handles();
-        handles.map_or(0, |handles| handles.unflushed_bytes())
-    }
-
-    /// True if the next append may have to wait.
-    pub(super) fn is_busy(&self) -> bool {
-        let handles = self.store.handles();
-        handles.is_ok_and(|handles| handles.is_busy())
     }
 }
 

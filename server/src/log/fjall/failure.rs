@@ -18,12 +18,10 @@ impl Default for Failure {
 }
 
 impl Failure {
-    /// The failure, if there is one.
     pub(super) fn get(&self) -> Option<LogError> {
         self.0.borrow().clone()
     }
 
-    /// A receiver of the failure.
     pub(super) fn watch(&self) -> watch::Receiver<Option<LogError>> {
         self.0.subscribe()
     }

@@ -5,10 +5,7 @@ use std::sync::Arc;
 use futures_util::{StreamExt, stream};
 use tokio::sync::watch;
 
-use super::{
-    index::{Index, Progress},
-    store::Store,
-};
+use super::{index::Index, store::Store};
 use crate::log::{LogError, Record, RecordStream};
 
 /// The maximum bytes of stored records in one batch.
@@ -17,7 +14,7 @@ const BATCH_BYTES: usize = 1024 * 1024;
 struct Follower {
     index: Arc<Index>,
     store: Arc<Store>,
-    progress: watch::Receiver<Progress>,
+    durable: watch::Receiver<Result<u64, LogError>>,
     failed: watch::Receiver<Option<LogError>>,
     after: u64,
 }
@@ -30,7 +27,7 @@ pub(super) fn follow(
     after: u64,
 ) -> RecordStream {
     let follower = Follower {
-        progress: index.progress(),
+        durable: index.watch_durable(),
         index,
         store: Arc::clone(store),
         failed,
@@ -50,23 +47,23 @@ impl Follower {
     /// Waits for the next records.
     async fn next(&mut self) -> Result<Vec<Arc<Record>>, LogError> {
         let after = self.after;
-        let has_news = |progress: &Progress| progress.durable > after || progress.closed.is_some();
-        let progress = tokio::select! {
+        let has_news = |durable: &Result<u64, LogError>| match durable {
+            Ok(durable) => *durable > after,
+            Err(_) => true,
+        };
+        let durable = tokio::select! {
             biased;
-            progress = self.progress.wait_for(has_news) => {
-                progress.map_err(|_| LogError::Closed)?.clone()
+            durable = self.durable.wait_for(has_news) => {
+                durable.map_err(|_| LogError::Closed)?.clone()?
             }
             failed = self.failed.wait_for(Option::is_some) => {
                 let failed = failed.map_err(|_| LogError::Closed)?;
                 return Err(failed.clone().unwrap_or(LogError::Closed));
             }
         };
-        if let Some(why) = progress.closed {
-            return Err(why);
-        }
-        let records = match self.index.unapplied(after, progress.durable) {
+        let records = match self.index.unapplied(after, durable) {
             Some(records) => records,
-            None => self.read_stored(progress.durable).await?,
+            None => self.read_stored(durable).await?,
         };
         self.after = records.last().map_or(after, |last| last.revision());
         Ok(records)

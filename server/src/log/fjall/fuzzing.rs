@@ -11,14 +11,14 @@ use super::{
 use crate::log::{Digest, Effects, Operation, Record, Sessions};
 
 /// The length of the text that names the form of a record.
-const FORM: usize = 16;
+const FORM_BYTES: usize = 16;
 
 /// Decodes bytes as a record: first as given, then as the part after the form's name in a record with a matching
 /// digest.
 pub fn record(bytes: &[u8]) {
     let _ = Record::decode(bytes);
     let mut stored = Record::new(1, Record::NO_PREVIOUS, 0, Effects::new(0)).encode();
-    stored.truncate(FORM);
+    stored.truncate(FORM_BYTES);
     stored.extend_from_slice(bytes);
     let digest: Digest = Sha256::digest(&stored).into();
     stored.extend_from_slice(&digest);
@@ -62,10 +62,10 @@ pub fn value(bytes: &[u8]) {
         }
         1 => {
             let stored = seal(&entry_key(number), bytes.to_vec());
-            if let Some(named) = StagedEntry::decode(number, &stored) {
+            if let Some(staged) = StagedEntry::decode(number, &stored) {
                 assert_eq!(
-                    StagedEntry::decode(number, &named.encode(number)),
-                    Some(named)
+                    StagedEntry::decode(number, &staged.encode(number)),
+                    Some(staged)
                 );
             }
         }
@@ -82,7 +82,7 @@ pub fn value(bytes: &[u8]) {
         }
         _ => {
             let mut stored = bytes.to_vec();
-            stored.resize(sync_marks::SIZE - 8, 0);
+            stored.resize(sync_marks::SLOT_BYTES - 8, 0);
             let stored = seal(&number.to_be_bytes(), stored);
             if let Some(mark) = sync_marks::decode(number, &stored) {
                 assert_eq!(

@@ -22,12 +22,13 @@ use crate::log::{
     retention::BoundedQueue,
 };
 
-/// One index of the store.
 pub(super) struct Index {
     pub(super) entry: Entry,
     pub(super) number: Number,
     name: Arc<str>,
-    progress: watch::Sender<Progress>,
+    /// The newest revision that is known to be on disk, or the error that forbids reading and writing. The error is set under
+    /// the lock of `state`.
+    durable: watch::Sender<Result<u64, LogError>>,
     /// The submitted records that are not yet applied, oldest first. Lock it after `state`, and only briefly.
     unapplied: Mutex<VecDeque<UnappliedRecord>>,
     /// The holder of this lock may write, and sees the store at this head.
@@ -42,7 +43,6 @@ pub(super) struct State {
     records: BoundedQueue<u64>,
     /// The revisions of the kept operations.
     operations: BoundedQueue<u64>,
-    /// The writer sessions.
     pub(super) sessions: Sessions,
     /// The revisions of forgotten operations that are still in the store.
     forgotten: Vec<u64>,
@@ -51,19 +51,8 @@ pub(super) struct State {
 
     /// False until the stored points were compared with their sum.
     is_checked: bool,
-    /// The error that forbids reading and writing.
-    closed: Option<LogError>,
     /// The view of the head, while it is held.
     view: Weak<PointsView>,
-}
-
-/// The progress of an index, for which its followers wait.
-#[derive(Clone, Debug)]
-pub(super) struct Progress {
-    /// The newest revision that is known to be on disk.
-    pub(super) durable: u64,
-    /// The error after which no further record comes.
-    pub(super) closed: Option<LogError>,
 }
 
 /// A submitted record, and the points as it left them.
@@ -83,7 +72,6 @@ impl State {
             forgotten: Vec::new(),
             removed: origin.revision,
             is_checked: true,
-            closed: None,
             view: Weak::new(),
         }
     }
@@ -97,13 +85,13 @@ impl State {
     }
 
     /// Counts a stored record.
-    pub(super) fn remember(&mut self, record: &Record) {
+    pub(super) fn count_record(&mut self, record: &Record) {
         let bytes = record.effects().bytes();
         self.records.push(record.time_ms(), bytes);
     }
 
     /// Counts a stored operation.
-    pub(super) fn remember_operation(&mut self, revision: u64, operation: &Operation) {
+    pub(super) fn count_operation(&mut self, revision: u64, operation: &Operation) {
         self.operations.push(revision, operation.bytes());
     }
 }
@@ -114,10 +102,7 @@ impl Index {
             name: entry.name.as_str().into(),
             entry,
             number,
-            progress: watch::Sender::new(Progress {
-                durable: state.head.revision,
-                closed: None,
-            }),
+            durable: watch::Sender::new(Ok(state.head.revision)),
             unapplied: Mutex::default(),
             state: Mutex::new(state),
             window: Mutex::default(),
@@ -127,40 +112,29 @@ impl Index {
     /// The locked state; an error if the index is closed.
     fn open(&self) -> Result<MutexGuard<'_, State>, LogError> {
         let state = self.state.lock();
-        match &state.closed {
-            Some(why) => Err(why.clone()),
-            None => Ok(state),
-        }
+        self.durable()?;
+        Ok(state)
     }
 
-    /// The error that closed the index.
-    pub(super) fn closed(&self) -> Option<LogError> {
-        self.state.lock().closed.clone()
+    /// The newest revision that is known to be on disk; an error if the index is closed.
+    pub(super) fn durable(&self) -> Result<u64, LogError> {
+        self.durable.borrow().clone()
     }
 
-    /// A receiver of the index's progress.
-    pub(super) fn progress(&self) -> watch::Receiver<Progress> {
-        self.progress.subscribe()
+    /// A receiver of [`Index::durable`].
+    pub(super) fn watch_durable(&self) -> watch::Receiver<Result<u64, LogError>> {
+        self.durable.subscribe()
     }
 
     /// Notes that `revision` is on disk.
     pub(super) fn set_durable(&self, revision: u64) {
-        self.progress.send_if_modified(|progress| {
-            let is_newer = revision > progress.durable;
-            progress.durable = revision.max(progress.durable);
+        self.durable.send_if_modified(|durable| {
+            let is_newer = durable.as_ref().is_ok_and(|durable| *durable < revision);
+            if is_newer {
+                *durable = Ok(revision);
+            }
             is_newer
         });
-    }
-
-    /// The newest revision that is known to be on disk.
-    pub(super) fn durable(&self) -> u64 {
-        self.progress.borrow().durable
-    }
-
-    /// Ends the streams of records.
-    pub(super) fn end_followers(&self, why: LogError) {
-        let closed = |progress: &mut Progress| progress.closed = Some(why);
-        self.progress.send_modify(closed);
     }
 
     /// Sets the state that recovery found. Recovery makes the found state durable before anyone reads it.
@@ -179,7 +153,7 @@ impl Index {
         Some(self.mark_of(&self.open().ok()?.head))
     }
 
-    /// Closes the index and returns the mark of its head.
+    /// Closes the index, ends the streams of its records, and returns the mark of its head.
     pub(super) fn close(&self, why: LogError) -> Mark {
         self.close_locked(&mut self.state.lock(), why)
     }
@@ -188,7 +162,7 @@ impl Index {
     /// if the index can be read and the copy is not newer.
     pub(super) fn supersede(&self, copied: u64) -> Result<Mark, LogError> {
         let mut state = self.state.lock();
-        if state.closed.is_none() && copied <= state.head.revision {
+        if self.durable().is_ok() && copied <= state.head.revision {
             return Err(self.fenced(copied, &state.head));
         }
         Ok(self.close_locked(&mut state, LogError::Closed))
@@ -201,8 +175,7 @@ impl Index {
         {
             view.freeze(&handles);
         }
-        state.closed = Some(why.clone());
-        self.end_followers(why);
+        let _ = self.durable.send_replace(Err(why));
         self.mark_of(&state.head)
     }
 
@@ -256,9 +229,7 @@ impl Index {
         let Some(mut state) = self.state.try_lock() else {
             return Ok(());
         };
-        if let Some(why) = &state.closed {
-            return Err(why.clone());
-        }
+        self.durable()?;
         let state = &mut *state;
         let forgotten = retention.forget_records(&mut state.records, |time_ms| *time_ms);
         state.head.trimmed += forgotten.count() as u64;

@@ -5,7 +5,7 @@
 //! here, through a handle of our own.
 //!
 //! This relies on the journal of fjall 3. Its files are named `N.jnl`, and fjall writes to the one with the largest N.
-//! It syncs a file before it makes the next one. So every batch committed before [`Journal::sync`] is in the file with
+//! It syncs a file before it makes the next one. So every batch committed before [`StoreJournal::sync`] is in the file with
 //! the largest N, or is already synced. There is one exception: if fjall fails to make that file, it leaves the file
 //! empty, and writes to the previous one until every thread has seen the failure.
 
@@ -34,7 +34,7 @@ const MARKER: &str = "journal-synced";
 const COPY_BYTES: usize = 128 * 1024;
 
 /// The journal of a store.
-pub(super) struct Journal {
+pub(super) struct StoreJournal {
     store: Arc<Store>,
     directory: PathBuf,
     /// The newest file, by its number.
@@ -43,7 +43,7 @@ pub(super) struct Journal {
     before: Option<File>,
 }
 
-impl Journal {
+impl StoreJournal {
     /// The journal of `store`, whose files are in `directory`.
     pub(super) fn new(store: Arc<Store>, directory: PathBuf) -> Self {
         Self {
@@ -196,7 +196,7 @@ mod tests {
     fn a_synced_commit_is_in_the_newest_file() {
         let directory = tempfile::tempdir().unwrap();
         let store = Arc::new(Store::open(directory.path(), Durability::Fsync).unwrap());
-        let mut journal = Journal::new(Arc::clone(&store), directory.path().into());
+        let mut journal = StoreJournal::new(Arc::clone(&store), directory.path().into());
         let mut numbers = Vec::new();
         for round in 0..3u8 {
             let value = [b'a' + round; 100];
@@ -249,7 +249,7 @@ mod tests {
     fn a_file_that_was_made_and_is_not_written_to_does_not_hide_the_one_before() {
         let directory = tempfile::tempdir().unwrap();
         let store = Arc::new(Store::open(directory.path(), Durability::Fsync).unwrap());
-        let mut journal = Journal::new(Arc::clone(&store), directory.path().into());
+        let mut journal = StoreJournal::new(Arc::clone(&store), directory.path().into());
         journal.sync().unwrap();
         let (written, _) = journal.newest.as_ref().unwrap();
         let new = directory.path().join(format!("{}.jnl", written + 1));

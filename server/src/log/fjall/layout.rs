@@ -3,7 +3,7 @@
 //!
 //! | key | value |
 //! |---|---|
-//! | `e`, index | [`StagedEntry`]: its [`EntryState`], its uid, its name, its content as text |
+//! | `e`, index | [`StagedEntry`]: its [`Stage`], its uid, its name, its content as text |
 //! | `h`, index | [`Head`]: revision, next id, newest trimmed revision, newest digest, [`Sum`] of the points |
 //! | `p`, index, id | the point: see [`point`](super::point) |
 //! | `r`, index, revision | the record, as [`Record`](crate::log::Record) documents it |
@@ -26,12 +26,10 @@ use crate::log::{Digest, Entry, Origin, RecordPosition, Uid, cursor::Cursor};
 /// The number of an index in keys.
 pub(super) type Number = u32;
 
-/// The key of an index's entry.
 pub(super) fn entry_key(number: Number) -> [u8; 5] {
     index_key(b'e', number)
 }
 
-/// The key of an index's head.
 pub(super) fn head_key(number: Number) -> [u8; 5] {
     index_key(b'h', number)
 }
@@ -49,22 +47,18 @@ pub(super) fn number_of_entry(key: &[u8]) -> Option<Number> {
     }
 }
 
-/// The key of a record.
 pub(super) fn record_key(number: Number, revision: u64) -> [u8; 13] {
     key(b'r', number, revision)
 }
 
-/// The key of an operation.
 pub(super) fn operation_key(number: Number, revision: u64) -> [u8; 13] {
     key(b'o', number, revision)
 }
 
-/// The key of a writer session.
 pub(super) fn session_key(number: Number, session: u64) -> [u8; 13] {
     key(b's', number, session)
 }
 
-/// The key of a block of reserved ids.
 pub(super) fn block_key(number: Number, first: u64) -> [u8; 13] {
     key(b'b', number, first)
 }
@@ -74,7 +68,6 @@ pub(super) fn point_keys(number: Number) -> RangeInclusive<[u8; 13]> {
     point_key(number, 0)..=point_key(number, u64::MAX)
 }
 
-/// The key of a point.
 pub(super) fn point_key(number: Number, id: u64) -> [u8; 13] {
     key(b'p', number, id)
 }
@@ -113,12 +106,12 @@ fn checksum(key: &[u8], value: &[u8]) -> [u8; 8] {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct StagedEntry {
     pub(super) entry: Entry,
-    pub(super) stage: EntryState,
+    pub(super) stage: Stage,
 }
 
 /// The stage of an index.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum EntryState {
+pub(super) enum Stage {
     /// It exists.
     Whole,
     /// It is deleted, and its remaining keys are being removed.
@@ -132,10 +125,10 @@ pub(super) enum EntryState {
 impl StagedEntry {
     pub(super) fn encode(&self, number: Number) -> Vec<u8> {
         let mut value = vec![match self.stage {
-            EntryState::Whole => 0,
-            EntryState::Deleted => 1,
-            EntryState::Copied => 2,
-            EntryState::Unreadable => 3,
+            Stage::Whole => 0,
+            Stage::Deleted => 1,
+            Stage::Copied => 2,
+            Stage::Unreadable => 3,
         }];
         value.extend_from_slice(self.entry.uid.as_bytes());
         value.extend_from_slice(&(self.entry.name.len() as u64).to_le_bytes());
@@ -147,10 +140,10 @@ impl StagedEntry {
     pub(super) fn decode(number: Number, value: &[u8]) -> Option<Self> {
         let mut cursor = Cursor::new(unseal(&entry_key(number), value)?);
         let stage = match cursor.array()? {
-            [0] => EntryState::Whole,
-            [1] => EntryState::Deleted,
-            [2] => EntryState::Copied,
-            [3] => EntryState::Unreadable,
+            [0] => Stage::Whole,
+            [1] => Stage::Deleted,
+            [2] => Stage::Copied,
+            [3] => Stage::Unreadable,
             _ => return None,
         };
         let uid = Uid::from_bytes(cursor.array()?);
@@ -260,20 +253,20 @@ mod tests {
 
     #[test]
     fn values_are_read_again_and_only_under_their_own_key() {
-        let named = StagedEntry {
+        let staged = StagedEntry {
             entry: Entry {
                 uid: Uid::unique(),
                 name: "arm".into(),
                 space: "sum(R3:0.1, SO3:0.15)".parse().unwrap(),
                 payload_encoding: PayloadEncoding::WeightedEdges,
             },
-            stage: EntryState::Copied,
+            stage: Stage::Copied,
         };
         assert_eq!(
-            StagedEntry::decode(7, &named.encode(7)),
-            Some(named.clone())
+            StagedEntry::decode(7, &staged.encode(7)),
+            Some(staged.clone())
         );
-        assert_eq!(StagedEntry::decode(8, &named.encode(7)), None);
+        assert_eq!(StagedEntry::decode(8, &staged.encode(7)), None);
         let head = Head {
             revision: 1,
             next_id: 2,

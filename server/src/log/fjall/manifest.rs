@@ -21,7 +21,6 @@ use super::{
 };
 use crate::log::{LogError, cursor::Cursor};
 
-/// The names of the trees.
 pub(super) const TREES: [&str; 2] = ["0", "1"];
 
 /// The length of `current`.

@@ -59,7 +59,7 @@ use super::{
 use directory::Directory;
 use engine::Engine;
 use store::shut;
-use sync_marks::{Mark, MarkTable, Marks};
+use sync_marks::{Mark, Marks};
 
 const STORE: &str = "store";
 /// A store that is being made; it is renamed once it is whole.
@@ -74,18 +74,12 @@ const MARKS: &str = "marks";
 ///
 /// Closing or dropping it syncs all appended records and closes its views.
 pub struct FjallLog {
-    // Dropped before the directory is unlocked.
-    opened: RwLock<StoreState>,
+    /// The open store, or the error of every call. Dropped before the directory is unlocked.
+    opened: RwLock<Result<Arc<Engine>, LogError>>,
     /// Held while the store is reopened.
     reopening: Mutex<()>,
     options: StoreOptions,
     directory: Arc<Directory>,
-}
-
-enum StoreState {
-    Open(Arc<Engine>),
-    /// The store is not open. Holds the cause, and the marks of the indices.
-    Unopened(LogError, MarkTable),
 }
 
 impl FjallLog {
@@ -103,41 +97,27 @@ impl FjallLog {
         rebuild::finish(&directory)
             .and_then(|_| rebuild::make_first(&directory))
             .map_err(|source| failed(directory.path(), source))?;
-        let path = directory.join(MARKS);
-        let (_, marked) = Marks::open(&path).map_err(|source| failed(&path, source))?;
-        let log = Self {
-            opened: RwLock::new(StoreState::Unopened(LogError::Closed, MarkTable::default())),
-            reopening: Mutex::default(),
-            options: options.into(),
-            directory,
-        };
-        let directory = log.directory.path().display();
-        let opened = match log.open_engine() {
-            Ok(engine) => {
-                info!(%directory, "opened the log");
-                StoreState::Open(Arc::new(engine))
-            }
+        let marks = directory.join(MARKS);
+        Marks::open(&marks).map_err(|source| failed(&marks, source))?;
+        let options = options.into();
+        let opened = Engine::open(&directory, options);
+        let path = directory.path().display();
+        match &opened {
+            Ok(_) => info!(directory = %path, "opened the log"),
             Err(why) => {
-                error!(%directory, error = %why, "the log cannot be opened: every call fails");
-                StoreState::Unopened(why, marked)
+                error!(directory = %path, error = %why, "the log cannot be opened: every call fails");
             }
-        };
-        *log.opened.write() = opened;
-        Ok(log)
+        }
+        Ok(Self {
+            opened: RwLock::new(opened.map(Arc::new)),
+            reopening: Mutex::default(),
+            options,
+            directory,
+        })
     }
 
     fn engine(&self) -> Result<Arc<Engine>, LogError> {
-        match &*self.opened.read() {
-            StoreState::Open(engine) => Ok(Arc::clone(engine)),
-            StoreState::Unopened(why, _) => Err(why.clone()),
-        }
-    }
-
-    fn open_engine(&self) -> Result<Engine, LogError> {
-        rebuild::finish(&self.directory).map_err(shut)?;
-        let (marks, marked) = Marks::open(&self.directory.join(MARKS)).map_err(shut)?;
-        let marks = (marks, &marked);
-        Engine::open(&self.directory, self.options, marks)
+        self.opened.read().clone()
     }
 
     /// Fails if the disk would prevent the store from being reopened. `failed` is the store, if it is still open.
@@ -149,7 +129,10 @@ impl FjallLog {
             None => shut(error),
         };
         // Opening begins by moving these bytes to the tables, and fails at once if it cannot.
-        let unflushed_bytes = failed.map_or(0, Engine::unflushed_bytes);
+        let unflushed_bytes = failed.map_or(0, |failed| {
+            let handles = failed.store.handles();
+            handles.map_or(0, |handles| handles.unflushed_bytes())
+        });
         self.directory
             .probe(STORE, unflushed_bytes)
             .map_err(disk_error)
@@ -158,12 +141,17 @@ impl FjallLog {
     /// Opens the store after `failure`. fjall does not report whether it met a damaged block, so the whole store is
     /// read. A damaged store is open for reading only.
     fn open_after(&self, failure: &LogError) -> Result<Engine, LogError> {
-        let engine = self.open_engine()?;
+        let engine = Engine::open(&self.directory, self.options)?;
         if *failure == LogError::StorageStopped {
             let damage = engine.store.handles();
             match damage.and_then(|handles| rebuild::find_damage(&handles)) {
                 Ok(None) => {}
-                Ok(Some(what)) => engine.fail(&LogError::DamagedStore { what }),
+                Ok(Some(what)) => {
+                    let damaged = LogError::DamagedStore { what };
+                    engine.failure.note(damaged.clone());
+                    // fjall may have met the damage while it opened the store.
+                    engine.failure.explain(&damaged);
+                }
                 Err(why) => {
                     engine.shut();
                     return Err(why);
@@ -204,23 +192,17 @@ impl Journal for FjallLog {
         Ok(self.view(uid)?.revision())
     }
 
-    fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
-        self.engine()?.index(uid)?.trim(retention)
-    }
-
-    fn window(&self, uid: Uid) -> Result<Window, LogError> {
-        Ok(self.engine()?.index(uid)?.window())
-    }
-
     fn is_busy(&self) -> bool {
-        self.engine().is_ok_and(|engine| engine.is_busy())
+        self.engine().is_ok_and(|engine| {
+            let handles = engine.store.handles();
+            handles.is_ok_and(|handles| handles.is_busy())
+        })
     }
 }
 
 impl PointStore for FjallLog {
     fn close(&self) {
-        let closed = StoreState::Unopened(LogError::Closed, MarkTable::default());
-        if let StoreState::Open(engine) = mem::replace(&mut *self.opened.write(), closed) {
+        if let Ok(engine) = mem::replace(&mut *self.opened.write(), Err(LogError::Closed)) {
             engine.shut();
         }
     }
@@ -238,11 +220,15 @@ impl PointStore for FjallLog {
         let engine = self.engine()?;
         let loaded = engine.index(uid)?.load(&engine.store, visit);
         // A disk that fails while an index is loaded has failed: the store is reopened, and the index loaded again.
-        loaded.map_err(|error| engine.note(error))
+        loaded.map_err(|error| engine.failure.note(error))
     }
 
-    fn trim_applied(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
-        Journal::trim(self, uid, retention)
+    fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
+        self.engine()?.index(uid)?.trim(retention)
+    }
+
+    fn window(&self, uid: Uid) -> Result<Window, LogError> {
+        Ok(self.engine()?.index(uid)?.window())
     }
 
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
@@ -254,17 +240,18 @@ impl PointStore for FjallLog {
         self.engine()?.durable(uid)
     }
 
-    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        Ok(Box::new(self.engine()?.restore(entry, origin)?))
-    }
-
-    fn replace(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        Ok(Box::new(self.engine()?.replace(entry, origin)?))
+    fn restore(
+        &self,
+        entry: Entry,
+        origin: Origin,
+        replaces: bool,
+    ) -> Result<Box<dyn Restoring>, LogError> {
+        Ok(Box::new(self.engine()?.restore(entry, origin, replaces)?))
     }
 
     fn failure(&self) -> Option<LogError> {
         match self.engine() {
-            Ok(engine) => engine.failure(),
+            Ok(engine) => engine.failure.get(),
             Err(error) => Some(error),
         }
     }
@@ -290,27 +277,19 @@ impl PointStore for FjallLog {
         let failed = self.engine().ok();
         if let Err(why) = self.probe(failed.as_deref()) {
             if let Some(failed) = failed {
-                failed.explain(&why);
+                failed.failure.explain(&why);
             }
             return Err(why);
         }
         if let Some(failed) = failed {
-            *self.opened.write() = StoreState::Unopened(LogError::Closed, MarkTable::default());
+            *self.opened.write() = Err(LogError::Closed);
             failed.shut();
         }
-        let (opened, outcome) = match self.open_after(&failure) {
-            Ok(engine) => {
-                info!("reopened the log");
-                (StoreState::Open(Arc::new(engine)), Ok(()))
-            }
-            Err(why) => {
-                let marked = Marks::open(&self.directory.join(MARKS));
-                let marked = marked.map(|(_, marked)| marked).unwrap_or_default();
-                (StoreState::Unopened(why.clone(), marked), Err(why))
-            }
-        };
-        *self.opened.write() = opened;
-        outcome
+        let opened = self.open_after(&failure).map(Arc::new);
+        self.opened.write().clone_from(&opened);
+        opened?;
+        info!("reopened the log");
+        Ok(())
     }
 }
 
@@ -325,17 +304,19 @@ impl Catalogue for FjallLog {
     }
 
     fn lost(&self) -> Vec<LostIndex> {
-        match &*self.opened.read() {
-            StoreState::Open(engine) => engine.lost(),
-            StoreState::Unopened(why, marked) => {
-                let lost = marked.live().map(|(_, mark)| LostIndex {
-                    name: mark.name.to_string(),
-                    uid: mark.uid,
-                    why: lost_error(why, mark),
-                });
-                lost.collect()
-            }
-        }
+        let why = match self.engine() {
+            Ok(engine) => return engine.lost(),
+            Err(LogError::Closed) => return Vec::new(),
+            Err(why) => why,
+        };
+        let marked = Marks::open(&self.directory.join(MARKS)).map(|(_, marked)| marked);
+        let marked = marked.unwrap_or_default();
+        let lost = marked.live().map(|(_, mark)| LostIndex {
+            name: mark.name.to_string(),
+            uid: mark.uid,
+            why: lost_error(&why, mark),
+        });
+        lost.collect()
     }
 
     fn create(&self, entry: Entry) -> Result<(), LogError> {

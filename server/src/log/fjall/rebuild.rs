@@ -14,17 +14,17 @@ use std::{
     sync::Arc,
 };
 
-use fjall::{Guard, KvPair, OwnedWriteBatch, Slice};
+use fjall::{Guard, KvPair, Slice};
 use thiserror::Error;
 use tracing::{info, warn};
 
 use super::{
     DAMAGED_STORE, Durability, MARKS, NEW_STORE, OpenError, REBUILT_STORE, STORE,
     directory::{Directory, sync_directories, sync_directory},
-    journal::{self, Journal},
+    journal::{self, StoreJournal},
     layout::{
-        EntryState, Head, Number, StagedEntry, block_key, entry_key, head_key, operation_key,
-        point_key, record_key, session_key,
+        Head, Number, Stage, StagedEntry, block_key, entry_key, head_key, operation_key, point_key,
+        record_key, session_key,
     },
     manifest, manifest_copy,
     recovery::{self, read_one, stored_entries},
@@ -32,9 +32,6 @@ use super::{
     sync_marks::{MarkTable, Marks},
 };
 use crate::log::LogError;
-
-/// The approximate number of bytes in one batch of the copy.
-const BATCH_BYTES: usize = 1024 * 1024;
 
 /// The outcome of [`repair`].
 #[derive(Debug)]
@@ -119,7 +116,7 @@ fn make(
     }
     let made = Arc::new(Store::open(&new, Durability::Fsync).map_err(unopened)?);
     fill(&*made.handles()?)?;
-    Journal::new(Arc::clone(&made), new.clone()).sync()?;
+    StoreJournal::new(Arc::clone(&made), new.clone()).sync()?;
     made.close();
     // fjall does not sync the names in its directories.
     sync_directories(&new).map_err(shut)
@@ -242,21 +239,21 @@ fn survey(store: &Handles, marks: &MarkTable) -> Result<Vec<Content>, LogError> 
                 content.lost = name.map(|name| (name, damage));
             }
             Ok(entry) => {
-                let named = StagedEntry::decode(number, &entry);
-                let is_left = named
+                let staged = StagedEntry::decode(number, &entry);
+                let is_live = staged
                     .as_ref()
-                    .is_none_or(|named| named.stage == EntryState::Whole);
-                let damage = if is_left {
+                    .is_none_or(|staged| staged.stage == Stage::Whole);
+                let damage = if is_live {
                     damage_in(all_of(store, number))?
                 } else {
                     None
                 };
-                content.whole = is_left && damage.is_none();
+                content.whole = is_live && damage.is_none();
                 content.entry = Some(entry);
-                if let (Some(named), Some(damage)) = (named, damage) {
-                    content.lost = Some((named.entry.name.clone(), damage));
-                    let stage = EntryState::Unreadable;
-                    content.entry = Some(StagedEntry { stage, ..named }.encode(number).into());
+                if let (Some(staged), Some(damage)) = (staged, damage) {
+                    content.lost = Some((staged.entry.name.clone(), damage));
+                    let stage = Stage::Unreadable;
+                    content.entry = Some(StagedEntry { stage, ..staged }.encode(number).into());
                 }
             }
         }
@@ -266,19 +263,22 @@ fn survey(store: &Handles, marks: &MarkTable) -> Result<Vec<Content>, LogError> 
 }
 
 fn copy(old: &Handles, new: &Handles, contents: Vec<Content>) -> Result<(), LogError> {
-    let mut batch = Batch::new(new);
+    let put = |key: Slice, value: Slice| {
+        new.wait_for_room()?;
+        new.keyspace.insert(key, value).map_err(storage)
+    };
     for content in contents {
         if let Some(entry) = content.entry {
-            batch.insert(entry_key(content.number).into(), entry)?;
+            put(entry_key(content.number).into(), entry)?;
         }
         if content.whole {
             for pair in all_of(old, content.number) {
                 let (key, value) = pair.map_err(unopened)?;
-                batch.insert(key, value)?;
+                put(key, value)?;
             }
         }
     }
-    batch.commit()
+    Ok(())
 }
 
 /// Everything that recovery reads of an index, without its entry. Trimmed records do not matter.
@@ -297,37 +297,6 @@ fn all_of(handles: &Handles, number: Number) -> impl Iterator<Item = fjall::Resu
     let ranges = ranges.map(move |key| key(number, 0)..=key(number, u64::MAX));
     let ranges = ranges.flat_map(|range| handles.keyspace.range(range).map(Guard::into_inner));
     head.into_iter().chain(ranges).chain(records)
-}
-
-/// A part of the copy.
-struct Batch<'a> {
-    store: &'a Handles,
-    batch: OwnedWriteBatch,
-    bytes: usize,
-}
-
-impl<'a> Batch<'a> {
-    fn new(store: &'a Handles) -> Self {
-        Self {
-            store,
-            batch: store.database.batch(),
-            bytes: 0,
-        }
-    }
-
-    fn insert(&mut self, key: Slice, value: Slice) -> Result<(), LogError> {
-        self.bytes += key.len() + value.len();
-        self.batch.insert(&self.store.keyspace, key, value);
-        if self.bytes < BATCH_BYTES {
-            return Ok(());
-        }
-        std::mem::replace(self, Self::new(self.store)).commit()
-    }
-
-    fn commit(self) -> Result<(), LogError> {
-        self.store.wait_for_room()?;
-        self.batch.commit().map_err(storage)
-    }
 }
 
 #[cfg(test)]

@@ -12,8 +12,7 @@ use super::{
     DAMAGED_STORE,
     index::{Index, State},
     layout::{
-        EntryState, Head, Number, StagedEntry, Sum, entry_key, head_key, number_of_entry,
-        record_key,
+        Head, Number, Stage, StagedEntry, Sum, entry_key, head_key, number_of_entry, record_key,
     },
     session,
     store::{Handles, damage, damaged_index, unopened, unreadable},
@@ -37,11 +36,11 @@ pub(super) struct StoreContent {
     pub(super) used: BTreeSet<Number>,
 }
 
-/// Reads the store. With `renamed` every index gets a new uid, because its history may have changed.
+/// Reads the store. With `may_have_lost` every index gets a new uid, because its history may have changed.
 pub(super) fn recover(
     handles: &Handles,
     marks: &MarkTable,
-    renamed: bool,
+    may_have_lost: bool,
 ) -> Result<StoreContent, LogError> {
     let mut found = StoreContent {
         indexes: Vec::new(),
@@ -66,7 +65,7 @@ pub(super) fn recover(
                 continue;
             }
         };
-        let Some(named) = StagedEntry::decode(number, &value) else {
+        let Some(staged) = StagedEntry::decode(number, &value) else {
             if !marks.is_marked(number) {
                 error!(
                     number,
@@ -76,27 +75,25 @@ pub(super) fn recover(
             continue;
         };
         let (mark, was_deleted) = (left.get(&number).copied(), marks.is_deleted(number));
-        match named.stage {
+        match staged.stage {
             // A lost index; it is reported below.
-            EntryState::Copied if mark.is_some() => continue,
-            EntryState::Whole | EntryState::Unreadable if was_deleted => {
+            Stage::Copied if mark.is_some() => continue,
+            Stage::Whole | Stage::Unreadable if was_deleted => {
                 warn!(
-                    index = named.entry.name,
+                    index = staged.entry.name,
                     "the journal was cut short: a deleted index reappeared and is deleted again"
                 );
                 found.deleted.push(number);
             }
-            EntryState::Deleted | EntryState::Copied => found.deleted.push(number),
-            EntryState::Whole => {
-                let index = open(handles, number, named, mark, renamed)?;
-                found.unreadable |= matches!(index.closed(), Some(LogError::Unreadable { .. }));
+            Stage::Deleted | Stage::Copied => found.deleted.push(number),
+            Stage::Whole => {
+                let index = open(handles, number, staged, mark, may_have_lost)?;
+                found.unreadable |= matches!(index.durable(), Err(LogError::Unreadable { .. }));
                 found.indexes.push(index);
             }
-            EntryState::Unreadable => {
-                found
-                    .indexes
-                    .push(unreadable_index(number, named.entry, mark))
-            }
+            Stage::Unreadable => found
+                .indexes
+                .push(unreadable_index(number, staged.entry, mark)),
         }
         left.remove(&number);
     }
@@ -165,21 +162,21 @@ pub(super) fn read_one(handles: &Handles, key: &[u8]) -> Option<fjall::Result<Kv
 fn open(
     handles: &Handles,
     number: Number,
-    mut named: StagedEntry,
+    mut staged: StagedEntry,
     mark: Option<&Mark>,
-    renamed: bool,
+    may_have_lost: bool,
 ) -> Result<Arc<Index>, LogError> {
-    let uid = named.entry.uid;
-    if renamed {
-        named.entry.uid = Uid::unique();
-        let entry = named.encode(number);
+    let uid = staged.entry.uid;
+    if may_have_lost {
+        staged.entry.uid = Uid::unique();
+        let entry = staged.encode(number);
         let stored = handles.keyspace.insert(entry_key(number), entry);
         stored.map_err(unopened)?;
-        warn!(index = named.entry.name, old = %uid, new = %named.entry.uid, "mutations may have been lost: new uid");
+        warn!(index = staged.entry.name, old = %uid, new = %staged.entry.uid, "mutations may have been lost: new uid");
     }
     let index = Index::new(
         number,
-        named.entry,
+        staged.entry,
         State::new(Origin::START, Sum::default()),
     );
     match state(handles, &index, mark.filter(|mark| mark.uid == uid)) {
@@ -257,13 +254,13 @@ fn state(handles: &Handles, index: &Index, mark: Option<&Mark>) -> Result<State,
             return Err(damaged(revision, "it is not the one that was synced"));
         }
         previous = Some(*record.digest());
-        state.remember(&record);
+        state.count_record(&record);
     }
     if previous.is_some_and(|previous| previous != head.digest) {
         return Err(damaged(head.revision, "it is not the newest"));
     }
     for (revision, operation) in index.stored_operations(handles)? {
-        state.remember_operation(revision, &operation);
+        state.count_operation(revision, &operation);
     }
     state.sessions = session::read(handles, number, uid, &mut Sum::default())?;
     Ok(state)

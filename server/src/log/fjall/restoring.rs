@@ -11,8 +11,7 @@ use super::{
     engine::Engine,
     index::{Index, State},
     layout::{
-        EntryState, Head, Number, StagedEntry, Sum, entry_key, head_key, operation_key, point_key,
-        seal,
+        Head, Number, Stage, StagedEntry, Sum, entry_key, head_key, operation_key, point_key, seal,
     },
     point::PointForm,
     session,
@@ -43,7 +42,6 @@ struct End<'a> {
 }
 
 impl RestoringIndex {
-    /// Begins a restore under a new number.
     pub(super) fn begin(
         engine: Arc<Engine>,
         number: Number,
@@ -66,7 +64,7 @@ impl RestoringIndex {
 
     fn write(&mut self, points: &[StoredPoint], end: Option<&End<'_>>) -> Result<(), LogError> {
         let result = self.try_write(points, end);
-        result.map_err(|error| self.engine.note(error))
+        result.map_err(|error| self.engine.failure.note(error))
     }
 
     /// Writes points and the entry in one batch, and what completes the copy if this is its end.
@@ -98,29 +96,27 @@ impl RestoringIndex {
                 batch.insert(keyspace, key, seal(&key, operation.encode()));
             }
             if let Some(replaced) = end.replaced {
-                let named = StagedEntry {
+                let staged = StagedEntry {
                     entry: replaced.entry.clone(),
-                    stage: EntryState::Deleted,
+                    stage: Stage::Deleted,
                 };
                 let key = entry_key(replaced.number);
-                batch.insert(keyspace, key, named.encode(replaced.number));
+                batch.insert(keyspace, key, staged.encode(replaced.number));
             }
         }
-        let named = StagedEntry {
+        let staged = StagedEntry {
             entry: self.entry.clone(),
             stage: match end {
-                Some(_) => EntryState::Whole,
-                None => EntryState::Copied,
+                Some(_) => Stage::Whole,
+                None => Stage::Copied,
             },
         };
-        batch.insert(keyspace, entry_key(number), named.encode(number));
+        batch.insert(keyspace, entry_key(number), staged.encode(number));
         batch.commit().map_err(storage)?;
         self.sum = sum;
         Ok(())
     }
-}
 
-impl RestoringIndex {
     /// Writes the last batch.
     fn complete(
         &mut self,
@@ -140,7 +136,7 @@ impl RestoringIndex {
         )?;
         let mut state = State::new(self.origin, self.sum);
         for (revision, operation) in operations {
-            state.remember_operation(*revision, operation);
+            state.count_operation(*revision, operation);
         }
         state.sessions = sessions;
         Ok(Index::new(self.number, self.entry.clone(), state))

@@ -28,12 +28,11 @@ const MEMTABLE_BYTES: u64 = 64 * 1024 * 1024;
 const MEMORY_SHARE: u64 = 16;
 
 /// An upper bound on the size of a nearly empty store.
-const SMALL_FILES: u64 = 1024 * 1024;
+const SMALL_STORE_BYTES: u64 = 1024 * 1024;
 
 /// The store does not signal that it has caught up: it is polled at this interval.
 const POLL_INTERVAL: Duration = Duration::from_millis(2);
 
-/// The store.
 pub(super) struct Store(RwLock<Option<Handles>>);
 
 /// The handles of an open store.
@@ -112,7 +111,7 @@ impl Handles {
     /// An approximate upper bound on the disk space of a copy.
     pub(super) fn room_for_copy(&self) -> u64 {
         let bytes = self.keyspace.disk_space() + self.unflushed_bytes();
-        bytes + bytes.min(2 * JOURNAL_BYTES) + SMALL_FILES
+        bytes + bytes.min(2 * JOURNAL_BYTES) + SMALL_STORE_BYTES
     }
 
     /// Waits until the store has caught up so far that a batch does not block inside fjall. Fails if the store has

@@ -26,12 +26,11 @@ use super::{
 use crate::log::LogError;
 
 /// The number of keys that are removed in one batch. Other writers write between the batches.
-const CHUNK: usize = 1024;
+const BATCH_KEYS: usize = 1024;
 
 /// A range of keys of one kind.
-type Range = (Bound<[u8; 13]>, Bound<[u8; 13]>);
+type KeyRange = (Bound<[u8; 13]>, Bound<[u8; 13]>);
 
-/// The thread that removes deleted indices.
 pub(super) struct Sweeper {
     deleted: Mutex<Option<mpsc::Sender<Number>>>,
     stop: Arc<AtomicBool>,
@@ -39,7 +38,6 @@ pub(super) struct Sweeper {
 }
 
 impl Sweeper {
-    /// Starts the thread.
     pub(super) fn start(
         store: Arc<Store>,
         mut marks: Marks,
@@ -67,7 +65,6 @@ impl Sweeper {
         })
     }
 
-    /// Ends the thread.
     pub(super) fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
         *self.deleted.lock() = None;
@@ -131,13 +128,13 @@ fn text(error: impl Display) -> String {
 /// Removes the first few keys of a range and returns the last of them; None if the range is empty.
 fn remove_some(
     (store, failure): (&Store, &Failure),
-    range: Range,
+    range: KeyRange,
 ) -> Result<Option<[u8; 13]>, LogError> {
     let handles = store.handles()?;
     handles.wait_for_room()?;
     let mut batch = handles.database.batch();
     let mut last = None;
-    for found in handles.keyspace.range(range).take(CHUNK) {
+    for found in handles.keyspace.range(range).take(BATCH_KEYS) {
         let key = found.key().map_err(storage)?;
         last = key.first_chunk().copied();
         batch.remove(&handles.keyspace, key);

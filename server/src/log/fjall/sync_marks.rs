@@ -25,15 +25,15 @@ use super::{
 };
 use crate::log::{Digest, Uid, cursor::Cursor};
 
-pub(super) const SIZE: usize = 128;
-/// The maximum bytes of a name, which the contract fixes.
-const NAME: usize = 63;
+pub(super) const SLOT_BYTES: usize = 128;
+/// The contract fixes it.
+const MAX_NAME_BYTES: usize = 63;
 /// Set in the byte of the name's length.
 const DELETED: u8 = 0x80;
 /// The beginning of a layout. No uid is equal to it.
 const LAYOUT: &[u8; 16] = b"wayfold marks 2\n";
 /// A file is rewritten if it has more slots than this, and more than twice the slots that are used.
-const MAX_UNUSED: usize = 64;
+const MAX_UNUSED_SLOTS: usize = 64;
 
 /// The last synced revision of an index, or its deletion.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,7 +74,7 @@ struct Layout {
 impl Layout {
     fn new(floor: Number, kept: Vec<Number>) -> Self {
         // Each of the two copies fills whole slots: 16 bytes, two numbers, the kept ones, and a checksum.
-        let copy = (16 + 4 + 4 + 4 * kept.len() + 8).next_multiple_of(SIZE);
+        let copy = (16 + 4 + 4 + 4 * kept.len() + 8).next_multiple_of(SLOT_BYTES);
         let start = 2 * copy;
         Self { floor, kept, start }
     }
@@ -105,7 +105,7 @@ impl Layout {
     /// The layout of a file: that of its first intact copy.
     fn of(bytes: &[u8]) -> Self {
         // The second copy begins where the first one ends.
-        let lengths = (SIZE..=bytes.len() / 2).step_by(SIZE);
+        let lengths = (SLOT_BYTES..=bytes.len() / 2).step_by(SLOT_BYTES);
         let found = lengths.flat_map(|length| [0, length].map(|start| &bytes[start..][..length]));
         let found = found.filter_map(Self::decode).next();
         found.unwrap_or_default()
@@ -123,7 +123,7 @@ impl Layout {
             Some(above) => self.kept.len() + above as usize,
             None => self.kept.binary_search(&number).ok()?,
         };
-        Some((self.start + slot * SIZE) as u64)
+        Some((self.start + slot * SLOT_BYTES) as u64)
     }
 }
 
@@ -138,7 +138,7 @@ impl MarkTable {
     fn read(bytes: &[u8]) -> Self {
         let layout = Layout::of(bytes);
         let slots = bytes.get(layout.start..).unwrap_or_default();
-        let slots = slots.chunks(SIZE).enumerate();
+        let slots = slots.chunks(SLOT_BYTES).enumerate();
         let marks = slots.filter_map(|(slot, bytes)| {
             let number = layout.number(slot);
             Some((number, decode(number, bytes)?))
@@ -149,7 +149,6 @@ impl MarkTable {
         }
     }
 
-    /// The mark of a number.
     pub(super) fn get(&self, number: Number) -> Option<&Mark> {
         self.marks.get(&number)
     }
@@ -185,7 +184,6 @@ impl MarkTable {
     }
 }
 
-/// The file of marks.
 pub(super) struct Marks {
     file: File,
     layout: Layout,
@@ -244,8 +242,8 @@ impl Marks {
         kept: &BTreeSet<Number>,
     ) -> io::Result<Self> {
         let bytes = fs::read(path)?;
-        let slots = bytes.len().saturating_sub(self.layout.start) / SIZE;
-        if slots <= MAX_UNUSED.max(2 * kept.len()) {
+        let slots = bytes.len().saturating_sub(self.layout.start) / SLOT_BYTES;
+        if slots <= MAX_UNUSED_SLOTS.max(2 * kept.len()) {
             return Ok(self);
         }
         let marked = MarkTable::read(&bytes);
@@ -253,7 +251,7 @@ impl Marks {
         let mut rewritten = layout.encode();
         for &number in kept {
             let mark = marked.get(number).map(|mark| encode(number, mark));
-            rewritten.extend(mark.unwrap_or_else(|| vec![0; SIZE]));
+            rewritten.extend(mark.unwrap_or_else(|| vec![0; SLOT_BYTES]));
         }
         let new = path.with_extension("new");
         let mut file = File::create(&new)?;
@@ -269,11 +267,11 @@ pub(super) fn encode(number: Number, mark: &Mark) -> Vec<u8> {
     let mut bytes = mark.uid.as_bytes().to_vec();
     bytes.extend_from_slice(&mark.revision.to_le_bytes());
     bytes.extend_from_slice(&mark.digest);
-    let name = &mark.name.as_bytes()[..mark.name.len().min(NAME)];
+    let name = &mark.name.as_bytes()[..mark.name.len().min(MAX_NAME_BYTES)];
     let flag = if mark.deleted { DELETED } else { 0 };
     bytes.push(name.len() as u8 | flag);
     bytes.extend_from_slice(name);
-    bytes.resize(SIZE - 8, 0);
+    bytes.resize(SLOT_BYTES - 8, 0);
     seal(&number.to_be_bytes(), bytes)
 }
 
@@ -317,7 +315,7 @@ mod tests {
             .unwrap();
         marks.delete(0).unwrap();
         let mut bytes = std::fs::read(&path).unwrap();
-        bytes[4 * SIZE + 20] ^= 1;
+        bytes[4 * SLOT_BYTES + 20] ^= 1;
         std::fs::write(&path, bytes).unwrap();
         let (_, found) = Marks::open(&path).unwrap();
         assert_eq!(found.get(3), Some(&mark(2)));
@@ -344,7 +342,7 @@ mod tests {
         }
         let kept = BTreeSet::from([3, 90, 150]);
         let mut marks = marks.compact(&path, 200, &kept).unwrap();
-        assert_eq!(fs::metadata(&path).unwrap().len() as usize, 5 * SIZE);
+        assert_eq!(fs::metadata(&path).unwrap().len() as usize, 5 * SLOT_BYTES);
         marks
             .write([(150, &mark(8)), (200, &mark(9)), (202, &mark(10))])
             .unwrap();

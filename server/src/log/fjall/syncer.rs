@@ -17,7 +17,7 @@ use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use super::{
     failure::Failure,
     index::Index,
-    journal::Journal,
+    journal::StoreJournal,
     sync_marks::{Mark, Marks},
 };
 use crate::log::LogError;
@@ -69,7 +69,7 @@ struct SyncState {
 impl Syncer {
     /// Starts the thread. It syncs once an `interval` if no thread waits, and at once if that is zero.
     pub(super) fn start(
-        mut journal: Journal,
+        mut journal: StoreJournal,
         mut marks: Marks,
         failure: Arc<Failure>,
         interval: Duration,
@@ -138,7 +138,7 @@ impl Drop for Syncer {
 }
 
 impl Shared {
-    fn run(&self, journal: &mut Journal, marks: &mut Marks) {
+    fn run(&self, journal: &mut StoreJournal, marks: &mut Marks) {
         let mut last = 0;
         loop {
             let mut state = self.state.lock();

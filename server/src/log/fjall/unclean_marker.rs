@@ -10,7 +10,6 @@ use super::{Durability, directory::sync_directory};
 
 const BOOT: &str = "/proc/sys/kernel/random/boot_id";
 
-/// The name of the file.
 pub(super) const FILE: &str = "unsynced";
 
 /// True if the previous server may have lost acknowledged mutations.

@@ -1,49 +1,39 @@
 //! The disk that the parts of a data directory take.
 
 use std::{
-    ffi::OsStr,
     fs::{self, Metadata},
     path::Path,
 };
 
-use super::{STORE, journal};
+use super::STORE;
 use crate::log::StoreUsage;
 
 /// The directory of the store's tables.
 const TABLES: &str = "keyspaces";
 
-/// The disk of the files in `directory`. A file that is removed meanwhile counts as 0.
+/// The disk of the files in `directory`. The few small files beside the store's journal count for it.
 pub(super) fn disk(directory: &Path) -> StoreUsage {
     let store = directory.join(STORE);
-    let mut usage = StoreUsage::default();
-    visit(directory, &mut |path, bytes| {
-        let part = if path.starts_with(store.join(TABLES)) {
-            &mut usage.tables
-        } else if path.parent() == Some(&store) && is_journal(path) {
-            &mut usage.journal
-        } else {
-            &mut usage.other
-        };
-        *part += bytes;
-    });
-    usage
-}
-
-/// True for a path with the name of a journal file.
-fn is_journal(path: &Path) -> bool {
-    let name = path.file_name().and_then(OsStr::to_str);
-    name.and_then(journal::number).is_some()
-}
-
-fn visit(directory: &Path, count: &mut impl FnMut(&Path, u64)) {
-    for entry in fs::read_dir(directory).into_iter().flatten().flatten() {
-        // A link is not followed.
-        match entry.metadata() {
-            Ok(found) if found.is_dir() => visit(&entry.path(), count),
-            Ok(found) => count(&entry.path(), taken(&found)),
-            Err(_) => {}
-        }
+    let tables = taken_in(&store.join(TABLES));
+    let in_store = taken_in(&store);
+    StoreUsage {
+        tables,
+        // The files change while they are counted.
+        journal: in_store.saturating_sub(tables),
+        other: taken_in(directory).saturating_sub(in_store),
+        ..StoreUsage::default()
     }
+}
+
+/// The disk of all files under `directory`. A file that is removed meanwhile counts as 0.
+fn taken_in(directory: &Path) -> u64 {
+    let entries = fs::read_dir(directory).into_iter().flatten().flatten();
+    // A link is not followed.
+    let taken = entries.map(|entry| match entry.metadata() {
+        Ok(found) if found.is_dir() => taken_in(&entry.path()),
+        found => found.map_or(0, |file| taken(&file)),
+    });
+    taken.sum()
 }
 
 /// The disk of a file. A journal file is preallocated: its length exceeds the blocks that it takes.

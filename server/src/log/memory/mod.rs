@@ -1,7 +1,6 @@
 //! A log in memory: nothing survives the process.
 
 mod store;
-mod versions;
 mod view;
 
 use std::{
@@ -10,6 +9,7 @@ use std::{
 };
 
 use futures_util::{StreamExt, stream};
+use imbl::OrdMap;
 use parking_lot::RwLock;
 
 use super::{
@@ -70,6 +70,16 @@ impl Journal for MemoryLog {
     fn newest(&self, uid: Uid) -> Result<u64, LogError> {
         Ok(self.view(uid)?.revision())
     }
+}
+
+impl PointStore for MemoryLog {
+    fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
+        self.store(uid)?.apply(records)
+    }
+
+    fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
+        Ok(self.store(uid)?.view())
+    }
 
     fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
         self.store(uid)?.trim(retention);
@@ -79,43 +89,26 @@ impl Journal for MemoryLog {
     fn window(&self, uid: Uid) -> Result<Window, LogError> {
         Ok(self.store(uid)?.window())
     }
-}
-
-impl PointStore for MemoryLog {
-    fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
-        self.store(uid)?.apply(records)
-    }
-
-    fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError> {
-        Ok(self.store(uid)?.pin())
-    }
-
-    fn trim_applied(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
-        Journal::trim(self, uid, retention)
-    }
 
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
         Ok(self.store(uid)?.operations())
     }
 
-    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+    fn restore(
+        &self,
+        entry: Entry,
+        origin: Origin,
+        replaces: bool,
+    ) -> Result<Box<dyn Restoring>, LogError> {
+        if replaces {
+            self.store(entry.uid)?;
+        }
         Ok(Box::new(RestoringIndex {
             indexes: Arc::clone(&self.indexes),
             entry,
             origin,
-            points: Vec::new(),
-            replaces: false,
-        }))
-    }
-
-    fn replace(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        self.store(entry.uid)?;
-        Ok(Box::new(RestoringIndex {
-            indexes: Arc::clone(&self.indexes),
-            entry,
-            origin,
-            points: Vec::new(),
-            replaces: true,
+            points: OrdMap::new(),
+            replaces,
         }))
     }
 }
@@ -131,7 +124,7 @@ impl Catalogue for MemoryLog {
 
     fn create(&self, entry: Entry) -> Result<(), LogError> {
         let (origin, sessions) = (Origin::START, Sessions::default());
-        let store = Store::new(entry.uid, origin, Vec::new(), sessions);
+        let store = Store::new(entry.uid, origin, OrdMap::new(), sessions);
         add(&self.indexes, entry, store)
     }
 
@@ -162,14 +155,16 @@ struct RestoringIndex {
     indexes: Arc<Indexes>,
     entry: Entry,
     origin: Origin,
-    points: Vec<Arc<StoredPoint>>,
+    points: OrdMap<u64, Arc<StoredPoint>>,
     /// True if it takes the place of the index with its uid.
     replaces: bool,
 }
 
 impl Restoring for RestoringIndex {
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError> {
-        self.points.extend(points.iter().cloned().map(Arc::new));
+        let points = points.iter().cloned();
+        self.points
+            .extend(points.map(|point| (point.id, Arc::new(point))));
         Ok(())
     }
 

@@ -3,27 +3,20 @@
 use std::{collections::VecDeque, sync::Arc};
 
 use futures_util::{StreamExt, stream};
-use parking_lot::{Mutex, RwLock};
+use imbl::OrdMap;
+use parking_lot::Mutex;
 use tokio::sync::watch;
 
-use super::{versions::Versions, view::PinnedView};
+use super::view::Head;
 use crate::log::{
     LogError, Operation, Origin, Record, RecordPosition, RecordStream, Retention, Sessions,
     StoredPoint, Uid, View, Window,
     retention::{Allowance, BoundedQueue},
 };
 
-/// The number of rows that are stored or dropped during one hold of the lock. It keeps a large record from blocking
-/// readers of payloads. Dropping a view also collects at most this many unseen versions, so it is short. The rest
-/// waits for the next dropped view or the next record. A record collects this number plus twice the rows it changes, so
-/// the backlog shrinks.
-const ROWS_PER_HOLD: usize = 512;
-
-/// Lock order: journal, versions. Only the holder of the journal adds versions.
 pub(super) struct Store {
     uid: Uid,
     journal: Mutex<Journal>,
-    pub(super) versions: RwLock<Versions>,
     /// The newest revision, or the error after which no further record comes.
     newest: watch::Sender<Result<u64, LogError>>,
 }
@@ -34,19 +27,23 @@ struct Journal {
     records: BoundedQueue<Arc<Record>>,
     /// The newest operations.
     operations: BoundedQueue<Arc<Operation>>,
-    /// The submitted records that are not yet applied, oldest first, with the heads that they made. The versions of
-    /// the heads are pinned.
+    /// The submitted records that are not yet applied, oldest first, with the heads that they made.
     unapplied: VecDeque<(Arc<Record>, Head)>,
     /// True if another store has taken the place of this one.
     is_replaced: bool,
 }
 
-/// The newest record, and the sums of all records beside the points.
-#[derive(Clone)]
-pub(super) struct Head {
-    pub(super) position: RecordPosition,
-    pub(super) next_id: u64,
-    pub(super) sessions: Sessions,
+impl Journal {
+    /// Writes the record after the head.
+    fn write(&mut self, record: &Arc<Record>) {
+        self.head.apply(record);
+        let bytes = record.effects().bytes();
+        self.records.push(Arc::clone(record), bytes);
+        if let Some(operation) = record.effects().operation() {
+            let bytes = operation.bytes();
+            self.operations.push(Arc::clone(operation), bytes);
+        }
+    }
 }
 
 impl Store {
@@ -54,14 +51,9 @@ impl Store {
     pub(super) fn new(
         uid: Uid,
         origin: Origin,
-        points: Vec<Arc<StoredPoint>>,
+        points: OrdMap<u64, Arc<StoredPoint>>,
         sessions: Sessions,
     ) -> Self {
-        let mut versions = Versions::default();
-        for point in points {
-            versions.insert_new(point);
-        }
-        versions.advance(origin.revision);
         Self {
             uid,
             journal: Mutex::new(Journal {
@@ -72,13 +64,13 @@ impl Store {
                     },
                     next_id: origin.next_id,
                     sessions,
+                    points,
                 },
                 records: BoundedQueue::default(),
                 operations: BoundedQueue::default(),
                 unapplied: VecDeque::new(),
                 is_replaced: false,
             }),
-            versions: RwLock::new(versions),
             newest: watch::Sender::new(Ok(origin.revision)),
         }
     }
@@ -91,8 +83,7 @@ impl Store {
         if !record.follows(journal.head.position) {
             return Err(self.fenced(record.revision() - 1, &journal));
         }
-        self.write(&record, &mut journal);
-        self.versions.write().pin(record.revision());
+        journal.write(&record);
         let head = journal.head.clone();
         let revision = record.revision();
         journal.unapplied.push_back((record, head));
@@ -103,27 +94,22 @@ impl Store {
 
     /// Applies consecutive records. The store may already have the first ones. Returns the points as of the last
     /// record.
-    pub(super) fn apply(
-        self: &Arc<Self>,
-        records: &[Arc<Record>],
-    ) -> Result<Arc<dyn View>, LogError> {
+    pub(super) fn apply(&self, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
         let mut journal = self.journal.lock();
         if journal.is_replaced {
             return Err(LogError::Closed);
         }
         let Some(last) = records.last() else {
-            drop(journal);
-            return Ok(Arc::clone(self).pin());
+            return Ok(Arc::new(journal.head.clone()));
         };
-        while let Some((record, head)) = journal.unapplied.pop_front() {
-            if head.position.revision == last.revision() {
-                return Ok(Arc::new(self.pinned(head)));
+        let is_applied = |submitted: &mut (Arc<Record>, Head)| {
+            let (record, _) = submitted;
+            record.revision() <= last.revision()
+        };
+        while let Some((record, head)) = journal.unapplied.pop_front_if(is_applied) {
+            if record.revision() == last.revision() {
+                return Ok(Arc::new(head));
             }
-            if head.position.revision > last.revision() {
-                journal.unapplied.push_front((record, head));
-                break;
-            }
-            self.versions.write().unpin(head.position.revision);
         }
         for record in records {
             if record.revision() <= journal.head.position.revision {
@@ -136,16 +122,15 @@ impl Store {
                     what: "it does not follow the record before it",
                 });
             }
-            self.write(record, &mut journal);
+            journal.write(record);
         }
         if journal.head.position.revision != last.revision() {
             return Err(self.fenced(last.revision(), &journal));
         }
-        self.versions.write().pin(last.revision());
-        let view = self.pinned(journal.head.clone());
+        let head = journal.head.clone();
         drop(journal);
         self.announce(last.revision());
-        Ok(Arc::new(view))
+        Ok(Arc::new(head))
     }
 
     fn fenced(&self, expected: u64, journal: &Journal) -> LogError {
@@ -153,21 +138,6 @@ impl Store {
             uid: self.uid,
             expected,
             head: journal.head.position.revision,
-        }
-    }
-
-    /// Writes the record after the head.
-    fn write(&self, record: &Arc<Record>, journal: &mut Journal) {
-        let head = &mut journal.head;
-        self.store(record, head.next_id);
-        head.position = record.position();
-        head.next_id = head.next_id.max(record.effects().next_id());
-        head.sessions.apply(record);
-        let bytes = record.effects().bytes();
-        journal.records.push(Arc::clone(record), bytes);
-        if let Some(operation) = record.effects().operation() {
-            let bytes = operation.bytes();
-            journal.operations.push(Arc::clone(operation), bytes);
         }
     }
 
@@ -244,48 +214,6 @@ impl Store {
         }
     }
 
-    /// Adds the versions that `record` makes. Views see them only after the head has moved.
-    fn store(&self, record: &Record, next_id: u64) {
-        let effects = record.effects();
-        for ids in effects.removed().chunks(ROWS_PER_HOLD) {
-            let mut versions = self.versions.write();
-            for &id in ids {
-                versions.remove(id, record.revision());
-            }
-        }
-        let stored = effects.stored();
-        for start in (0..stored.len()).step_by(ROWS_PER_HOLD) {
-            let mut versions = self.versions.write();
-            for slot in start..stored.len().min(start + ROWS_PER_HOLD) {
-                let point = stored.get(slot);
-                let version = Arc::new(StoredPoint {
-                    id: point.id,
-                    revision: point.revision,
-                    modified: record.revision(),
-                    tag: point.tag,
-                    state: point.row.into(),
-                    payload: effects.payload(slot),
-                });
-                if point.id >= next_id {
-                    versions.insert_new(version);
-                } else {
-                    versions.insert(version);
-                }
-            }
-        }
-        self.versions.write().advance(record.revision());
-        for _ in 0..=(2 * effects.len()).div_ceil(ROWS_PER_HOLD) {
-            if !self.collect() {
-                break;
-            }
-        }
-    }
-
-    /// Drops some of the versions that no revision sees any more; false if none is left.
-    pub(super) fn collect(&self) -> bool {
-        self.versions.write().collect(ROWS_PER_HOLD)
-    }
-
     pub(super) fn read(
         &self,
         after: Option<u64>,
@@ -328,22 +256,7 @@ impl Store {
             .for_each(drop);
     }
 
-    pub(super) fn pin(self: Arc<Self>) -> Arc<dyn View> {
-        let journal = self.journal.lock();
-        let head = journal.head.clone();
-        self.versions.write().pin(head.position.revision);
-        drop(journal);
-        Arc::new(self.pinned(head))
-    }
-
-    /// A view of a pinned revision; it takes over the pin.
-    fn pinned(self: &Arc<Self>, head: Head) -> PinnedView {
-        PinnedView {
-            store: Arc::clone(self),
-            head,
-        }
+    pub(super) fn view(&self) -> Arc<dyn View> {
+        Arc::new(self.journal.lock().head.clone())
     }
 }
-
-#[cfg(test)]
-mod tests;

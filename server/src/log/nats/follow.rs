@@ -153,7 +153,7 @@ async fn subscribe(
     if last.last.revision == after && digest.is_some_and(|digest| digest != last.last.digest) {
         return Err(LogError::replaced(uid, after));
     }
-    let sequence = find_sequence_after(connection, uid, after, last).await?;
+    let sequence = sequence_after(connection, uid, after, last).await?;
     let config = pull::Config {
         filter_subject: connection.subject(uid),
         deliver_policy: DeliverPolicy::ByStartSequence {
@@ -186,7 +186,8 @@ pub(super) async fn read(
     max_bytes: usize,
 ) -> Result<Vec<Arc<Record>>, LogError> {
     let after = after.unwrap_or(0);
-    let mut sequence = sequence_after(connection, uid, after).await?;
+    let last = connection.last(uid).await?;
+    let mut sequence = sequence_after(connection, uid, after, last).await?;
     let (mut records, mut bytes, mut unpacker) = (Vec::new(), 0, Unpacker::default());
     while let Some((position, message)) = connection.next(uid, sequence).await? {
         sequence = position.sequence + 1;
@@ -224,18 +225,13 @@ pub(super) async fn forget(connection: &Connection, uid: Uid, up_to: u64) -> Res
         Some((first, _)) if first.last.revision <= up_to => {}
         _ => return Ok(()),
     }
-    let sequence = sequence_after(connection, uid, up_to).await?;
+    let sequence = sequence_after(connection, uid, up_to, last).await?;
     connection.purge_before(uid, sequence).await
 }
 
-/// A sequence number. From there on, the first message of the index has the record after the revision `after`.
-async fn sequence_after(connection: &Connection, uid: Uid, after: u64) -> Result<u64, LogError> {
-    let last = connection.last(uid).await?;
-    find_sequence_after(connection, uid, after, last).await
-}
-
-/// The same if `last` is the newest message.
-async fn find_sequence_after(
+/// A sequence number. From there on, the first message of the index has the record after the revision `after`. `last` is the
+/// newest message.
+async fn sequence_after(
     connection: &Connection,
     uid: Uid,
     after: u64,

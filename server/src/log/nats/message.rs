@@ -9,7 +9,7 @@ use std::{str::FromStr, sync::Arc};
 
 use async_nats::{HeaderMap, jetstream::message::StreamMessage};
 
-use crate::log::{LogError, Origin, Record, RecordPosition, Uid, cursor::Cursor};
+use crate::log::{LogError, Record, RecordPosition, Uid, cursor::Cursor};
 
 const FIRST: &str = "Wayfold-First";
 const LAST: &str = "Wayfold-Last";
@@ -35,10 +35,7 @@ impl Position {
     pub(super) const START: Self = Self {
         sequence: 0,
         first: 0,
-        last: RecordPosition {
-            revision: Origin::START.revision,
-            digest: Origin::START.digest,
-        },
+        last: RecordPosition::START,
     };
 
     /// The position of a stored message.

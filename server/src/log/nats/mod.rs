@@ -21,17 +21,17 @@ use async_nats::connection::State;
 use futures_util::{FutureExt, future::BoxFuture};
 use parking_lot::Mutex;
 use thiserror::Error;
-use tokio::{runtime::Handle, sync::oneshot};
+use tokio::{
+    runtime::Handle,
+    sync::{mpsc::UnboundedSender, oneshot},
+};
 
 use self::{
-    catalogue::NatsCatalogue,
-    connection::Connection,
-    message::Position,
-    publisher::{Answer, Publisher, Submission},
+    catalogue::NatsCatalogue, connection::Connection, message::Position, publisher::Submission,
 };
 use super::{
     Catalogue, Journal, Log, LogError, PointStore, Receipt, Record, RecordPosition, RecordStream,
-    Retention, Uid, Window,
+    Uid,
 };
 
 /// The time between two attempts of a follower to read a stream.
@@ -91,7 +91,7 @@ pub enum NatsError {
 
 /// Connects to NATS, and makes a log of its streams and of the point store and the local catalogue of `local`. Returns the
 /// connection too. Needs a runtime, and blocks.
-pub fn connect<Store: Journal + PointStore + Catalogue + 'static>(
+pub fn connect<Store: PointStore + Catalogue + 'static>(
     options: &NatsOptions,
     local: Arc<Store>,
 ) -> Result<(Log, async_nats::Client), NatsError> {
@@ -105,7 +105,6 @@ pub fn connect<Store: Journal + PointStore + Catalogue + 'static>(
             connection,
             runtime,
             publishers: Mutex::default(),
-            forgotten: Mutex::default(),
             local: local.clone(),
         }),
         points: local,
@@ -117,53 +116,35 @@ pub fn connect<Store: Journal + PointStore + Catalogue + 'static>(
 struct NatsJournal {
     connection: Arc<Connection>,
     runtime: Handle,
-    publishers: Mutex<BTreeMap<Uid, Publisher>>,
+    publishers: Mutex<BTreeMap<Uid, UnboundedSender<Submission>>>,
     /// The records that this server has applied, as far as it keeps them.
     local: Arc<dyn Journal>,
-    forgotten: Mutex<ForgottenRevisions>,
-}
-
-/// The most indices in [`ForgottenRevisions`].
-const MAX_FORGOTTEN: usize = 10_000;
-
-/// The revisions up to which this server has forgotten records, so that it does not ask NATS for the same again.
-#[derive(Default)]
-struct ForgottenRevisions(BTreeMap<Uid, u64>);
-
-impl ForgottenRevisions {
-    /// True if the records of an index up to this revision are forgotten.
-    fn has(&self, uid: Uid, up_to: u64) -> bool {
-        self.0.get(&uid) >= Some(&up_to)
-    }
-
-    fn note(&mut self, uid: Uid, up_to: u64) {
-        // Some of the indices are deleted. Asking NATS again about the others is cheaper than finding out which.
-        if self.0.len() >= MAX_FORGOTTEN {
-            self.0.clear();
-        }
-        self.0.insert(uid, up_to);
-    }
 }
 
 impl NatsJournal {
-    /// Gives a record to the publisher of its index.
+    /// Gives a record to the publisher of its index; `begins` says that the index begins with it at an origin.
     fn send(
         &self,
         uid: Uid,
         record: Arc<Record>,
-        submission: impl FnOnce(Arc<Record>, Answer) -> Submission,
+        begins: bool,
     ) -> BoxFuture<'static, Result<(), LogError>> {
         let revision = record.revision();
         let (answer, outcome) = oneshot::channel();
-        let mut submission = submission(record, answer);
+        let mut submission = Submission {
+            stored: record.encode(),
+            record,
+            begins,
+            answer,
+        };
         let mut publishers = self.publishers.lock();
         if !publishers.contains_key(&uid) {
             // Those that have ended may be of deleted indices.
             publishers.retain(|_, publisher| !publisher.is_closed());
         }
-        let start = || Publisher::start(uid, Arc::clone(&self.connection), &self.runtime);
+        let start = || publisher::start(uid, Arc::clone(&self.connection), &self.runtime);
         while let Err(back) = publishers.entry(uid).or_insert_with(start).send(submission) {
-            submission = back;
+            submission = back.0;
             publishers.retain(|_, publisher| !publisher.is_closed());
         }
         drop(publishers);
@@ -178,12 +159,11 @@ impl NatsJournal {
 
 impl Journal for NatsJournal {
     fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
-        Ok(Receipt::Awaited(self.send(uid, record, Submission::new)))
+        Ok(Receipt::Awaited(self.send(uid, record, false)))
     }
 
     fn begin(&self, uid: Uid, record: Arc<Record>) -> Result<(), LogError> {
-        let outcome = self.send(uid, record, Submission::beginning);
-        self.runtime.block_on(outcome)
+        self.runtime.block_on(self.send(uid, record, true))
     }
 
     fn follow(&self, uid: Uid, after: u64) -> RecordStream {
@@ -205,14 +185,6 @@ impl Journal for NatsJournal {
         self.runtime.block_on(read)
     }
 
-    fn retained(&self, uid: Uid, revision: u64) -> Result<Option<Arc<Record>>, LogError> {
-        self.local.retained(uid, revision)
-    }
-
-    fn oldest_kept(&self, uid: Uid) -> Result<Option<u64>, LogError> {
-        self.local.oldest_kept(uid)
-    }
-
     fn oldest(&self, uid: Uid) -> Result<Option<u64>, LogError> {
         let first = self.runtime.block_on(self.connection.next(uid, 1))?;
         Ok(first.map(|(first, _)| first.first))
@@ -231,7 +203,7 @@ impl Journal for NatsJournal {
         let mut position = newest.last;
         let (mut after, mut begins, mut repaired) = (position.revision, false, 0);
         if newest == Position::START
-            && let Some(oldest) = self.local.oldest_kept(uid)?
+            && let Some(oldest) = self.local.oldest(uid)?
         {
             (after, begins) = (oldest - 1, true);
         }
@@ -253,11 +225,7 @@ impl Journal for NatsJournal {
             }
             let mut receipts = Vec::new();
             for record in records {
-                let submission = match std::mem::take(&mut begins) {
-                    true => Submission::beginning,
-                    false => Submission::new,
-                };
-                receipts.push(self.send(uid, record, submission));
+                receipts.push(self.send(uid, record, std::mem::take(&mut begins)));
             }
             for receipt in receipts {
                 self.runtime.block_on(receipt)?;
@@ -267,27 +235,12 @@ impl Journal for NatsJournal {
         }
     }
 
-    /// Keeps everything: no server knows alone what the others have applied.
-    fn trim(&self, _: Uid, _: &Retention) -> Result<(), LogError> {
-        Ok(())
-    }
-
     fn forget(&self, uid: Uid, up_to: u64) -> Result<(), LogError> {
         // After a copy this server keeps no record, so its window does not bound the revision.
-        let oldest = self.local.oldest_kept(uid)?.unwrap_or(u64::MAX);
+        let oldest = self.local.oldest(uid)?.unwrap_or(u64::MAX);
         let up_to = up_to.min(oldest.saturating_sub(1));
-        if self.forgotten.lock().has(uid, up_to) {
-            return Ok(());
-        }
         let forget = follow::forget(&self.connection, uid, up_to);
-        self.runtime.block_on(forget)?;
-        self.forgotten.lock().note(uid, up_to);
-        Ok(())
-    }
-
-    /// The streams may have more records. NATS is not asked.
-    fn window(&self, uid: Uid) -> Result<Window, LogError> {
-        self.local.window(uid)
+        self.runtime.block_on(forget)
     }
 
     fn is_reachable(&self) -> bool {
@@ -297,22 +250,5 @@ impl Journal for NatsJournal {
 
     fn is_shared(&self) -> bool {
         true
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn forgotten_revisions_are_known_of_a_bounded_number_of_indices() {
-        let mut forgotten = ForgottenRevisions::default();
-        for _ in 0..=MAX_FORGOTTEN {
-            let uid = Uid::unique();
-            assert!(!forgotten.has(uid, 1));
-            forgotten.note(uid, 7);
-            assert!(forgotten.has(uid, 7) && !forgotten.has(uid, 8));
-            assert!(forgotten.0.len() <= MAX_FORGOTTEN);
-        }
     }
 }

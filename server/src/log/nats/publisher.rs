@@ -46,66 +46,34 @@ const BYTES_PER_TIMEOUT: usize = 1024 * 1024;
 /// A publisher without a record for this long ends: a server may have thousands of indices.
 const IDLE_TIME: Duration = Duration::from_secs(60);
 
-/// Gets the outcome of a record.
-pub(super) type Answer = oneshot::Sender<Result<(), LogError>>;
-
-/// A submitted record in its stored form.
+/// A submitted record.
 pub(super) struct Submission {
-    record: Arc<Record>,
-    stored: Vec<u8>,
+    pub(super) record: Arc<Record>,
+    /// Its stored form.
+    pub(super) stored: Vec<u8>,
     /// True if it is the first record of an index that begins at an origin.
-    begins: bool,
-    answer: Answer,
+    pub(super) begins: bool,
+    /// Gets its outcome.
+    pub(super) answer: oneshot::Sender<Result<(), LogError>>,
 }
 
-/// The handle of a publisher. Once this is dropped, and after [`IDLE_TIME`] without a record, it publishes what it has
-/// and ends.
-pub(super) struct Publisher {
-    submissions: mpsc::UnboundedSender<Submission>,
-}
-
-impl Submission {
-    pub(super) fn new(record: Arc<Record>, answer: Answer) -> Self {
-        Self {
-            stored: record.encode(),
-            record,
-            begins: false,
-            answer,
-        }
-    }
-
-    /// The same for the first record of an index that begins at an origin.
-    pub(super) fn beginning(record: Arc<Record>, answer: Answer) -> Self {
-        Self {
-            begins: true,
-            ..Self::new(record, answer)
-        }
-    }
-}
-
-impl Publisher {
-    pub(super) fn start(uid: Uid, connection: Arc<Connection>, runtime: &Handle) -> Self {
-        let (submissions, waiting) = mpsc::unbounded_channel();
-        let task = Task {
-            uid,
-            connection,
-            newest: None,
-            writers: 1,
-            linger: Duration::ZERO,
-        };
-        runtime.spawn(task.run(waiting));
-        Self { submissions }
-    }
-
-    /// True if it has ended.
-    pub(super) fn is_closed(&self) -> bool {
-        self.submissions.is_closed()
-    }
-
-    /// Queues a record, or returns it if the publisher has ended.
-    pub(super) fn send(&self, submission: Submission) -> Result<(), Submission> {
-        self.submissions.send(submission).map_err(|back| back.0)
-    }
+/// Starts a publisher. Once the sender is dropped, and after [`IDLE_TIME`] without a record, it publishes what it has and
+/// ends.
+pub(super) fn start(
+    uid: Uid,
+    connection: Arc<Connection>,
+    runtime: &Handle,
+) -> mpsc::UnboundedSender<Submission> {
+    let (submissions, waiting) = mpsc::unbounded_channel();
+    let task = Task {
+        uid,
+        connection,
+        newest: None,
+        writers: 1,
+        linger: Duration::ZERO,
+    };
+    runtime.spawn(task.run(waiting));
+    submissions
 }
 
 struct Task {

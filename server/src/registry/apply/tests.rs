@@ -9,7 +9,7 @@ use tokio_stream::wrappers::UnboundedReceiverStream;
 
 use super::*;
 use crate::{
-    log::{Catalogue, Journal, Log, Operation, PointStore, Retention, Uid, Window},
+    log::{Catalogue, Journal, Log, Operation, PointStore, Uid},
     registry::{CommitOutcome, Registry, RegistryOptions, in_flight::Decision},
     testing::recorded,
 };
@@ -43,14 +43,6 @@ impl Journal for RemoteJournal {
 
     fn newest(&self, _: Uid) -> Result<u64, LogError> {
         Ok(self.submitted.lock().len() as u64)
-    }
-
-    fn trim(&self, _: Uid, _: &Retention) -> Result<(), LogError> {
-        Ok(())
-    }
-
-    fn window(&self, _: Uid) -> Result<Window, LogError> {
-        Ok(Window::default())
     }
 
     fn is_shared(&self) -> bool {
@@ -161,11 +153,8 @@ async fn another_record_in_the_place_of_an_acknowledged_one_is_damage() {
             server.commit().await;
         }
         let own = server.journal.submitted.lock().clone();
-        let start = RecordPosition {
-            revision: 0,
-            digest: Record::NO_PREVIOUS,
-        };
-        let before = own[..place].last().map_or(start, |last| last.position());
+        let before = own[..place].last();
+        let before = before.map_or(RecordPosition::START, |last| last.position());
         server.brings(&[&own[..place], &[others(before)]].concat());
         server.is_replaced(place as u64 + 1).await;
     }

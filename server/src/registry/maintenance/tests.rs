@@ -13,7 +13,7 @@ use super::*;
 use crate::{
     log::{
         Catalogue, Effects, Journal, Log, MemoryLog, Origin, Outcome, PointStore, Receipt, Record,
-        RecordPosition, RecordStream, Retention, Sessions, Uid, Window,
+        RecordPosition, RecordStream, Sessions, Uid,
     },
     registry::{CommitOutcome, RegistryOptions, in_flight::Decision},
     testing::recorded,
@@ -62,14 +62,6 @@ impl Journal for SetBack {
 
     fn newest(&self, _: Uid) -> Result<u64, LogError> {
         Ok(self.head.load(SeqCst))
-    }
-
-    fn trim(&self, _: Uid, _: &Retention) -> Result<(), LogError> {
-        Ok(())
-    }
-
-    fn window(&self, _: Uid) -> Result<Window, LogError> {
-        Ok(Window::default())
     }
 
     fn is_shared(&self) -> bool {

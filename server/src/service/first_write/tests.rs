@@ -12,12 +12,13 @@ use wayfold_proto::v1;
 use super::*;
 use crate::{
     identity::Caller,
-    log::{Catalogue, Effects, Entry, Journal, MemoryLog, PointStore, Record, Uid},
+    log::{Effects, Entry, Journal, MemoryLog, PointStore, Record, Uid},
     registry::{Registry, RegistryOptions},
     service::{
         Code, Limits, NotForwarded, Owners,
         member::{CopyParts, CopyRequest, StoredResponse, Unanswered},
     },
+    testing::{arm, log_with},
 };
 
 const RECORDS: u64 = 4;
@@ -110,28 +111,12 @@ impl Peers for OtherMembers {
     }
 }
 
-/// Submits and applies these records.
-fn engine(entry: &Entry, records: &[Arc<Record>]) -> Arc<MemoryLog> {
-    let engine = Arc::new(MemoryLog::new());
-    engine.create(entry.clone()).unwrap();
-    for record in records {
-        engine.submit(entry.uid, Arc::clone(record)).unwrap();
-        engine.apply(entry.uid, &[Arc::clone(record)]).unwrap();
-    }
-    engine
-}
-
 /// This many records of a run after these.
 fn more(records: &[Arc<Record>], run: u8, count: u64) -> Vec<Arc<Record>> {
     let mut all = records.to_vec();
     for _ in 0..count {
-        let position = all.last().map_or(
-            RecordPosition {
-                revision: 0,
-                digest: Record::NO_PREVIOUS,
-            },
-            |last| last.position(),
-        );
+        let last = all.last();
+        let position = last.map_or(RecordPosition::START, |last| last.position());
         all.push(Arc::new(Record::made_by(
             [run; 16],
             position,
@@ -150,7 +135,7 @@ struct Server {
 
 impl Server {
     fn new(entry: &Entry, records: &[Arc<Record>]) -> Self {
-        let own = engine(entry, records);
+        let own = log_with(entry, records);
         let registry = Registry::new(Arc::clone(&own), RegistryOptions::default());
         registry.replay().unwrap();
         let service = Service::new(registry, Limits::default());
@@ -194,22 +179,13 @@ impl Server {
     }
 }
 
-fn entry() -> Entry {
-    Entry {
-        uid: Uid::unique(),
-        name: "arm".into(),
-        space: "R1".parse().unwrap(),
-        payload_encoding: Default::default(),
-    }
-}
-
 #[tokio::test]
 async fn the_members_are_asked_once_until_they_change() {
-    let (entry, records) = (entry(), more(&[], 1, RECORDS));
+    let (entry, records) = (arm(), more(&[], 1, RECORDS));
     let server = Server::new(&entry, &records);
     // One that is behind, one that is equal, and one that does not answer.
-    let behind = engine(&entry, &records[..2]);
-    server.set(vec![Some(behind), Some(engine(&entry, &records)), None]);
+    let behind = log_with(&entry, &records[..2]);
+    server.set(vec![Some(behind), Some(log_with(&entry, &records)), None]);
     for written in 1..=3 {
         assert_eq!(server.insert().await.unwrap(), RECORDS + written);
         assert_eq!(server.others.requests.load(SeqCst), 3);
@@ -221,12 +197,12 @@ async fn the_members_are_asked_once_until_they_change() {
 
 #[tokio::test]
 async fn a_contradiction_stops_writing() {
-    let (entry, records) = (entry(), more(&[], 1, RECORDS));
+    let (entry, records) = (arm(), more(&[], 1, RECORDS));
     let server = Server::new(&entry, &records);
     // The member is behind, at the same revision, or ahead.
     for count in [1, 2, 5] {
         let other = more(&records[..2], 2, count);
-        server.set(vec![Some(engine(&entry, &other))]);
+        server.set(vec![Some(log_with(&entry, &other))]);
         for _ in 0..2 {
             let refused = server.insert().await.unwrap_err();
             assert_eq!(refused.code(), Code::DataLoss, "{refused}");
@@ -240,12 +216,12 @@ async fn a_contradiction_stops_writing() {
 /// A server that starts waits for the announcements of the others: an empty list does not mean that there are none.
 #[tokio::test(start_paused = true)]
 async fn the_first_mutation_waits_until_the_members_are_known() {
-    let (entry, records) = (entry(), more(&[], 1, RECORDS));
+    let (entry, records) = (arm(), more(&[], 1, RECORDS));
     let server = Server::new(&entry, &records);
     server.others.are_heard.send_replace(false);
     let waiting = timeout(Duration::from_secs(60), server.insert());
     assert!(waiting.await.is_err());
-    server.set(vec![Some(engine(&entry, &more(&records[..2], 2, 1)))]);
+    server.set(vec![Some(log_with(&entry, &more(&records[..2], 2, 1)))]);
     server.others.are_heard.send_replace(true);
     let refused = server.insert().await.unwrap_err();
     assert_eq!(refused.code(), Code::DataLoss, "{refused}");
@@ -254,9 +230,9 @@ async fn the_first_mutation_waits_until_the_members_are_known() {
 /// A comparison goes on without the call that began it, so that calls with short deadlines get their turn.
 #[tokio::test(start_paused = true)]
 async fn a_call_that_leaves_does_not_end_the_comparison() {
-    let (entry, records) = (entry(), more(&[], 1, RECORDS));
+    let (entry, records) = (arm(), more(&[], 1, RECORDS));
     let server = Server::new(&entry, &records);
-    server.set(vec![Some(engine(&entry, &records))]);
+    server.set(vec![Some(log_with(&entry, &records))]);
     server.others.are_heard.send_replace(false);
     assert!(
         timeout(Duration::from_millis(1), server.insert())
@@ -273,10 +249,10 @@ async fn a_call_that_leaves_does_not_end_the_comparison() {
 
 #[tokio::test(start_paused = true)]
 async fn a_mutation_waits_for_the_records_of_a_member_that_is_ahead() {
-    let entry = entry();
+    let entry = arm();
     let all = more(&[], 1, RECORDS + 1);
     let server = Server::new(&entry, &all[..RECORDS as usize]);
-    server.set(vec![Some(engine(&entry, &all))]);
+    server.set(vec![Some(log_with(&entry, &all))]);
     // Two that come together wait together.
     let began = Instant::now();
     let (one, other) = tokio::join!(server.insert(), server.insert());

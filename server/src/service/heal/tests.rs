@@ -3,64 +3,28 @@
 use std::{
     future::ready,
     sync::atomic::{AtomicUsize, Ordering::SeqCst},
-    time::SystemTime,
 };
 
 use futures_util::{FutureExt, future::BoxFuture, stream};
-use wayfold_index::PointRef;
 
 use super::*;
 use crate::{
-    log::{
-        Catalogue, Effects, Entry, Journal, Log, MemoryLog, Operation, Origin, Outcome, PointStore,
-        Record, Retention, Sessions, StoredPoint,
-    },
+    log::{Catalogue, Entry, Journal, Log, MemoryLog, Origin, PointStore, Sessions, StoredPoint},
     registry::{Hosted, RegistryError, RegistryOptions},
     service::{
         CopyOutcome, Limits,
         member::{CopyPart, StoredRequest, StoredResponse, Unanswered},
     },
+    testing::{arm, log_with, submit, trim_all},
 };
 
 const RECORDS: u64 = 20;
 
-/// Submits and applies the next record: it stores a point with a payload and has an operation.
-fn submit(engine: &MemoryLog, uid: Uid) -> Arc<Record> {
-    let position = engine.view(uid).unwrap().position();
-    let mut effects = Effects::new(1);
-    let point = PointRef {
-        id: position.revision,
-        tag: 0,
-        revision: position.revision + 1,
-        row: &[0.5],
-    };
-    effects.store(point, Outcome::Inserted, vec![7; 30_000].into());
-    effects.set_operation(Some(Arc::new(Operation {
-        id: format!("operation {}", position.revision + 1),
-        fingerprint: [1; 32],
-        response: Default::default(),
-    })));
-    let run = *Uid::unique().as_bytes();
-    let record = Arc::new(Record::made_by(run, position, effects));
-    engine.submit(uid, Arc::clone(&record)).unwrap();
-    engine.apply(uid, &[Arc::clone(&record)]).unwrap();
-    record
-}
-
+/// A log with this many records.
 fn engine(entry: &Entry, records: u64) -> Arc<MemoryLog> {
-    let engine = Arc::new(MemoryLog::new());
-    engine.create(entry.clone()).unwrap();
-    (0..records).for_each(|_| drop(submit(&engine, entry.uid)));
+    let engine = log_with(entry, &[]);
+    (0..records).for_each(|_| submit(&engine, entry.uid));
     engine
-}
-
-fn entry() -> Entry {
-    Entry {
-        uid: Uid::unique(),
-        name: "arm".into(),
-        space: "R1".parse().unwrap(),
-        payload_encoding: Default::default(),
-    }
 }
 
 /// A server with this journal and these points.
@@ -75,17 +39,6 @@ fn server(journal: &Arc<MemoryLog>, points: &Arc<MemoryLog>) -> Service {
     let service = Service::new(registry, Limits::default());
     service.set_ready();
     service
-}
-
-/// Trims all but the newest record.
-fn trim(engine: &MemoryLog, uid: Uid) {
-    let retention = Retention {
-        record_bytes: 0,
-        since: SystemTime::UNIX_EPOCH,
-        operations: usize::MAX,
-        operation_bytes: usize::MAX,
-    };
-    Journal::trim(engine, uid, &retention).unwrap();
 }
 
 fn hosted(service: &Service) -> Arc<Hosted> {
@@ -187,9 +140,9 @@ async fn a_copy_that_fails_late_is_tried_again_after_minutes() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_copy_that_is_cut_short_changes_nothing() {
-    let entry = entry();
+    let entry = arm();
     let (journal, points) = (engine(&entry, RECORDS), engine(&entry, 0));
-    trim(&journal, entry.uid);
+    trim_all(&journal, entry.uid);
     let peer = Peer::new(server(&journal, &journal));
     let (service, index) = stopped(&journal, &points).await;
     let mut whole = None;
@@ -226,9 +179,9 @@ async fn a_copy_that_is_cut_short_changes_nothing() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_peer_that_is_not_ahead_or_has_stopped_gives_no_copy() {
-    let entry = entry();
+    let entry = arm();
     let journal = engine(&entry, RECORDS);
-    trim(&journal, entry.uid);
+    trim_all(&journal, entry.uid);
     // A server that cannot follow either.
     let (other, _) = stopped(&journal, &engine(&entry, 0)).await;
     let (service, mut index) = stopped(&journal, &engine(&entry, 0)).await;
@@ -248,9 +201,9 @@ async fn a_peer_that_is_not_ahead_or_has_stopped_gives_no_copy() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_copy_that_is_not_in_the_journal_is_not_taken() {
-    let entry = entry();
+    let entry = arm();
     let journal = engine(&entry, RECORDS);
-    trim(&journal, entry.uid);
+    trim_all(&journal, entry.uid);
     let (service, index) = stopped(&journal, &engine(&entry, 0)).await;
     let other = engine(&entry, RECORDS);
     let peer = Peer::new(server(&other, &other));
@@ -260,7 +213,7 @@ async fn a_copy_that_is_not_in_the_journal_is_not_taken() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_contradiction_is_the_end() {
-    let entry = entry();
+    let entry = arm();
     let journal = engine(&entry, RECORDS);
     // Its first records are others.
     for applied in [1, RECORDS - 1, RECORDS] {
@@ -327,12 +280,12 @@ impl Peers for TwoMembers {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_member_that_can_compare_speaks_first() {
-    let entry = entry();
+    let entry = arm();
     let journal = engine(&entry, RECORDS);
     let records = journal.read(entry.uid, None, usize::MAX).unwrap();
     let forgetful = engine(&entry, 0);
     forgetful.apply(entry.uid, &records).unwrap();
-    trim(&forgetful, entry.uid);
+    trim_all(&forgetful, entry.uid);
     let peers = |remembering: &Arc<MemoryLog>| TwoMembers {
         forgetful: Peer::new(server(&forgetful, &forgetful)),
         remembering: Peer::new(server(remembering, remembering)),
@@ -355,7 +308,7 @@ async fn a_member_that_can_compare_speaks_first() {
 /// The point store has a point that no index of the space can have.
 #[tokio::test(flavor = "multi_thread")]
 async fn points_that_cannot_be_read_are_replaced() {
-    let entry = entry();
+    let entry = arm();
     let journal = engine(&entry, RECORDS);
     let points = Arc::new(MemoryLog::new());
     let origin = Origin {
@@ -363,7 +316,7 @@ async fn points_that_cannot_be_read_are_replaced() {
         next_id: 1,
         digest: [1; 32],
     };
-    let mut damaged = points.restore(entry.clone(), origin).unwrap();
+    let mut damaged = points.restore(entry.clone(), origin, false).unwrap();
     let wide = StoredPoint {
         id: 0,
         revision: 1,

@@ -10,10 +10,7 @@ use tokio::sync::Mutex;
 
 use super::*;
 use crate::{
-    log::{
-        Journal, Log, LogError, MemoryLog, PointStore, Receipt, Record, RecordStream, Retention,
-        Uid, Window,
-    },
+    log::{Journal, Log, LogError, MemoryLog, PointStore, Receipt, Record, RecordStream, Uid},
     registry::{Registry, RegistryOptions},
     service::Limits,
     testing::recorded,
@@ -55,14 +52,6 @@ impl Journal for Silent {
 
     fn newest(&self, uid: Uid) -> Result<u64, LogError> {
         self.local.newest(uid)
-    }
-
-    fn trim(&self, _: Uid, _: &Retention) -> Result<(), LogError> {
-        Ok(())
-    }
-
-    fn window(&self, _: Uid) -> Result<Window, LogError> {
-        Ok(Window::default())
     }
 
     fn is_shared(&self) -> bool {

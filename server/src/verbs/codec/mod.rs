@@ -10,9 +10,9 @@ pub(super) mod parameters;
 mod path;
 mod read;
 mod schema;
-mod write;
+pub(super) mod write;
 
-use prost::Message;
+use prost::Name;
 use prost_reflect::DynamicMessage;
 
 use crate::service::{Error, Violation};
@@ -31,17 +31,16 @@ pub(crate) enum Form {
 }
 
 impl Form {
-    /// Decodes a request, `type_name` of `wayfold.v1`, and adds the selector's parameters.
-    pub(crate) fn read<M: Message + Default>(
+    /// Decodes a request, and adds the selector's parameters.
+    pub(crate) fn read<M: Name + Default>(
         self,
-        type_name: &str,
         payload: &[u8],
         parameters: &[(&str, &str)],
     ) -> Result<M, Error> {
         if self == Form::Protobuf && parameters.is_empty() {
             return M::decode(payload).map_err(malformed);
         }
-        let descriptor = schema::message(type_name)?;
+        let descriptor = schema::message::<M>()?;
         let (mut message, named) = match self {
             Form::Protobuf => {
                 let message = DynamicMessage::decode(descriptor, payload);
@@ -53,19 +52,19 @@ impl Form {
         };
         parameters::apply(&mut message, &named, parameters)?;
         message.transcode_to().map_err(|error| Error::Internal {
-            what: format!("a {type_name} that was read does not encode: {error}"),
+            what: format!("a {} that was read does not encode: {error}", M::NAME),
         })
     }
 
-    /// Encodes a message, `type_name` of `wayfold.v1`.
-    pub(crate) fn write(self, type_name: &str, message: &impl Message) -> Result<Vec<u8>, Error> {
+    /// Encodes a message.
+    pub(crate) fn write<M: Name>(self, message: &M) -> Result<Vec<u8>, Error> {
         let encoded = message.encode_to_vec();
         match self {
             Form::Protobuf => Ok(encoded),
             Form::Json => {
-                let message = DynamicMessage::decode(schema::message(type_name)?, &*encoded);
+                let message = DynamicMessage::decode(schema::message::<M>()?, &*encoded);
                 let message = message.map_err(|error| Error::Internal {
-                    what: format!("a {type_name} does not decode: {error}"),
+                    what: format!("a {} does not decode: {error}", M::NAME),
                 })?;
                 Ok(write::json(&message).into_bytes())
             }

@@ -2,6 +2,7 @@
 
 use std::sync::LazyLock;
 
+use prost::Name;
 use prost_reflect::{DescriptorError, DescriptorPool, EnumDescriptor, MessageDescriptor};
 use wayfold_proto::v1;
 
@@ -14,13 +15,13 @@ static POOL: LazyLock<Result<DescriptorPool, DescriptorError>> = LazyLock::new(|
     Ok(pool)
 });
 
-/// The message `type_name` of `wayfold.v1`.
-pub(super) fn message(type_name: &str) -> Result<MessageDescriptor, Error> {
+/// The descriptor of a message.
+pub(super) fn message<M: Name>() -> Result<MessageDescriptor, Error> {
     let unknown = |why: String| Error::Internal {
-        what: format!("no descriptor of {type_name}: {why}"),
+        what: format!("no descriptor of {}: {why}", M::NAME),
     };
     let pool = POOL.as_ref().map_err(|error| unknown(error.to_string()))?;
-    let found = pool.get_message_by_name(&format!("wayfold.v1.{type_name}"));
+    let found = pool.get_message_by_name(&M::full_name());
     found.ok_or_else(|| unknown("there is no such message".into()))
 }
 

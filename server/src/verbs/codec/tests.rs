@@ -1,21 +1,27 @@
+use std::fmt::Debug;
+
 use proptest::{collection::vec, prelude::*};
+use prost::Message;
 use wayfold_proto::v1::{self, knn_request::KForm};
 
 use super::*;
 use crate::{service::Code, testing};
 
-fn read<M: Message + Default>(name: &str, json: &str) -> M {
-    let read = Form::Json.read(name, json.as_bytes(), &[]);
+fn read<M: Name + Default>(json: &str) -> M {
+    let read = Form::Json.read(json.as_bytes(), &[]);
     read.unwrap_or_else(|error| panic!("{json}: {error}"))
 }
 
-fn write(name: &str, message: &impl Message) -> String {
-    String::from_utf8(Form::Json.write(name, message).unwrap()).unwrap()
+fn write(message: &impl Name) -> String {
+    String::from_utf8(Form::Json.write(message).unwrap()).unwrap()
 }
 
 /// The field and the reason of a refusal.
-fn refused(name: &str, json: &str, parameters: &[(&str, &str)]) -> (String, &'static str) {
-    let read = Form::Json.read::<v1::KnnRequest>(name, json.as_bytes(), parameters);
+fn refused<M: Name + Default + Debug>(
+    json: &str,
+    parameters: &[(&str, &str)],
+) -> (String, &'static str) {
+    let read = Form::Json.read::<M>(json.as_bytes(), parameters);
     let error = read.unwrap_err();
     assert_eq!(error.code(), Code::InvalidArgument, "{error}");
     let Error::InvalidArgument { violations } = error else {
@@ -47,17 +53,17 @@ fn states_are_rows_or_one_row_or_the_message() {
         r#"{"states": [[1, 2], [3, 4.5]], "k": 10}"#,
         r#"{"states": {"row_count": 2, "coordinates": [1, 2, 3, 4.5]}, "k": 10}"#,
     ] {
-        assert_eq!(read::<v1::KnnRequest>("KnnRequest", json), two);
+        assert_eq!(read::<v1::KnnRequest>(json), two);
     }
     let one = v1::KnnRequest {
         states: states(1, &[1.0, 2.0]),
         ..Default::default()
     };
     for json in ["[1, 2]", "[[1, 2]]", r#"{"states": [1, 2]}"#] {
-        assert_eq!(read::<v1::KnnRequest>("KnnRequest", json), one);
+        assert_eq!(read::<v1::KnnRequest>(json), one);
     }
     for (json, rows) in [("[]", 0), ("[[]]", 1), ("[[], []]", 2)] {
-        let request: v1::KnnRequest = read("KnnRequest", json);
+        let request: v1::KnnRequest = read(json);
         assert_eq!(request.states, states(rows, &[]), "{json}");
     }
 }
@@ -65,7 +71,6 @@ fn states_are_rows_or_one_row_or_the_message() {
 #[test]
 fn numbers_that_json_lacks_are_written_as_text() {
     let request: v1::InsertRequest = read(
-        "InsertRequest",
         r#"{"states": [["NaN", "-Infinity"]], "ids": [9007199254740991, "9223372036854775807"],
             "payloads": ["AP8=", ""], "on_conflict": "REPLACE",
             "neighbor_spec": {"radius": "Infinity", "filter": {"tag_mask": "18446744073709551615"}}}"#,
@@ -87,7 +92,7 @@ fn numbers_that_json_lacks_are_written_as_text() {
         ("7", 7),
     ] {
         let json = format!(r#"{{"on_conflict": {json}}}"#);
-        let request: v1::InsertRequest = read("InsertRequest", &json);
+        let request: v1::InsertRequest = read(&json);
         assert_eq!(request.on_conflict, value);
     }
 }
@@ -106,7 +111,7 @@ fn answers_are_rows_under_the_names_of_the_message() {
         revision: revision("a\"b", 7),
     };
     assert_eq!(
-        write("KnnResponse", &answer),
+        write(&answer),
         concat!(
             r#"{"ids":[[3,"9007199254740992"],[],[4]],"distances":[[0.1,"Infinity"],[],[0.0]],"#,
             r#""states":[[[1.0,-0.0],[0.3,4.0]],[],[[5.0,6.0]]],"payloads":[["AP8=",""],[],[""]],"#,
@@ -120,7 +125,7 @@ fn answers_are_rows_under_the_names_of_the_message() {
         ..Default::default()
     };
     assert_eq!(
-        write("InsertResponse", &answer),
+        write(&answer),
         r#"{"outcomes":["INSERTED","TOO_CLOSE"],"ids":[5,6],"revision":{"uid":"","number":0}}"#
     );
     let answer = v1::WatchResponse {
@@ -141,7 +146,7 @@ fn answers_are_rows_under_the_names_of_the_message() {
         revision: revision("u", 3),
     };
     assert_eq!(
-        write("WatchResponse", &answer),
+        write(&answer),
         concat!(
             r#"{"revision":{"uid":"u","number":3},"mutations":[{"revision":{"uid":"u","number":2},"time_ms":0,"stored":{"ids":[1],"states":[[0.5]],"#,
             r#""tags":["18446744073709551615"],"revisions":[2]},"removed_ids":[],"continued":false,"piece":0,"#,
@@ -177,39 +182,27 @@ fn an_error_names_the_wrong_part() {
             "UNKNOWN_FIELD",
         ),
     ] {
-        let found = refused("KnnRequest", json, &[]);
+        let found = refused::<v1::KnnRequest>(json, &[]);
         assert_eq!((&*found.0, found.1), (field, reason), "{json}");
     }
-    for (name, json, field, reason) in [
+    let inserted = |json| refused::<v1::InsertRequest>(json, &[]);
+    let got = |json| refused::<v1::GetRequest>(json, &[]);
+    let created = |json| refused::<v1::CreateIndexRequest>(json, &[]);
+    let spaces = r#"{"space": {"so2": {}, "so3": {}}}"#;
+    let forms = r#"{"space": {"so3": {}}, "space_text": "SO3"}"#;
+    for (found, field, reason) in [
         (
-            "InsertRequest",
-            r#"{"on_conflict": "KEEP"}"#,
+            inserted(r#"{"on_conflict": "KEEP"}"#),
             "on_conflict",
             "UNKNOWN_VALUE",
         ),
-        (
-            "InsertRequest",
-            r#"{"payloads": ["?"]}"#,
-            "payloads[0]",
-            "TYPE",
-        ),
-        ("GetRequest", r#"{"ids": [1, "x"]}"#, "ids[1]", "TYPE"),
-        ("GetRequest", "[1]", "request", "TYPE"),
-        (
-            "CreateIndexRequest",
-            r#"{"space": {"so2": {}, "so3": {}}}"#,
-            "space.so3",
-            "AMBIGUOUS",
-        ),
-        (
-            "CreateIndexRequest",
-            r#"{"space": {"so3": {}}, "space_text": "SO3"}"#,
-            "space_text",
-            "AMBIGUOUS",
-        ),
+        (inserted(r#"{"payloads": ["?"]}"#), "payloads[0]", "TYPE"),
+        (got(r#"{"ids": [1, "x"]}"#), "ids[1]", "TYPE"),
+        (got("[1]"), "request", "TYPE"),
+        (created(spaces), "space.so3", "AMBIGUOUS"),
+        (created(forms), "space_text", "AMBIGUOUS"),
     ] {
-        let found = refused(name, json, &[]);
-        assert_eq!((&*found.0, found.1), (field, reason), "{json}");
+        assert_eq!((&*found.0, found.1), (field, reason));
     }
 }
 
@@ -238,15 +231,14 @@ fn parameters_say_what_the_message_does_not() {
     }
     .encode_to_vec();
     for (form, payload) in [(Form::Json, &b"[1]"[..]), (Form::Protobuf, &protobuf)] {
-        let request: v1::KnnRequest = form.read("KnnRequest", payload, &parameters).unwrap();
+        let request: v1::KnnRequest = form.read(payload, &parameters).unwrap();
         assert_eq!(request, expected);
-        let again = form.write("KnnRequest", &expected).unwrap();
-        let repeated: v1::KnnRequest = form.read("KnnRequest", &again, &parameters).unwrap();
+        let again = form.write(&expected).unwrap();
+        let repeated: v1::KnnRequest = form.read(&again, &parameters).unwrap();
         assert_eq!(repeated, expected);
     }
     let get: v1::GetRequest = Form::Json
         .read(
-            "GetRequest",
             b"",
             &[("ids", "3,9223372036854775807"), ("include", "payloads")],
         )
@@ -254,9 +246,8 @@ fn parameters_say_what_the_message_does_not() {
     assert_eq!(get.ids, [3, (1 << 63) - 1]);
     assert!(get.include.unwrap().with_payloads);
     let followed = [("from", "7"), ("uid", "u")];
-    let watch = |json: &str, parameters| {
-        Form::Json.read::<v1::WatchRequest>("WatchRequest", json.as_bytes(), parameters)
-    };
+    let watch =
+        |json: &str, parameters| Form::Json.read::<v1::WatchRequest>(json.as_bytes(), parameters);
     for json in ["", r#"{"after_revision":{"uid":"u"}}"#] {
         let read = watch(json, &followed).unwrap();
         assert_eq!(read.after_revision, revision("u", 7));
@@ -268,11 +259,7 @@ fn parameters_say_what_the_message_does_not() {
         assert!(watch(json, &followed).is_err(), "{json}");
     }
     let deletion: v1::DeleteIndexRequest = Form::Json
-        .read(
-            "DeleteIndexRequest",
-            b"{}",
-            &[("index_name", "arm"), ("uid", "u")],
-        )
+        .read(b"{}", &[("index_name", "arm"), ("uid", "u")])
         .unwrap();
     assert_eq!((&*deletion.index_name, &*deletion.uid), ("arm", "u"));
     for (parameters, field, reason) in [
@@ -294,7 +281,7 @@ fn parameters_say_what_the_message_does_not() {
         (&[("index_name", "arm")], "index_name", "UNKNOWN_PARAMETER"),
         (&[("filter", "1")], "filter", "UNKNOWN_PARAMETER"),
     ] {
-        let found = refused("KnnRequest", r#"{"k": 10, "epsilon": 0}"#, parameters);
+        let found = refused::<v1::KnnRequest>(r#"{"k": 10, "epsilon": 0}"#, parameters);
         assert_eq!((&*found.0, found.1), (field, reason), "{parameters:?}");
     }
 }
@@ -303,7 +290,7 @@ fn parameters_say_what_the_message_does_not() {
 fn details_of_errors_are_written_out() {
     let error = invalid("k", "TOO_SMALL", "0");
     let status = crate::status::from_error(&error).to_message();
-    let json: serde_json::Value = serde_json::from_str(&write("Status", &status)).unwrap();
+    let json: serde_json::Value = serde_json::from_str(&write(&status)).unwrap();
     assert_eq!(json["code"], 3);
     assert_eq!(json["details"][0]["reason"], "TOO_SMALL");
     let field = &json["details"][1];
@@ -332,15 +319,15 @@ proptest! {
             }),
             ..Default::default()
         };
-        let json = Form::Json.write("InsertRequest", &request).unwrap();
-        let back: v1::InsertRequest = Form::Json.read("InsertRequest", &json, &[]).unwrap();
+        let json = Form::Json.write(&request).unwrap();
+        let back: v1::InsertRequest = Form::Json.read(&json, &[]).unwrap();
         prop_assert_eq!(back.encode_to_vec(), request.encode_to_vec());
     }
 
     #[test]
     fn no_text_brings_it_down(text in vec(any::<u8>(), 0..60)) {
         for form in [Form::Json, Form::Protobuf] {
-            let _ = form.read::<v1::InsertRequest>("InsertRequest", &text, &[]);
+            let _ = form.read::<v1::InsertRequest>(&text, &[]);
         }
     }
 }

@@ -11,7 +11,7 @@ use super::schema::{self, special};
 const EXACT: u64 = 1 << 53;
 
 /// Writes a message.
-pub(super) fn json(message: &DynamicMessage) -> String {
+pub(in crate::verbs) fn json(message: &DynamicMessage) -> String {
     let mut out = Writer(String::new());
     out.message(message);
     out.0

@@ -6,11 +6,12 @@ use prost_reflect::{DynamicMessage, Kind, ReflectMessage, Value};
 use super::*;
 use crate::{
     extremes::{EXTREMES, requests, variants},
-    quiet::{deadline, own_index, quietly, two_points},
+    own_index::own_index,
+    quiet::{deadline, quietly, two_points},
     service::{Call, Code, Service},
     verbs::{
         Target,
-        codec::parameters::SHORT,
+        codec::{parameters::SHORT, write},
         dispatch,
         verb::{IndexVerb, PointVerb},
     },
@@ -59,7 +60,7 @@ async fn assert_answered(service: &Service, key: &str, request: &Request<'_>) {
 fn request_in<'a>(form: Form, key: &'a str, message: &DynamicMessage) -> Request<'a> {
     let payload = match form {
         Form::Protobuf => message.encode_to_vec(),
-        Form::Json => form.write(message.descriptor().name(), message).unwrap(),
+        Form::Json => write::json(message).into_bytes(),
     };
     Request {
         form,

@@ -140,25 +140,6 @@ impl log::Journal for FaultLog {
         }
         Ok(records)
     }
-
-    fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
-        let mut journal = self.0.lock();
-        let (records, operations) = journal.index(uid)?.outdated(retention);
-        match records + operations {
-            0 => Ok(()),
-            _ => journal.write(Item::Trim(uid, records, operations)),
-        }
-    }
-
-    fn window(&self, uid: Uid) -> Result<Window, LogError> {
-        let journal = self.0.lock();
-        let records = &journal.index(uid)?.records;
-        let bytes = records.iter().map(|record| record.effects().bytes() as u64);
-        Ok(Window {
-            records: records.len() as u64,
-            bytes: bytes.sum(),
-        })
-    }
 }
 
 impl FaultLog {
@@ -253,8 +234,23 @@ impl PointStore for FaultLog {
         }))
     }
 
-    fn trim_applied(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
-        log::Journal::trim(self, uid, retention)
+    fn trim(&self, uid: Uid, retention: &Retention) -> Result<(), LogError> {
+        let mut journal = self.0.lock();
+        let (records, operations) = journal.index(uid)?.outdated(retention);
+        match records + operations {
+            0 => Ok(()),
+            _ => journal.write(Item::Trim(uid, records, operations)),
+        }
+    }
+
+    fn window(&self, uid: Uid) -> Result<Window, LogError> {
+        let journal = self.0.lock();
+        let records = &journal.index(uid)?.records;
+        let bytes = records.iter().map(|record| record.effects().bytes() as u64);
+        Ok(Window {
+            records: records.len() as u64,
+            bytes: bytes.sum(),
+        })
     }
 
     fn operations(&self, uid: Uid) -> Result<Vec<Arc<Operation>>, LogError> {
@@ -262,24 +258,21 @@ impl PointStore for FaultLog {
         Ok(journal.index(uid)?.operations.iter().cloned().collect())
     }
 
-    fn restore(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
+    fn restore(
+        &self,
+        entry: Entry,
+        origin: Origin,
+        replaces: bool,
+    ) -> Result<Box<dyn Restoring>, LogError> {
+        if replaces {
+            self.0.lock().index(entry.uid)?;
+        }
         Ok(Box::new(StagedIndex {
             log: self.clone(),
             entry,
             origin,
             points: BTreeMap::new(),
-            replaces: false,
-        }))
-    }
-
-    fn replace(&self, entry: Entry, origin: Origin) -> Result<Box<dyn Restoring>, LogError> {
-        self.0.lock().index(entry.uid)?;
-        Ok(Box::new(StagedIndex {
-            log: self.clone(),
-            entry,
-            origin,
-            points: BTreeMap::new(),
-            replaces: true,
+            replaces,
         }))
     }
 

@@ -14,8 +14,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::sync::{Semaphore, SemaphorePermit, mpsc, oneshot, watch};
 use wayfold_server::log::{
-    Effects, Journal, LogError, Origin, Receipt, Record, RecordPosition, RecordStream, Retention,
-    Uid, Window,
+    Effects, Journal, LogError, Receipt, Record, RecordPosition, RecordStream, Uid,
 };
 
 /// The fault of one request.
@@ -135,7 +134,8 @@ impl Stream {
     }
 
     fn origin(&self, uid: Uid) -> RecordPosition {
-        self.origins.lock().get(&uid).copied().unwrap_or(START)
+        let origins = self.origins.lock();
+        origins.get(&uid).copied().unwrap_or(RecordPosition::START)
     }
 
     /// The records after the revision `after` that are not trimmed.
@@ -168,11 +168,6 @@ impl Stream {
     }
 }
 
-pub(super) const START: RecordPosition = RecordPosition {
-    revision: Origin::START.revision,
-    digest: Origin::START.digest,
-};
-
 /// A record to publish, and the channel for its outcome.
 type Submission = (Uid, Arc<Record>, oneshot::Sender<Result<(), LogError>>);
 
@@ -200,8 +195,11 @@ impl Remote {
         tokio::spawn(async move {
             while let Some((uid, record, answer)) = waiting.recv().await {
                 turns.acquire().await.unwrap().forget();
-                let foreign = Arc::new(Record::after(START, Effects::new(1)));
-                stream.messages.lock().push((Uid::unique(), foreign));
+                let foreign = Record::after(RecordPosition::START, Effects::new(1));
+                stream
+                    .messages
+                    .lock()
+                    .push((Uid::unique(), Arc::new(foreign)));
                 // Fails if the server has ended.
                 let _ = answer.send(stream.publish(uid, &record));
             }
@@ -298,14 +296,5 @@ impl Journal for Remote {
 
     fn is_shared(&self) -> bool {
         true
-    }
-
-    /// No server trims the records of the others.
-    fn trim(&self, _uid: Uid, _retention: &Retention) -> Result<(), LogError> {
-        Ok(())
-    }
-
-    fn window(&self, _uid: Uid) -> Result<Window, LogError> {
-        Ok(Window::default())
     }
 }

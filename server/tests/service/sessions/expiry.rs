@@ -3,7 +3,7 @@
 use std::{sync::Arc, time::Duration};
 
 use wayfold_server::{
-    log::{Catalogue, Effects, Journal, MemoryLog, Origin, Record, RecordPosition},
+    log::{Catalogue, Effects, Journal, MemoryLog, Record, RecordPosition},
     service::Limits,
 };
 
@@ -16,10 +16,7 @@ fn aged(log: &MemoryLog, by: Duration) -> Arc<MemoryLog> {
     let aged = Arc::new(MemoryLog::new());
     for entry in log.indexes().unwrap() {
         aged.create(entry.clone()).unwrap();
-        let mut position = RecordPosition {
-            revision: Origin::START.revision,
-            digest: Origin::START.digest,
-        };
+        let mut position = RecordPosition::START;
         for record in log.read(entry.uid, None, usize::MAX).unwrap() {
             let time_ms = record.time_ms() - by.as_millis() as u64;
             let effects = Effects::clone(record.effects());

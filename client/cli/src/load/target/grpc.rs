@@ -2,15 +2,16 @@
 
 use std::time::Duration;
 
+use tokio::runtime::Runtime;
 use wayfold::{
     Client, Error, Filter, Include, IndexHandle, Neighbor, RetryPolicy, ServerInfo, Space,
 };
 
-use super::{Address, OwnRuntime, Request, ServerFacts, Target};
+use super::{Address, Request, ServerFacts, Target, own_runtime};
 use crate::failure::Failure;
 
 pub(crate) struct GrpcTarget {
-    runtime: OwnRuntime,
+    runtime: Runtime,
     client: Client,
     /// Its calls are made once: a retry would hide a refusal.
     index: IndexHandle,
@@ -20,7 +21,7 @@ pub(crate) struct GrpcTarget {
 
 impl GrpcTarget {
     pub(super) fn open(address: &Address, index: &str, timeout: Duration) -> Result<Self, Failure> {
-        let runtime = OwnRuntime::new()?;
+        let runtime = own_runtime()?;
         let server = &*address.server;
         let builder = Client::builder()
             .timeout(timeout)
@@ -80,7 +81,7 @@ impl GrpcTarget {
 }
 
 impl Target for GrpcTarget {
-    fn runtime(&self) -> &tokio::runtime::Runtime {
+    fn runtime(&self) -> &Runtime {
         &self.runtime
     }
 

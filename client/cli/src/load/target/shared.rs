@@ -2,14 +2,15 @@
 
 use std::time::Duration;
 
+use tokio::runtime::Runtime;
 use wayfold::{Error, Index, InsertOptions, Neighbor, Search, Space};
 
-use super::{Address, OwnRuntime, Request, ServerFacts, Target};
+use super::{Address, Request, ServerFacts, Target, own_runtime};
 use crate::{failure::Failure, load::error::LoadError};
 
 pub(crate) struct SharedTarget {
     /// For waiting: the index has a thread of its own.
-    runtime: OwnRuntime,
+    runtime: Runtime,
     index: Index,
     /// The writes that the server has refused for good.
     refused: u64,
@@ -27,7 +28,7 @@ impl SharedTarget {
             Some(prefix) => over_zenoh(address, prefix, index)?,
         };
         Ok(SharedTarget {
-            runtime: OwnRuntime::new()?,
+            runtime: own_runtime()?,
             index: index
                 .timeout(timeout)
                 .credentials(address.credentials.clone())
@@ -63,7 +64,7 @@ impl SharedTarget {
 }
 
 impl Target for SharedTarget {
-    fn runtime(&self) -> &tokio::runtime::Runtime {
+    fn runtime(&self) -> &Runtime {
         &self.runtime
     }
 

@@ -1,11 +1,13 @@
 //! The points of an index as a forest.
 
-use futures_util::{TryStreamExt, stream::BoxStream};
+use futures_util::{StreamExt, TryStreamExt, stream::BoxStream};
 use tokio::time::{Instant, sleep_until};
 use wayfold_index::{Forest, ForestOptions, PointRef, Points, Space};
 
-use super::{Link, Transport, protocol};
-use crate::{Error, Include, index::shared::served_index::ServedIndex};
+use super::{Link, Transport, handle};
+use crate::{Error, Include, IndexInfo};
+
+const CALL: &str = "scan";
 
 /// The columns of a copy.
 pub(super) const COLUMNS: Include = Include::none().states().tags();
@@ -27,7 +29,7 @@ impl Link {
     /// All points of the index and their revision. The changes of the forest are `at`.
     pub(in crate::index::shared) async fn load(
         &self,
-        index: &ServedIndex,
+        index: &IndexInfo,
         at: u64,
     ) -> Result<(Forest, u64), Error> {
         let (mut ended, mut refused) = (0, 0);
@@ -44,21 +46,27 @@ impl Link {
                 read => break read?,
             }
         };
-        let space = index.space().clone();
+        let space = index.space.clone();
         let building = tokio::task::spawn_blocking(move || build(&space, points, at));
         let built = building.await;
-        let forest =
-            built.map_err(|error| protocol(format!("its points cannot be built: {error}")))?;
+        let forest = built.map_err(|error| {
+            Error::protocol(CALL, format!("its points cannot be built: {error}"))
+        })?;
         Ok((forest?, revision))
     }
 
-    async fn read_all(&self, index: &ServedIndex, at: u64) -> Result<(Points, u64), Error> {
-        let mut parts = match &self.transport {
-            Transport::Grpc(link) => link.scan(index).await?,
+    async fn read_all(&self, index: &IndexInfo, at: u64) -> Result<(Points, u64), Error> {
+        let mut parts: Parts = match &self.transport {
+            Transport::Grpc(client) => {
+                let scan = handle(client, index, 0).scan().include(COLUMNS).await?;
+                let total = scan.point_count();
+                let parts = scan.into_stream();
+                parts.map_ok(move |points| Part { points, total }).boxed()
+            }
             #[cfg(feature = "zenoh")]
             Transport::Zenoh(link) => link.scan(index),
         };
-        let mut points = Points::new(index.coordinates());
+        let mut points = Points::new(index.coordinate_count);
         let (mut revision, mut announced) = (0, 0);
         while let Some(part) = parts.try_next().await? {
             (revision, announced) = (part.points.revision().number, part.total);
@@ -76,9 +84,8 @@ impl Link {
         }
         if points.len() as u64 != announced {
             let found = points.len();
-            return Err(protocol(format!(
-                "a scan of {found} points that announced {announced}"
-            )));
+            let problem = format!("a scan of {found} points that announced {announced}");
+            return Err(Error::protocol(CALL, problem));
         }
         Ok((points, revision))
     }
@@ -97,7 +104,7 @@ fn is_scan_limit(error: &Error) -> bool {
 fn build(space: &Space, points: Points, at: u64) -> Result<Forest, Error> {
     let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
     let applied = forest.apply(at, &points, &[]);
-    applied.map_err(|error| protocol(error.to_string()))?;
+    applied.map_err(|error| Error::protocol(CALL, error.to_string()))?;
     drop(points);
     forest.settle();
     Ok(forest)

@@ -17,10 +17,7 @@ use zenoh::{
 };
 
 use super::zenoh::{ZenohLink, decode, lost};
-use crate::{
-    Code, Error, Include, Refusal, Watch, index::shared::served_index::ServedIndex,
-    net::request::WatchStart,
-};
+use crate::{Code, Error, Include, IndexInfo, Refusal, Watch, net::request::WatchStart};
 
 const CALL: &str = "watch";
 
@@ -34,7 +31,7 @@ const MAX_WAITING: usize = 256;
 /// out the points of `own_session` there.
 pub(super) async fn watch(
     link: ZenohLink,
-    index: Arc<ServedIndex>,
+    index: Arc<IndexInfo>,
     after: u64,
     own_session: u64,
     quiet: Duration,
@@ -45,7 +42,7 @@ pub(super) async fn watch(
     let events = events.with(RingChannel::new(MAX_WAITING)).await;
     let start = WatchStart {
         uid: Arc::clone(index.uid()),
-        coordinates: index.coordinates(),
+        coordinates: index.coordinate_count,
         include: Include::points(),
         after: Some(after),
         timeout: link.timeout,
@@ -72,7 +69,7 @@ pub(super) async fn watch(
 struct Feed {
     link: ZenohLink,
     events: Subscriber<RingChannelHandler<Sample>>,
-    index: Arc<ServedIndex>,
+    index: Arc<IndexInfo>,
     own_session: u64,
     quiet: Duration,
     /// The number of the newest revision that arrived whole.

@@ -18,14 +18,14 @@ use zenoh::{
 };
 
 use super::{
-    call::{Call, Key},
     is_transient,
     load::{COLUMNS, Part, Parts},
     publications,
 };
 use crate::{
-    Credentials, Error, Points, Refusal, RetryPolicy, Revision, Watch,
-    index::{runtime::spawn, shared::served_index::ServedIndex},
+    Credentials, Error, IndexInfo, Points, Refusal, RetryPolicy, Revision, Watch,
+    index::runtime::spawn,
+    net::call::{Call, Key},
 };
 
 /// The time without a publication after which the index's log is read: the last one may be lost.
@@ -111,7 +111,7 @@ impl ZenohLink {
     /// Watches an index after a revision. The points that `own_session` stores may be left out.
     pub(super) async fn watch(
         &self,
-        index: &Arc<ServedIndex>,
+        index: &Arc<IndexInfo>,
         after: u64,
         own_session: u64,
     ) -> Result<Watch, Error> {
@@ -126,7 +126,7 @@ impl ZenohLink {
     }
 
     /// All points of an index, page by page.
-    pub(super) fn scan(&self, index: &ServedIndex) -> Parts {
+    pub(super) fn scan(&self, index: &IndexInfo) -> Parts {
         let request = v1::ScanRequest {
             include: COLUMNS.to_message(),
             min_revision: Some(index.revision_at(0).to_message()),
@@ -134,7 +134,7 @@ impl ZenohLink {
         };
         let pages = Pages {
             link: self.clone(),
-            coordinates: index.coordinates(),
+            coordinates: index.coordinate_count,
             uid: Arc::clone(index.uid()),
             revision: None,
             next: Some(request),
@@ -245,10 +245,8 @@ impl Pages {
         let is_last = page.held_scan.is_empty();
         // A page without points that is not the last would be followed by the same one.
         if is_other || !is_last && last <= request.after_id {
-            return Err(Error::Protocol {
-                call: CALL,
-                problem: format!("a page of revision {revision} that does not follow"),
-            });
+            let problem = format!("a page of revision {revision} that does not follow");
+            return Err(Error::protocol(CALL, problem));
         }
         self.revision = Some(revision);
         if !is_last {
@@ -282,8 +280,5 @@ pub(super) fn lost(call: &'static str, key: &str, why: impl ToString) -> Error {
 }
 
 pub(super) fn decode<M: Message + Default>(call: &'static str, payload: &[u8]) -> Result<M, Error> {
-    M::decode(payload).map_err(|error| Error::Protocol {
-        call,
-        problem: format!("over Zenoh: {error}"),
-    })
+    M::decode(payload).map_err(|error| Error::protocol(call, format!("over Zenoh: {error}")))
 }

@@ -9,7 +9,7 @@ use crate::log::{
     LogError,
     fjall::{
         MARKS, STORE,
-        journal::{self, Journal},
+        journal::{self, StoreJournal},
         store::shut,
         sync_marks::Marks,
         unclean_marker,
@@ -35,10 +35,10 @@ impl Engine {
         self.sweeper.stop();
         self.store.close();
         for index in self.indexes.read().values() {
-            index.end_followers(LogError::Closed);
+            index.close(LogError::Closed);
         }
         save_manifest(&self.directory);
-        if synced.is_ok() && self.failure().is_none() {
+        if synced.is_ok() && self.failure.get().is_none() {
             // Without the marker the next start rewrites the journal.
             if let Err(error) = journal::mark_synced(&self.directory) {
                 debug!(%error, "cannot mark the journal as synced");
@@ -48,7 +48,7 @@ impl Engine {
 
     /// Syncs everything and writes the sync marks.
     fn sync_all(&self) -> Result<(), LogError> {
-        Journal::new(Arc::clone(&self.store), self.directory.join(STORE)).sync()?;
+        StoreJournal::new(Arc::clone(&self.store), self.directory.join(STORE)).sync()?;
         let indexes: Vec<_> = self.indexes.read().values().cloned().collect();
         let marked = Marks::open(&self.directory.join(MARKS))
             .and_then(|(mut marks, _)| write_marks(&mut marks, &indexes))

@@ -130,9 +130,9 @@ impl Index {
         state.forgotten.clear();
         state.sessions.apply_changes(changes);
         for record in records {
-            state.remember(record);
+            state.count_record(record);
             if let Some(operation) = record.effects().operation() {
-                state.remember_operation(record.revision(), operation);
+                state.count_operation(record.revision(), operation);
             }
         }
         state.head = head;

@@ -58,7 +58,7 @@ fn found(damage: impl FnOnce(&Handles, &[Arc<Record>])) -> Option<String> {
     }
     drop(handles);
     let error = index.pin(&store).err()?;
-    assert_eq!(index.closed(), Some(error.clone()));
+    assert_eq!(index.durable(), Err(error.clone()));
     Some(error.to_string())
 }
 

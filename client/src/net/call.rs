@@ -3,11 +3,11 @@
 use tonic::{Request, Response, Status};
 use wayfold_proto::v1;
 
-use crate::net::connections::Connection;
+use super::connections::Connection;
 
 /// The end of a call's key over Zenoh.
 #[cfg(feature = "zenoh")]
-pub(super) enum Key {
+pub(crate) enum Key {
     /// Under the prefix.
     Server(&'static str),
     /// Under the name of the index.
@@ -15,7 +15,7 @@ pub(super) enum Key {
 }
 
 /// The request of a call.
-pub(super) trait Call: prost::Message + Clone {
+pub(crate) trait Call: prost::Message + Clone {
     type Answer: prost::Message + Default;
     /// Its name in errors.
     const NAME: &'static str;
@@ -50,8 +50,15 @@ macro_rules! calls {
 calls! {
     GetServerRequest, GetServerResponse, indexes.get_server, Key::Server("server");
     CreateIndexRequest, CreateIndexResponse, indexes.create_index, Key::Server("create");
+    ListIndexesRequest, ListIndexesResponse, indexes.list_indexes, Key::Server("list");
+    DeleteIndexRequest, DeleteIndexResponse, indexes.delete_index, Key::Server("delete");
     GetIndexRequest, GetIndexResponse, indexes.get_index, Key::Index("info");
     OpenSessionRequest, OpenSessionResponse, points.open_session, Key::Index("session");
     WriteRequest, WriteResponse, points.write, Key::Index("write");
+    InsertRequest, InsertResponse, points.insert, Key::Index("insert");
+    UpdateRequest, UpdateResponse, points.update, Key::Index("update");
+    RemoveRequest, RemoveResponse, points.remove, Key::Index("remove");
     GetRequest, GetResponse, points.get, Key::Index("get");
+    KnnRequest, KnnResponse, points.knn, Key::Index("knn");
+    QueryRequest, QueryResponse, points.query, Key::Index("query");
 }
