@@ -159,7 +159,8 @@ pub enum Error {
         done: usize,
         /// The number of rows to send.
         rows: usize,
-        /// The ids under which an insert stored these rows, as far as their answers were read; empty for other mutations.
+        /// The ids under which an insert stored these rows, as far as their answers were read; none for rows that
+        /// `min_separation` left out, and empty for other mutations.
         ids: Vec<u64>,
         /// The error of the next call; `OUT_OF_RANGE` if the client did not read the answer, which is above its limit.
         source: Box<Error>,

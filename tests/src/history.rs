@@ -119,9 +119,9 @@ pub fn digest(of: &(impl Hash + ?Sized)) -> u64 {
 /// A contradiction in a history.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Violation {
-    /// A read lacks the effect of a mutation that was acknowledged.
+    /// A read lacks the effect of a mutation that was acknowledged, or a mutation was told that there is nothing to change.
     Lost {
-        /// The revision of the read.
+        /// The revision of the read, or of the answer.
         read: u64,
         /// The point.
         id: u64,

@@ -75,6 +75,7 @@ void partial(const std::string &uri, pid_t server) {
     // Another error changed nothing.
     try {
         index.insert_many(states.data(), states.size());
+        CHECK(false);
     } catch (const wayfold::Error &closed) {
         CHECK(closed.reason() == "CLOSED" && closed.rows_done() == 0 && closed.ids().empty());
     }

@@ -117,7 +117,8 @@ public:
     }
     // `states` are rows, one after the other. An index in memory stores all or none. The other forms may divide many rows,
     // and a part may fail after others were stored: the reason of the error is PARTIAL then, and it has the number and the
-    // ids of the stored rows. Repeat only the rows after them: a repeated row is a second point.
+    // ids of the stored rows. Repeat only the rows after them: a repeated row is a second point. `wayfold_index_insert` says
+    // when the next rows may be stored too.
     std::vector<std::uint64_t> insert_many(const double *states, std::size_t count) const {
         std::vector<std::uint64_t> ids(count);
         detail::check(wayfold_index_insert(raw(), states, count, width_, ids.data()), ids.data());

@@ -162,7 +162,9 @@ impl Index {
     ///
     /// # Errors
     /// Those of [`Index::insert`]; the row in the error is the state's. Nothing is stored then, except with
-    /// [`Error::Partial`]: rows before the failed part are stored, under the ids in the error.
+    /// [`Error::Partial`]: rows before the failed part are stored, under the ids in the error. After
+    /// [`Error::WritesRefused`] the rows that the server had not taken are in [`Index::take_unsent`], and after
+    /// [`Error::Closed`] in the result of [`Index::close`].
     pub fn insert_many<S: State>(
         &self,
         states: impl IntoIterator<Item = S>,

@@ -1,8 +1,9 @@
 //! The asynchronous client: a connection to a server, and its calls.
 //!
 //! `client` makes the calls on its `connections`, and `handle` is an index; `call` lists the calls with one answer, and
-//! `request` has a file for each request. `limits` divides what is too large for one call, `retry` repeats a call that found no server, and `newest` remembers the
-//! newest revisions. The other files hold the types of requests and answers.
+//! `request` has a file for each request. `limits` divides what is too large for one call, `retry` repeats a call that
+//! found no server, and `newest` remembers the newest revisions. The other files hold the types of requests and
+//! answers.
 
 pub(crate) mod call;
 pub(crate) mod client;

@@ -111,7 +111,8 @@ impl CallTurns {
             // Others may have come since the last slice.
             let go_on = |next| match next {
                 TurnRequest::Granted(turn) => {
-                    self.flow.turns.yield_turn(turn, Duration::ZERO, self.stage)
+                    let (turns, now) = (&self.flow.turns, Instant::now());
+                    turns.yield_turn(turn, Duration::ZERO, self.stage, now)
                 }
                 waits => waits,
             };
@@ -156,7 +157,8 @@ impl CallTurns {
             .take()
             .is_some_and(|waker| waker.will_wake(context.waker()));
         if polled.is_pending() && goes_on {
-            let next = self.flow.turns.yield_turn(turn, took, self.stage);
+            let (turns, now) = (&self.flow.turns, self.requested_at);
+            let next = turns.yield_turn(turn, took, self.stage, now);
             self.has_yielded = matches!(next, TurnRequest::Granted(_));
             self.next = Some(next);
         } else {

@@ -3,10 +3,10 @@
 //! Without it, all admitted calls would share the threads alike: under overload each of them is late, and the queue
 //! stands where no code measures it. A call takes a turn for each slice of its work and gives it up whenever it waits.
 //!
-//! - *Fair:* the flow that has computed least goes first, to within [`MAX_WHOLE`] (start-time fair queueing). A flow that
-//!   was idle gets no credit for that. P. Goyal, H. M. Vin, H. Cheng, *Start-time Fair Queuing*, SIGCOMM 1996.
-//! - *Whole:* a call keeps its turn for [`MAX_WHOLE`] of work if only calls of many turns wait. In turns, the calls of
-//!   many connections would all end late.
+//! - *Fair:* the flow that has computed least goes first (start-time fair queueing). A flow that was idle gets no credit
+//!   for that. P. Goyal, H. M. Vin, H. Cheng, *Start-time Fair Queuing*, SIGCOMM 1996.
+//! - *Whole:* a call keeps its turn for [`MAX_WHOLE`] of work while all calls that wait are of many turns too. If they took
+//!   turns, the calls of many connections would all end late.
 //! - *First come, first served* within a flow. Calls that take longer than [`MAX_AT_ONCE`] wait apart after that time of
 //!   work, and these and the others of the flow take turns: a short call does not wait for all long ones.
 //! - *Measured:* a call that has not begun is refused once it has waited for too long: for the time of a burst, or for
@@ -41,7 +41,7 @@ pub(crate) struct Overloaded(pub(crate) Duration);
 /// A call yields to the others of its flow after this much work.
 pub(super) const MAX_AT_ONCE: Duration = Duration::from_millis(25);
 
-/// A call goes on before others of many turns until it has done this much work.
+/// A call keeps its turn before others of many turns until it has done this much work.
 pub(super) const MAX_WHOLE: Duration = Duration::from_millis(4);
 
 /// The result of the wait for a turn.
@@ -89,8 +89,8 @@ impl Turns {
                 free: threads.max(1).saturating_mul(SHORT_TURNS),
                 flows: Default::default(),
                 order: Default::default(),
-                places: 0,
                 clock_ns: 0,
+                many_ns: 0,
                 new: 0,
                 was_empty: Instant::now(),
                 trend: Trend::new(Instant::now()),
@@ -125,10 +125,8 @@ impl Turns {
     /// Removes a flow whose calls have ended.
     pub(super) fn close(&self, flow: FlowNumber) {
         let mut state = self.state.lock();
-        if let Some(closed) = state.flows.remove(&flow) {
-            if let Some(place) = closed.place {
-                state.order.remove(&place);
-            }
+        if let Some(mut closed) = state.flows.remove(&flow) {
+            state.order.remove(&mut closed);
             let is_new = |waiting: &&Waiter| waiting.stage == Stage::New;
             state.new -= closed.waiting.iter().filter(is_new).count();
         }
@@ -169,15 +167,15 @@ impl Turns {
         mut turn: Turn,
         took: Duration,
         stage: Stage,
+        now: Instant,
     ) -> TurnRequest {
-        let now = Instant::now();
         let mut state = self.state.lock();
         state.charge(turn.flow, took);
         state.note_empty(now);
         // A turn that goes on is a long one.
         let more = SHORT_TURNS - turn.size;
         let goes_on = match stage {
-            Stage::Begun => state.lets_go_on(),
+            Stage::Begun => !state.order.has_brief(),
             _ => state.order.is_empty(),
         };
         if goes_on && state.free >= more {

@@ -16,8 +16,10 @@ use crate::{
 /// Stores `count` states and writes their ids, which ascend; `ids` may be null. An index in memory stores all or none.
 /// The other forms may divide many rows, and a part may fail after others were stored. The reason is "PARTIAL" then,
 /// the code is that of the part, `wayfold_error_rows_done` tells how many rows are stored, from the first on, and `ids`
-/// gets the ids of these. Repeat only the rows after them: a repeated row is a second point. The outcome of the failed
-/// part of a remote insert is unknown after `DEADLINE_EXCEEDED`, as after every such call.
+/// gets the ids of these. Repeat only the rows after them: a repeated row is a second point. The next rows of a remote
+/// insert may be stored too if the code is `DEADLINE_EXCEEDED`, `CANCELLED`, `UNKNOWN`, `INTERNAL`, `DATA_LOSS` or
+/// `UNAVAILABLE`: look before you repeat them. If a shared index was closed, or the server refused its writes, the
+/// error has that reason, and the rows that the server had not taken are among the unsent writes.
 ///
 /// Thread-safe.
 ///

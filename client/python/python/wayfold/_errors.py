@@ -8,8 +8,8 @@ from collections.abc import Sequence
 class Error(Exception):
     """The error of a call. `code` is the gRPC status code or the nearest one, `reason` the server's reason or empty.
 
-    The reason PARTIAL means that an insert of many rows stored the first `done` of them, under `ids`, before it failed.
-    Otherwise `done` is 0.
+    The reason PARTIAL means that an insert stored the first `done` of its rows, under `ids`, before it failed; `ids` is
+    empty if the answer was too large to read. Otherwise `done` is 0.
     """
 
     def __init__(

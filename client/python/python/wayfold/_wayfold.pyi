@@ -224,7 +224,10 @@ class Index:
 
         An index in memory stores all or none. The other forms may divide many rows, and a part may fail after others were
         stored. The `reason` of the error is PARTIAL then, and its `done` and `ids` tell the stored rows, from the first
-        on. Repeat only the rows after them: a repeated row is a second point.
+        on. Repeat only the rows after them: a repeated row is a second point. The next rows of a remote insert may be
+        stored too if the `code` is DEADLINE_EXCEEDED, CANCELLED, UNKNOWN, INTERNAL, DATA_LOSS or UNAVAILABLE: look before
+        you repeat them. If a shared index was closed, or the server refused its writes, the error has that reason, and the
+        rows that the server had not taken are among the unsent writes.
         """
     def remove(self, id: int) -> bool:
         """Removes a point. False if there is none with this id."""

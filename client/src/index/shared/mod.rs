@@ -246,9 +246,10 @@ impl NearestNeighbors for SharedIndex {
             let done = ids.len();
             if let Err(error) = self.insert_rows(part, tag, &mut ids) {
                 ids.truncate(done);
-                return Err(match done {
-                    0 => error,
-                    done => Error::Partial {
+                return Err(match (done, error) {
+                    // The rows that the server had not taken are among the writes to take back.
+                    (0, error) | (_, error @ (Error::WritesRefused { .. } | Error::Closed)) => error,
+                    (done, error) => Error::Partial {
                         done,
                         rows: count,
                         ids,

@@ -1,5 +1,7 @@
 //! Loads on one thread, in simulated time: bursts are answered whole, and under lasting load no call waits for long.
 
+use std::collections::VecDeque;
+
 use super::*;
 
 const MS: Duration = Duration::from_millis(1);
@@ -119,4 +121,125 @@ fn load_that_ends_is_forgotten() {
     assert!(overload.refused > 0);
     let both = simulate(9 * MS, arrivals);
     assert_eq!(both.refused, overload.refused);
+}
+
+/// A caller that asks again as soon as it has an answer.
+#[derive(Debug)]
+struct Caller {
+    flow: FlowNumber,
+    /// The work of each of its calls, and what is left of the one under way.
+    work: Duration,
+    left: Duration,
+    /// The time at which it asks next, and that at which it asked.
+    asks_at: Option<Duration>,
+    asked_at: Duration,
+    /// The times until its calls ended.
+    times: Vec<Duration>,
+    refused: usize,
+}
+
+/// Callers in a closed loop, whose calls take these times, in slices. The next call goes over the next flow, or each caller
+/// has a flow of its own if there are none given.
+fn closed_loop(works: &[Duration], flows: usize, time: Duration) -> Vec<Caller> {
+    const SLICE: Duration = Duration::from_micros(500);
+    let turns = Turns::new(1, TARGET, BURST);
+    let shared: Vec<FlowNumber> = (0..flows).map(|_| turns.open()).collect();
+    let mut next_flow = shared.iter().cycle();
+    let caller = |&work| Caller {
+        flow: turns.open(),
+        work,
+        left: work,
+        asks_at: Some(Duration::ZERO),
+        asked_at: Duration::ZERO,
+        times: Vec::new(),
+        refused: 0,
+    };
+    let mut callers: Vec<Caller> = works.iter().map(caller).collect();
+    let (began, mut at) = (Instant::now(), Duration::ZERO);
+    let mut computing: VecDeque<(usize, Turn)> = VecDeque::new();
+    let mut waiting: Vec<(usize, oneshot::Receiver<Granted>)> = Vec::new();
+    while at < time {
+        for (number, caller) in callers.iter_mut().enumerate() {
+            let Some(asks_at) = caller.asks_at.take_if(|asks_at| *asks_at <= at) else {
+                continue;
+            };
+            caller.asked_at = asks_at;
+            caller.flow = next_flow.next().copied().unwrap_or(caller.flow);
+            match turns.request(caller.flow, Stage::New, Duration::ZERO, began + asks_at) {
+                Ok(TurnRequest::Granted(turn)) => computing.push_back((number, turn)),
+                Ok(TurnRequest::Waits(granted)) => waiting.push((number, granted)),
+                Err(Overloaded(_)) => caller.refuse(at),
+            }
+        }
+        if let Some((number, mut turn)) = computing.pop_front() {
+            let caller = &mut callers[number];
+            let took = caller.left.min(SLICE);
+            at += took;
+            caller.left -= took;
+            if caller.left.is_zero() {
+                turn.turns = None;
+                turns.release(turn.flow, turn.size, took, began + at);
+                caller.times.push(at - caller.asked_at);
+                (caller.left, caller.asks_at) = (caller.work, Some(at));
+            } else {
+                let stage = match caller.work - caller.left < MAX_WHOLE {
+                    true => Stage::Begun,
+                    false => Stage::Resumed,
+                };
+                match turns.yield_turn(turn, took, stage, began + at) {
+                    TurnRequest::Granted(turn) => computing.push_back((number, turn)),
+                    TurnRequest::Waits(granted) => waiting.push((number, granted)),
+                }
+            }
+        } else {
+            at += SLICE;
+        }
+        waiting.retain_mut(|(number, granted)| match granted.try_recv() {
+            Ok(Ok(turn)) => {
+                computing.push_back((*number, turn));
+                false
+            }
+            Ok(Err(Overloaded(_))) => {
+                callers[*number].refuse(at);
+                false
+            }
+            Err(_) => true,
+        });
+    }
+    callers
+}
+
+impl Caller {
+    fn refuse(&mut self, at: Duration) {
+        self.refused += 1;
+        self.asks_at = Some(at + TARGET);
+    }
+}
+
+#[test]
+fn long_calls_and_short_ones_share_the_time() {
+    for (short, long) in [(64, 1), (64, 4), (64, 16), (16, 4), (4, 16)] {
+        let mut works = vec![Duration::from_micros(40); short];
+        works.resize(short + long, 3 * MS);
+        let (time, all) = (6 * BURST, (short + long) as u32);
+        for caller in closed_loop(&works, 0, time) {
+            let share = caller.work * caller.times.len() as u32;
+            assert!(share >= time / all * 3 / 4, "{short} and {long}: {share:?}");
+            assert_eq!(caller.refused, 0, "{short} and {long}");
+        }
+    }
+}
+
+#[test]
+fn calls_within_the_capacity_are_served_as_they_come() {
+    for callers in [16, 50] {
+        let works: Vec<Duration> = (0..callers).map(|n| MS * (10 + n % 5) / 16).collect();
+        let callers = closed_loop(&works, 50, 4 * BURST);
+        let round: Duration = works.iter().sum();
+        for caller in callers {
+            assert_eq!(caller.refused, 0);
+            let longest = caller.times.iter().max().unwrap();
+            assert!(*longest < round * 3, "{longest:?} of {round:?}");
+        }
+    }
 }

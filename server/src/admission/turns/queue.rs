@@ -15,27 +15,27 @@ pub(super) const SHORT_TURNS: usize = 128;
 /// A flow whose turns take longer on average has long turns.
 const MAX_SHORT_NS: u64 = 50_000;
 
-/// A flow whose turns take longer on average has calls of many turns. Others go before it if they are even.
+/// A flow whose turns take longer on average has calls of many turns.
 const MAX_BRIEF_NS: u64 = 200_000;
+
+/// Flows of few turns may have used this much more than those of many, and go before them: otherwise one that asks now
+/// and then would wait for all that have used as much.
+const HEAD_START_NS: u64 = 100_000;
 
 /// The mean of a flow's turns covers about this many of them.
 const MEAN_TURNS: u64 = 8;
-
-/// Flows that have computed for equal times are even, in steps of this: their calls are served as they come, and those of
-/// few turns first. Otherwise the second call of a flow would wait for a call of each other one.
-const EVEN_NS: u64 = super::MAX_WHOLE.as_nanos() as u64;
 
 #[derive(Debug)]
 pub(super) struct State {
     /// The free short turns. A long one takes [`SHORT_TURNS`] of them.
     pub(super) free: usize,
     pub(super) flows: HashMap<FlowNumber, Flow>,
-    /// The flows with waiting calls, in the order of their turns.
-    pub(super) order: BTreeMap<Place, FlowNumber>,
-    /// The places in it that were given so far.
-    pub(super) places: u64,
+    pub(super) order: Order,
     /// The greatest `used_ns` at which a turn began.
     pub(super) clock_ns: u64,
+    /// The greatest `used_ns` of a flow of many turns. One that was idle begins there, so that those which use the same
+    /// are served as their calls come: otherwise the second call of one would wait for a call of each other.
+    pub(super) many_ns: u64,
     /// The waiting calls that have not begun.
     pub(super) new: usize,
     /// The last time that there were none.
@@ -48,8 +48,18 @@ pub(super) struct State {
     pub(super) refused: u64,
 }
 
-/// The place of a flow in the order: its `used_ns` in steps of [`EVEN_NS`], whether its calls take many turns, and how
-/// many places were given before.
+/// The flows with waiting calls, in the order of their turns.
+#[derive(Debug, Default)]
+pub(super) struct Order {
+    flows: BTreeMap<Place, FlowNumber>,
+    /// The places that were given so far.
+    places: u64,
+    /// The flows of few turns.
+    brief: usize,
+}
+
+/// The place of a flow in the order: its `used_ns` without its head start, whether its calls take many turns, and how many
+/// places were given before.
 pub(super) type Place = (u64, bool, u64);
 
 #[derive(Debug, Default)]
@@ -82,7 +92,7 @@ pub(super) struct Waiter {
 pub(in crate::admission) enum Stage {
     /// It has not begun, and can be refused.
     New,
-    /// It has computed for less than [`super::MAX_WHOLE`], and goes on before flows whose calls take many turns.
+    /// It has computed for less than [`super::MAX_WHOLE`], and keeps its turn if all flows that wait are of many turns.
     Begun,
     /// It goes on before the other calls of its flow.
     Resumed,
@@ -104,18 +114,8 @@ impl Flow {
         self.mean_ns.is_some_and(|mean_ns| mean_ns > limit_ns)
     }
 
-    /// Takes its place in the order, behind the flows that are even with it.
-    fn take_place(
-        &mut self,
-        number: FlowNumber,
-        order: &mut BTreeMap<Place, FlowNumber>,
-        places: &mut u64,
-    ) {
-        let of_many = self.takes_longer(MAX_BRIEF_NS);
-        let place = (self.used_ns / EVEN_NS, of_many, *places);
-        *places += 1;
-        order.insert(place, number);
-        self.place = Some(place);
+    fn is_of_many(&self) -> bool {
+        self.takes_longer(MAX_BRIEF_NS)
     }
 
     /// True if none of its calls waits.
@@ -149,6 +149,42 @@ impl Flow {
     }
 }
 
+impl Order {
+    pub(super) fn is_empty(&self) -> bool {
+        self.flows.is_empty()
+    }
+
+    /// True if a flow of few turns waits.
+    pub(super) fn has_brief(&self) -> bool {
+        self.brief > 0
+    }
+
+    /// Gives `flow` its place, behind the others that have used as much.
+    fn insert(&mut self, number: FlowNumber, flow: &mut Flow) {
+        let is_of_many = flow.is_of_many();
+        let head_start_ns = if is_of_many { 0 } else { HEAD_START_NS };
+        let place = (
+            flow.used_ns.saturating_sub(head_start_ns),
+            is_of_many,
+            self.places,
+        );
+        self.places += 1;
+        self.brief += usize::from(!is_of_many);
+        self.flows.insert(place, number);
+        flow.place = Some(place);
+    }
+
+    /// Takes `flow` out; false if it was not in.
+    pub(super) fn remove(&mut self, flow: &mut Flow) -> bool {
+        let Some(place) = flow.place.take() else {
+            return false;
+        };
+        self.brief -= usize::from(!place.1);
+        self.flows.remove(&place);
+        true
+    }
+}
+
 impl State {
     /// Notes the time, if no call waits that has not begun.
     pub(super) fn note_empty(&mut self, now: Instant) {
@@ -162,7 +198,7 @@ impl State {
     pub(super) fn begin(&mut self, flow: FlowNumber) {
         let flow = self.flows.entry(flow).or_default();
         flow.used_ns = flow.used_ns.max(self.clock_ns);
-        self.clock_ns = self.clock_ns.max(flow.used_ns);
+        self.clock_ns = flow.used_ns;
     }
 
     pub(super) fn enqueue(
@@ -173,8 +209,12 @@ impl State {
     ) -> oneshot::Receiver<Granted> {
         let flow = self.flows.entry(number).or_default();
         if flow.place.is_none() {
-            flow.used_ns = flow.used_ns.max(self.clock_ns);
-            flow.take_place(number, &mut self.order, &mut self.places);
+            let begins_ns = match stage {
+                Stage::New if flow.is_of_many() => self.clock_ns.max(self.many_ns),
+                _ => self.clock_ns,
+            };
+            flow.used_ns = flow.used_ns.max(begins_ns);
+            self.order.insert(number, flow);
         }
         let (granted, receiver) = oneshot::channel();
         let waiting = Waiter {
@@ -195,7 +235,7 @@ impl State {
 
     /// Takes the next call out of the queue if there is a turn for it.
     pub(super) fn next(&mut self, now: Instant) -> Option<(FlowNumber, usize, Waiter)> {
-        let (&place, &number) = self.order.first_key_value()?;
+        let (&(place_ns, ..), &number) = self.order.flows.first_key_value()?;
         let stage = self.flows.get(&number)?.next_stage()?;
         let size = self.size(number, stage);
         self.free = self.free.checked_sub(size)?;
@@ -206,17 +246,10 @@ impl State {
             flow.last_wait = now.saturating_duration_since(next.since);
         }
         if flow.is_idle() {
-            self.order.remove(&place);
-            flow.place = None;
+            self.order.remove(flow);
         }
-        self.clock_ns = self.clock_ns.max(flow.used_ns);
+        self.clock_ns = self.clock_ns.max(place_ns);
         Some((number, size, next))
-    }
-
-    /// True if a call that has just begun goes on before those that wait: theirs take many turns too.
-    pub(super) fn lets_go_on(&self) -> bool {
-        let first = self.order.first_key_value();
-        first.is_none_or(|(&(_, of_many, _), _)| of_many)
     }
 
     /// True if the turns of this flow are known to be long.
@@ -243,9 +276,11 @@ impl State {
         flow.used_ns = flow.used_ns.saturating_add(took_ns);
         let mean_ns = flow.mean_ns.unwrap_or(took_ns);
         flow.mean_ns = Some(mean_ns - mean_ns / MEAN_TURNS + took_ns / MEAN_TURNS);
-        if let Some(place) = flow.place {
-            self.order.remove(&place);
-            flow.take_place(number, &mut self.order, &mut self.places);
+        if flow.is_of_many() {
+            self.many_ns = self.many_ns.max(flow.used_ns);
+        }
+        if self.order.remove(flow) {
+            self.order.insert(number, flow);
         }
     }
 }

@@ -31,6 +31,11 @@ fn wait(
     }
 }
 
+/// Asks for the next turn of a call that goes on.
+fn go_on(turns: &Arc<Turns>, turn: Turn, took: Duration, stage: Stage) -> TurnRequest {
+    turns.yield_turn(turn, took, stage, Instant::now())
+}
+
 /// Ends `turn` after `took`; returns the number of the waiting call that has the next turn, and the turn.
 fn next(
     turn: Turn,
@@ -58,18 +63,18 @@ fn the_flow_that_has_computed_least_goes_first() {
         wait(&turns, light, New, MS),
         wait(&turns, light, New, MS),
     ];
-    let (first, turn) = next(turn, 30 * MS, &mut waiting).unwrap();
-    let (second, turn) = next(turn, 10 * MS, &mut waiting).unwrap();
-    let (third, turn) = next(turn, 30 * MS, &mut waiting).unwrap();
-    let (fourth, turn) = next(turn, 10 * MS, &mut waiting).unwrap();
+    let (first, turn) = next(turn, 3 * MS, &mut waiting).unwrap();
+    let (second, turn) = next(turn, MS, &mut waiting).unwrap();
+    let (third, turn) = next(turn, 3 * MS, &mut waiting).unwrap();
+    let (fourth, turn) = next(turn, MS, &mut waiting).unwrap();
     assert_eq!([first, second, third, fourth], [2, 3, 0, 1]);
-    assert!(next(turn, 10 * MS, &mut waiting).is_none());
+    assert!(next(turn, MS, &mut waiting).is_none());
     // An idle flow has saved nothing: both are even again.
     let turn = take(&turns, heavy);
-    turn.end(50 * MS);
+    turn.end(5 * MS);
     let turn = take(&turns, light);
     let mut waiting = vec![wait(&turns, light, New, MS), wait(&turns, heavy, New, MS)];
-    let (first, _turn) = next(turn, 100 * MS, &mut waiting).unwrap();
+    let (first, _turn) = next(turn, 10 * MS, &mut waiting).unwrap();
     assert_eq!(first, 1);
 }
 
@@ -96,12 +101,12 @@ fn a_call_that_has_begun_goes_first_until_it_has_computed_for_long() {
 fn work_that_goes_on_gives_way_only_if_others_wait() {
     let turns = Turns::new(1, TARGET, BURST);
     let (heavy, light) = (turns.open(), turns.open());
-    let turn = match turns.yield_turn(take(&turns, heavy), 5 * MS, Resumed) {
+    let turn = match go_on(&turns, take(&turns, heavy), 5 * MS, Resumed) {
         TurnRequest::Granted(turn) => turn,
         waits => panic!("{waits:?}"),
     };
     let mut first = wait(&turns, light, New, MS);
-    let mut going_on = match turns.yield_turn(turn, 5 * MS, Resumed) {
+    let mut going_on = match go_on(&turns, turn, 5 * MS, Resumed) {
         TurnRequest::Waits(waits) => waits,
         granted => panic!("{granted:?}"),
     };
@@ -111,22 +116,14 @@ fn work_that_goes_on_gives_way_only_if_others_wait() {
 }
 
 #[test]
-fn even_flows_are_served_as_they_come_and_those_of_short_turns_first() {
+fn even_flows_are_served_as_they_come() {
     let turns = Turns::new(1, TARGET, BURST);
-    let [short, first, second] = [(); 3].map(|()| turns.open());
-    take(&turns, short).end(MS / 1000);
-    take(&turns, first).end(MS);
-    take(&turns, second).end(MS);
-    let turn = take(&turns, first);
-    let mut waiting = vec![
-        wait(&turns, second, New, MS),
-        wait(&turns, second, New, MS),
-        wait(&turns, first, New, MS),
-        wait(&turns, short, New, MS),
-    ];
+    let [third, second, first, begun] = [(); 4].map(|()| turns.open());
+    let turn = take(&turns, begun);
+    let mut waiting = [first, second, third].map(|flow| wait(&turns, flow, New, MS));
     let mut turn = Some(turn);
-    for expected in [3, 0, 2, 1] {
-        let (served, following) = next(turn.take().unwrap(), MS / 10, &mut waiting).unwrap();
+    for expected in 0..3 {
+        let (served, following) = next(turn.take().unwrap(), MS, &mut waiting).unwrap();
         assert_eq!(served, expected);
         turn = Some(following);
     }
@@ -140,18 +137,18 @@ fn a_call_that_has_just_begun_goes_on_unless_one_of_short_turns_waits() {
     take(&turns, other).end(MS);
     let turn = take(&turns, begun);
     let mut waits = wait(&turns, other, New, MS);
-    let TurnRequest::Granted(turn) = turns.yield_turn(turn, MS, Begun) else {
+    let TurnRequest::Granted(turn) = go_on(&turns, turn, MS, Begun) else {
         panic!("it ends before the other begins");
     };
     let mut first = wait(&turns, short, New, MS);
-    let TurnRequest::Waits(mut goes_on) = turns.yield_turn(turn, MS, Begun) else {
+    let TurnRequest::Waits(mut goes_on) = go_on(&turns, turn, MS, Begun) else {
         panic!("a call of short turns waits");
     };
     first.try_recv().unwrap().unwrap().end(MS / 1000);
     waits.try_recv().unwrap().unwrap().end(MS);
     let turn = goes_on.try_recv().unwrap().unwrap();
     let mut waits = wait(&turns, other, New, MS);
-    let TurnRequest::Waits(mut goes_on) = turns.yield_turn(turn, MS, Resumed) else {
+    let TurnRequest::Waits(mut goes_on) = go_on(&turns, turn, MS, Resumed) else {
         panic!("it has computed for long, and others wait");
     };
     waits.try_recv().unwrap().unwrap().end(10 * MS);
@@ -167,8 +164,7 @@ fn a_turn_that_goes_on_without_work_leaves_the_mean_of_its_flow() {
     for _ in 0..20 {
         let turn = take(&turns, flow);
         assert!(turn.is_long());
-        let TurnRequest::Granted(turn) = turns.yield_turn(turn, Duration::ZERO, Stage::Resumed)
-        else {
+        let TurnRequest::Granted(turn) = go_on(&turns, turn, Duration::ZERO, Stage::Resumed) else {
             panic!("no other waits");
         };
         turn.end(work);
@@ -208,7 +204,7 @@ fn one_long_call_alone_is_no_queue() {
     let flow = turns.open();
     let turn = take(&turns, flow);
     turns.state.lock().was_empty -= 2 * TARGET;
-    let TurnRequest::Granted(turn) = turns.yield_turn(turn, 2 * TARGET, Resumed) else {
+    let TurnRequest::Granted(turn) = go_on(&turns, turn, 2 * TARGET, Resumed) else {
         panic!("nobody else waits");
     };
     let mut waits = wait(&turns, flow, New, TARGET / 2);
