@@ -355,7 +355,7 @@ async fn no_mutation_is_refused_for_what_another_server_has_changed() {
 async fn a_latest_read_sees_what_another_server_acknowledged() {
     let (stream, entry) = (Stream::new(11, 0.1), named_arm());
     let (one, ..) = server(&stream, &entry);
-    let (other, _, behind) = server(&stream, &entry);
+    let (other, ..) = server(&stream, &entry);
     for number in 0..30u64 {
         let (writer, reader) = match number % 2 {
             0 => (&one, &other),
@@ -377,7 +377,14 @@ async fn a_latest_read_sees_what_another_server_acknowledged() {
             assert!(read.await.unwrap().is_ok(), "insert {number}");
         }
     }
-    // A server that gets no records cannot tell, and does not answer from the past.
+}
+
+/// A server that gets no records cannot tell, and does not answer from the past. Nothing makes it read the stream itself.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_latest_read_fails_at_a_server_that_gets_no_records() {
+    let (stream, entry) = (Stream::new(12, 0.0), named_arm());
+    let (one, ..) = server(&stream, &entry);
+    let (other, _, behind) = server(&stream, &entry);
     behind.fall_behind();
     one.insert(&CALL, insertion(&[[100.0]], &[])).await.unwrap();
     let request = v1::GetRequest {
