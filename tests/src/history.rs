@@ -119,7 +119,7 @@ pub fn digest(of: &(impl Hash + ?Sized)) -> u64 {
 /// A contradiction in a history.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Violation {
-    /// A read lacks the effect of a mutation that was acknowledged, or a mutation was told that there is nothing to change.
+    /// A read, or the answer of a mutation that changed nothing, lacks the effect of an acknowledged mutation.
     Lost {
         /// The revision of the read, or of the answer.
         read: u64,

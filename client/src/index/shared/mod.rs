@@ -248,7 +248,9 @@ impl NearestNeighbors for SharedIndex {
                 ids.truncate(done);
                 return Err(match (done, error) {
                     // The rows that the server had not taken are among the writes to take back.
-                    (0, error) | (_, error @ (Error::WritesRefused { .. } | Error::Closed)) => error,
+                    (0, error) | (_, error @ (Error::WritesRefused { .. } | Error::Closed)) => {
+                        error
+                    }
                     (done, error) => Error::Partial {
                         done,
                         rows: count,

@@ -11,7 +11,7 @@ use crate::log::StoreUsage;
 /// The directory of the store's tables.
 const TABLES: &str = "keyspaces";
 
-/// The disk of the files in `directory`. The few small files beside the store's journal count for it.
+/// The disk that the files in `directory` take. The journal's figure includes the few small files beside it.
 pub(super) fn disk(directory: &Path) -> StoreUsage {
     let store = directory.join(STORE);
     let tables = taken_in(&store.join(TABLES));
