@@ -8,7 +8,8 @@
  *                 until they have looked again; they write a byte for each look. So they have time to see anything that
  *                 must not be visible before the sync. (fjall blocks all readers while it syncs its tables.)
  *   POWER_FAILS   a number n: the n-th sync of a journal fails with EIO. Its data counts as clean from then on, as on
- *                 Linux, and is written only if the program writes it again
+ *                 Linux, and is written only if the program writes it again. "new": the first sync of a journal that the
+ *                 program has made fails
  *   POWER_CUT     a number n: the program is killed before the n-th call that makes, writes or syncs something
  *
  * Durable data:
@@ -26,6 +27,7 @@
 #define _GNU_SOURCE
 #include <errno.h>
 #include <fcntl.h>
+#include <limits.h>
 #include <poll.h>
 #include <pthread.h>
 #include <stdbool.h>
@@ -43,14 +45,17 @@
 enum { LOOKS = 3, MAX_LOOKS_MS = 10000 };
 
 static uint64_t journal_syncs, failing;
+/* The first number of an object that the program has made itself, if the first sync of such a journal fails. */
+static unsigned failing_from = UINT_MAX;
 static int looked = -1;
 
 __attribute__((constructor)) static void start(void) {
     const char *disk = getenv("POWER_DISK"), *unasked = getenv("POWER_SEED"), *pipe = getenv("POWER_LOOKED");
+    const char *fails = getenv("POWER_FAILS");
     shadow = getenv("POWER_SHADOW");
     if (disk == NULL || shadow == NULL) return;
     if (getenv("POWER_CUT") != NULL) cut = strtoull(getenv("POWER_CUT"), NULL, 10);
-    if (getenv("POWER_FAILS") != NULL) failing = strtoull(getenv("POWER_FAILS"), NULL, 10);
+    if (fails != NULL) failing = strtoull(fails, NULL, 10);
     if (pipe != NULL) {
         /* Fails if an earlier start of the program made the pipe. */
         mkfifo(pipe, 0600);
@@ -61,6 +66,7 @@ __attribute__((constructor)) static void start(void) {
     if (unasked != NULL) seed = strtoull(unasked, NULL, 10) * 2 + 1;
     pthread_mutex_lock(&mutex);
     sync_all(disk, true);
+    if (fails != NULL && strcmp(fails, "new") == 0) failing_from = numbers;
     root = disk;
     pthread_mutex_unlock(&mutex);
 }
@@ -198,9 +204,11 @@ static int synced(int fd, int result) {
     bool journal = is_journal(fd);
     struct object *object = result == 0 ? lock(fd) : NULL;
     if (object == NULL) return result;
-    bool fails = journal && ++journal_syncs == failing;
-    if (fails) object->ranges = 0;
-    else sync_object(object, fd);
+    bool fails = journal && (++journal_syncs == failing || object->number >= failing_from);
+    if (fails) {
+        object->ranges = 0;
+        failing_from = UINT_MAX;
+    } else sync_object(object, fd);
     pthread_mutex_unlock(&mutex);
     if (fails) errno = EIO;
     return fails ? -1 : 0;

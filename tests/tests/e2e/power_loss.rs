@@ -100,6 +100,26 @@ async fn data_of_a_failed_sync_is_written_before_more_is_acknowledged() {
     println!("{}", clients.tally());
 }
 
+/// fjall goes on with a journal whose making failed, and does not ask for its name to be durable.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_journal_that_was_made_in_vain_is_found_again() {
+    let mut disk = Disk::new(None);
+    // Makes the first journal.
+    disk.serve(FSYNC).stop(Signal::Kill);
+    disk.cut();
+    let mut server = disk.serve(&[FSYNC, &[("POWER_FAILS", "new")]].concat());
+    let load = Load { heavy: 1.0, ..LOAD };
+    let mut clients = Clients::new(&server, SEED, load).await;
+    let refused = clients.work_until_refused(&server, FaultTime::Acknowledged(0), || ());
+    refused.await;
+    server.log_until("the log is writable again");
+    clients.check(&server).await;
+    server.stop(Signal::Kill);
+    disk.cut();
+    clients.check(&disk.serve(FSYNC)).await;
+    println!("{}", clients.tally());
+}
+
 /// After a first start that is killed before any call that makes, writes or syncs something, the next start succeeds.
 /// The long run tries each such call, a short run one in a few.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

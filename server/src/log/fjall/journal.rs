@@ -126,9 +126,12 @@ pub(super) fn number(name: &str) -> Option<u64> {
 pub(super) fn ensure_durable(directory: &Directory) -> io::Result<()> {
     let marker = directory.join(MARKER);
     if !marker.try_exists()? {
-        for file in files(&directory.join(STORE))? {
+        let store = directory.join(STORE);
+        for file in files(&store)? {
             rewrite_file(&mut File::options().read(true).write(true).open(file)?)?;
         }
+        // fjall writes to a file even if it failed to make the file's name durable.
+        sync_directory(&store)?;
         return Ok(());
     }
     fs::remove_file(&marker)?;
