@@ -25,14 +25,6 @@ std::vector<State> sample(const Problem &problem, std::size_t count) {
     return states;
 }
 
-wayfold::detail::Context context_of(const Problem &problem) {
-    wayfold::detail::Context context;
-    context.space = std::make_shared<wayfold::OmplSpace>(problem.si->getStateSpace());
-    context.text = context.space->text();
-    context.information = problem.si;
-    return context;
-}
-
 void fail(const char *problem) {
     std::fprintf(stderr, "%s\n", problem);
     std::exit(1);
@@ -92,7 +84,7 @@ int many_neighbors(int count, char **arguments) {
     const Problem problem = se3_in(std::make_shared<SE3>());
     ompl::NearestNeighborsGNATNoThreadSafety<State> gnat;
     gnat.setDistanceFunction([&](const State &a, const State &b) { return problem.si->distance(a, b); });
-    wayfold::NearestNeighborsWayfold<State> wayfold(context_of(problem));
+    wayfold::NearestNeighborsWayfold<State> wayfold(wayfold::detail::context_of(problem.si));
     for (const State state : sample(problem, points)) {
         gnat.add(state);
         wayfold.add(state);
@@ -125,7 +117,7 @@ int inserts(int count, char **arguments) {
     }
     ompl::RNG::setSeed(1);
     const Problem problem = se3_in(std::make_shared<SE3>());
-    auto context = context_of(problem);
+    auto context = wayfold::detail::context_of(problem.si);
     context.merging = std::string(arguments[1]) == "inline" ? wayfold::Merging::in_line : wayfold::Merging::background;
     const auto states = sample(problem, std::stoul(arguments[0]));
     wayfold::NearestNeighborsWayfold<State> wayfold(context);

@@ -62,10 +62,7 @@ public:
         }
     }
     void record() {
-        wayfold::detail::Context context;
-        context.space = std::make_shared<wayfold::OmplSpace>(this->si_->getStateSpace());
-        context.text = context.space->text();
-        context.information = this->si_;
+        auto context = wayfold::detail::context_of(this->si_);
         if constexpr (is_roadmap<P>) {
             wayfold::detail::read_vertices<og::PRM>(*this, context);
         }

@@ -52,6 +52,13 @@ int main() {
 
     const auto id = index.insert(pose(), 5, std::string(1000, 'x'));
     CHECK(index.get(id)->tag == 5 && index.payload(id) == std::string(1000, 'x') && !index.get(id + 1));
+    // No payload is another answer than no point.
+    CHECK(index.payload(0) == "" && !index.payload(id + 1));
+    // No given id stands for one that the index assigns.
+    for (const std::uint64_t wrong : {UINT64_MAX, std::uint64_t{1} << 63}) {
+        refuses<wayfold::Error>("id: " + std::to_string(wrong) + "; ids are below 2^63",
+                                [&] { index.insert(pose(), 0, "", wrong); });
+    }
     CHECK(index.search(pose(), wayfold::Search::k(3).tag(~0ULL, 5)).size() == 1);
     const auto changes = index.changes(0);
     CHECK(changes && changes->stored.size() == 2001);
@@ -63,7 +70,9 @@ int main() {
     CHECK(index.search(pose(), wayfold::Search::k(1), &read_revision).size() == 1);
     std::vector<std::uint64_t> near;
     const auto row = pose();
-    const auto fresh = index.insert(row.data(), 0, "", wayfold::Search::k(1), 1, near, &later);
+    std::vector<double> apart;
+    const auto fresh = index.insert(row.data(), 0, "", wayfold::Search::k(1), 1, near, &later, &apart, 9000);
+    CHECK(fresh == 9000 && apart == std::vector<double>{index.distance(row.data(), rows[near[0]].data())});
     const auto since = index.search(row, wayfold::Search::within(100).since(read_revision));
     CHECK(since.size() == 1 && since[0].id == fresh && near.size() == 1 && near[0] != fresh);
     CHECK(index.search(row, wayfold::Search::within(100).since(later)).empty() && index.remove(fresh));
@@ -93,6 +102,11 @@ int main() {
     CHECK(message_of<wayfold::Error>([] { wayfold::Search::k(1).radius_factor(-1); }).find("radius_factor") == 0);
     CHECK(message_of<wayfold::Error>([&] { index.search(rows[3], wayfold::Search::k_factor(NAN)); }).find("NaN") !=
           std::string::npos);
+
+    // The literal 0 is a state, not a null pointer, and no number is no state.
+    const auto line = wayfold::Index::in_memory("R1");
+    CHECK(line.insert({0}) == 0 && line.nearest({0})->distance == 0 && line.nearest_k({0}, 1)[0].id == 0);
+    refuses<wayfold::Error>("states[0]: 0 numbers", [&] { line.nearest({}); });
 
     // Searches beside inserts, merges on their own thread.
     std::thread inserts([&] {

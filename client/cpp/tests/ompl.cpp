@@ -16,6 +16,7 @@
 #include <ompl/geometric/planners/rrt/RRTConnect.h>
 #include <ompl/geometric/planners/rrt/RRTstar.h>
 #include <ompl/geometric/planners/rrt/TRRT.h>
+#include <ompl/geometric/planners/rrt/TSRRT.h>
 #include <ompl/geometric/planners/rrt/pRRT.h>
 #include <ompl/geometric/planners/sst/SST.h>
 #include <ompl/geometric/planners/rrt/RRT.h>
@@ -116,14 +117,6 @@ void conforms(wayfold::NearestNeighborsWayfold<T> &ours, const std::function<dou
     CHECK(found.size() == 1);
 }
 
-wayfold::detail::Context context_of(const ob::SpaceInformationPtr &si) {
-    wayfold::detail::Context context;
-    context.space = std::make_shared<wayfold::OmplSpace>(si->getStateSpace());
-    context.text = context.space->text();
-    context.information = si;
-    return context;
-}
-
 void conformance() {
     const auto problem = se3();
     const auto si = problem.si;
@@ -135,13 +128,13 @@ void conformance() {
         return states.back();
     };
     {
-        wayfold::NearestNeighborsWayfold<ob::State *> ours(context_of(si));
+        wayfold::NearestNeighborsWayfold<ob::State *> ours(wayfold::detail::context_of(si));
         conforms<ob::State *>(
             ours, [&](ob::State *const &a, ob::State *const &b) { return si->distance(a, b); }, sample);
     }
     {
         std::vector<std::unique_ptr<Motion>> motions;
-        wayfold::NearestNeighborsWayfold<Motion *> ours(context_of(si));
+        wayfold::NearestNeighborsWayfold<Motion *> ours(wayfold::detail::context_of(si));
         conforms<Motion *>(
             ours, [&](Motion *const &a, Motion *const &b) { return si->distance(a->state, b->state); },
             [&] {
@@ -225,7 +218,7 @@ void flattening() {
 void near_rotations() {
     const auto space = std::make_shared<ob::SO3StateSpace>();
     const auto si = std::make_shared<ob::SpaceInformation>(space);
-    wayfold::NearestNeighborsWayfold<ob::State *> ours(context_of(si));
+    wayfold::NearestNeighborsWayfold<ob::State *> ours(wayfold::detail::context_of(si));
     std::vector<ob::State *> states;
     for (int at = 0; at < 10; at++) {
         states.push_back(si->allocState());
@@ -233,8 +226,8 @@ void near_rotations() {
         ours.add(states.back());
     }
     CHECK(space->distance(states[0], states[1]) == 0);
-    for (ob::State *state : states) {
-        CHECK(ours.nearest(state) == state && si->equalStates(state, state));
+    for (std::size_t at = 0; at < states.size(); at++) {
+        CHECK(ours.nearest(states[at]) == states[at] && (at == 0 || si->equalStates(states[at - 1], states[at])));
     }
     for (ob::State *state : states) {
         si->freeState(state);
@@ -261,7 +254,7 @@ void refusals() {
     planner.setProblemDefinition(definition);
     const auto refused = message_of<ompl::Exception>([&] { wayfold::use(planner); });
     CHECK(refused.find("distance of two states") != std::string::npos);
-    static_assert(!wayfold::detail::CanSwap<og::FMT>::value);
+    static_assert(!wayfold::detail::CanSwap<og::FMT>::value && !wayfold::detail::CanSwap<og::TSRRT>::value);
     static_assert(!wayfold::detail::CanSwap<ob::Planner>::value);
     static_assert(wayfold::detail::CanSwap<og::RRT>::value && wayfold::detail::CanSwap<og::SST>::value);
 }

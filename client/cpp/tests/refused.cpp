@@ -4,6 +4,7 @@
 #include <ompl/geometric/planners/informedtrees/ABITstar.h>
 #include <ompl/geometric/planners/informedtrees/BITstar.h>
 #include <ompl/geometric/planners/rrt/RRT.h>
+#include <ompl/geometric/planners/rrt/TSRRT.h>
 #include <wayfold/ompl.hpp>
 
 void refused(PLANNER &planner) {

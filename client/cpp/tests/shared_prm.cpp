@@ -168,7 +168,7 @@ void killed(const std::string &uri) {
         }
         CHECK(ids.size() >= enough);
         for (const std::uint64_t id : ids) {
-            for (const std::uint64_t other : wayfold::detail::edges_of(id, index.payload(id))) {
+            for (const std::uint64_t other : wayfold::detail::edges_of(id, *index.payload(id))) {
                 CHECK(ids.count(other) == 1);
             }
         }

@@ -239,10 +239,7 @@ struct CostMotion {
 
 void distances_with_costs() {
     const auto si = se2().si;
-    wayfold::detail::Context context;
-    context.space = std::make_shared<wayfold::OmplSpace>(si->getStateSpace());
-    context.text = context.space->text();
-    context.information = si;
+    const auto context = wayfold::detail::context_of(si);
     const auto sampler = si->allocStateSampler();
     std::vector<std::unique_ptr<CostMotion>> motions;
     for (int at = 0; at < 10; at++) {

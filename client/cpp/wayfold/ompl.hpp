@@ -29,6 +29,7 @@
 
 namespace ompl::geometric {
 class BITstar;
+class TSRRT;
 } // namespace ompl::geometric
 
 namespace wayfold {
@@ -36,10 +37,12 @@ namespace wayfold {
 namespace detail {
 
 template <class P, class = void> struct CanSwap : std::false_type {};
-// The setNearestNeighbors of BIT* has no body in OMPL's headers: a call of it would not link.
+// The setNearestNeighbors of BIT* has no body in OMPL's headers: a call of it would not link. TSRRT measures the distance
+// of projections, and asks for the neighbours of motions whose state is not set.
 template <class P>
 struct CanSwap<P, std::void_t<decltype(std::declval<P &>().template setNearestNeighbors<NearestNeighborsWayfold>())>>
-    : std::negation<std::is_base_of<ompl::geometric::BITstar, P>> {};
+    : std::bool_constant<!std::is_base_of_v<ompl::geometric::BITstar, P> &&
+                         !std::is_base_of_v<ompl::geometric::TSRRT, P>> {};
 
 // The states of a roadmap's vertices are in a protected property map, which a derived class may name.
 template <class Roadmap> struct Vertices : Roadmap {
@@ -155,12 +158,10 @@ template <class P> void use(P &planner, Context context) {
 // the planner, and refuses a distance that is not ours.
 template <class P> void use(P &planner, Merging merging = Merging::background) {
     static_assert(detail::CanSwap<P>::value,
-                  "OMPL cannot swap the nearest neighbours of this planner. Name the planner's own type, as in "
+                  "the nearest neighbours of this planner cannot be swapped. Name the planner's own type, as in "
                   "og::RRTConnect; a base::Planner does not know it");
     if constexpr (detail::CanSwap<P>::value) {
-        detail::Context context;
-        context.space = std::make_shared<OmplSpace>(planner.getSpaceInformation()->getStateSpace());
-        context.text = context.space->text();
+        auto context = detail::context_of(planner.getSpaceInformation());
         context.merging = merging;
         detail::use(planner, context);
     }
@@ -170,7 +171,7 @@ template <class P> void use(P &planner, Merging merging = Merging::background) {
 template <class P>
 void use(P &planner, const std::string &space, StateToRow write, Merging merging = Merging::background) {
     static_assert(detail::CanSwap<P>::value,
-                  "OMPL cannot swap the nearest neighbours of this planner. Name the planner's own type, as in "
+                  "the nearest neighbours of this planner cannot be swapped. Name the planner's own type, as in "
                   "og::RRTConnect; a base::Planner does not know it");
     if constexpr (detail::CanSwap<P>::value) {
         detail::Context context;

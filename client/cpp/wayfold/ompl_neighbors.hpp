@@ -46,6 +46,14 @@ struct Context {
     }
 };
 
+inline Context context_of(const ompl::base::SpaceInformationPtr &information) {
+    Context context;
+    context.space = std::make_shared<OmplSpace>(information->getStateSpace());
+    context.text = context.space->text();
+    context.information = information;
+    return context;
+}
+
 inline thread_local const Context *context = nullptr;
 
 // Offers a context to the structures that this thread makes within the scope.

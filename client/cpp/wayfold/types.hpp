@@ -5,6 +5,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -47,6 +48,20 @@ inline void check(wayfold_code code, const std::uint64_t *ids = nullptr) {
         throw Error(code, wayfold_error_message(), wayfold_error_field(), wayfold_error_reason(), done,
                     ids == nullptr ? std::vector<std::uint64_t>() : std::vector<std::uint64_t>(ids, ids + done));
     }
+}
+
+inline wayfold_point point_of(std::uint64_t tag, const std::string &payload, std::optional<std::uint64_t> own_id) {
+    if (own_id >= std::uint64_t{1} << 63) {
+        // In wayfold.h, UINT64_MAX is no id.
+        throw Error(WAYFOLD_CODE_INVALID_ARGUMENT, "id: " + std::to_string(*own_id) + "; ids are below 2^63", "id",
+                    "INVALID_ARGUMENT");
+    }
+    wayfold_point point = wayfold_point_default();
+    point.id = own_id.value_or(point.id);
+    point.tag = tag;
+    point.payload = reinterpret_cast<const std::uint8_t *>(payload.data());
+    point.payload_bytes = payload.size();
+    return point;
 }
 
 // Reads again if the text did not fit.
@@ -171,7 +186,8 @@ struct UnsentWrite {
 };
 #endif
 
-// The thread that merges the trees of an index in memory: one of the process, or the one whose insert makes it due.
+// Where the trees of an index in memory are merged: on two threads that all indices of the process share, or in the
+// insert that makes a merge due.
 enum class Merging { background, in_line };
 
 // A search: the number of neighbours, the radius, and the points that count.

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <initializer_list>
 #include <memory>
 #include <optional>
 #include <string>
@@ -115,6 +116,8 @@ public:
         detail::check(wayfold_index_insert(raw(), state.data(), 1, state.size(), &id));
         return id;
     }
+    // Without it, the state {0} would be a null pointer.
+    std::uint64_t insert(std::initializer_list<double> state) const { return insert(std::vector(state)); }
     // `states` are rows, one after the other. An index in memory stores all or none. The other forms may divide many rows,
     // and a part may fail after others were stored: the reason of the error is PARTIAL then, and it has the number and the
     // ids of the stored rows. Repeat only the rows after them: a repeated row is a second point. `wayfold_index_insert` says
@@ -131,11 +134,7 @@ public:
     // server assigns only greater ids from then on, and the ids below it stay the caller's.
     std::uint64_t insert(const std::vector<double> &state, std::uint64_t tag, const std::string &payload = {},
                          std::optional<std::uint64_t> own_id = {}) const {
-        wayfold_point point = wayfold_point_default();
-        point.id = own_id.value_or(point.id);
-        point.tag = tag;
-        point.payload = reinterpret_cast<const std::uint8_t *>(payload.data());
-        point.payload_bytes = payload.size();
+        const wayfold_point point = detail::point_of(tag, payload, own_id);
         std::uint64_t id = 0;
         detail::check(wayfold_index_insert_with(raw(), state.data(), state.size(), &point, &id, nullptr, 0, nullptr,
                                                 nullptr, nullptr, nullptr));
@@ -144,20 +143,26 @@ public:
     // Writes the neighbours that the state had at its insertion, nearest first, at most `capacity`, and the revision of
     // the insertion for `Search::since`, unless `read_revision` is null; returns the id. `meanwhile` tells later of the
     // points that others stored before the state and that the copy of a shared index did not have yet. A remote index does
-    // not end this search by its timeout, but by that of the call.
+    // not end this search by its timeout, but by that of the call. `distances` gets those of the neighbours unless it is
+    // null. `own_id` is that of the insert above.
     std::uint64_t insert(const double *state, std::uint64_t tag, const std::string &payload, const Search &search,
                          std::size_t capacity, std::vector<std::uint64_t> &neighbors,
-                         std::uint64_t *read_revision = nullptr) const {
-        wayfold_point point = wayfold_point_default();
-        point.tag = tag;
-        point.payload = reinterpret_cast<const std::uint8_t *>(payload.data());
-        point.payload_bytes = payload.size();
+                         std::uint64_t *read_revision = nullptr, std::vector<double> *distances = nullptr,
+                         std::optional<std::uint64_t> own_id = {}) const {
+        const wayfold_point point = detail::point_of(tag, payload, own_id);
         std::uint64_t id = 0;
         std::size_t found = 0;
         neighbors.resize(capacity);
+        if (distances != nullptr) {
+            distances->resize(capacity);
+        }
         detail::check(wayfold_index_insert_with(raw(), state, width_, &point, &id, &search.raw(), capacity,
-                                                neighbors.data(), nullptr, &found, read_revision));
+                                                neighbors.data(), distances == nullptr ? nullptr : distances->data(),
+                                                &found, read_revision));
         neighbors.resize(std::min(found, capacity));
+        if (distances != nullptr) {
+            distances->resize(neighbors.size());
+        }
         return id;
     }
     // These return false if there is no point with this id.
@@ -190,12 +195,8 @@ public:
         detail::check(wayfold_index_get(raw(), id, &point.tag, point.state.data(), width_, &found));
         return found ? std::optional<StoredPoint>(std::move(point)) : std::nullopt;
     }
-    std::string payload(std::uint64_t id) const {
-        std::string payload(256, '\0');
-        return detail::read_text(payload, [this, id](char *room, std::size_t capacity, std::size_t *bytes) {
-            return wayfold_index_payload(raw(), id, reinterpret_cast<std::uint8_t *>(room), capacity, bytes);
-        });
-    }
+    // Empty if the point has none; nothing if there is no such point.
+    std::optional<std::string> payload(std::uint64_t id) const { return payloads({id})[0]; }
     // The payloads of the points with these ids, each id once; nothing in place of one if there is no such point. A
     // shared index asks its server once for a thousand of them.
     std::vector<std::optional<std::string>> payloads(const std::vector<std::uint64_t> &ids) const {
@@ -227,6 +228,8 @@ public:
         check_width(state);
         return nearest(state.data());
     }
+    // Without it, the state {0} would be a null pointer.
+    std::optional<Neighbor> nearest(std::initializer_list<double> state) const { return nearest(std::vector(state)); }
     std::vector<Neighbor> nearest_k(const std::vector<double> &state, std::uint32_t k) const {
         return search(state, Search::k(k));
     }

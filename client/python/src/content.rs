@@ -2,7 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
-use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::{exceptions::PyTypeError, prelude::*, types::PyBytes};
 use wayfold::{Factor, InsertOptions};
 
@@ -18,9 +18,9 @@ pub(crate) type Content<'py> = (
     String,
     bool,
     u64,
-    Bound<'py, PyAny>,
-    Bound<'py, PyAny>,
-    Bound<'py, PyAny>,
+    Bound<'py, PyArray1<u64>>,
+    Bound<'py, PyArray1<u64>>,
+    Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray1<u64>>,
     Bound<'py, PyArray1<u64>>,
     Bound<'py, PyBytes>,
@@ -36,12 +36,11 @@ impl Index {
         };
         // Read before the points: the lines below count the ids of points that are stored meanwhile.
         let next_id = self.next_id.load(Ordering::Relaxed);
-        let (ids, tags, states) = self.scan(py)?.columns(py)?;
-        let stored = ids.to_vec()?;
-        let next_id = next_id.max(stored.last().map_or(0, |last| last + 1));
+        let (ids, tags, states) = self.scan(py)?.read(py)?;
+        let next_id = next_id.max(ids.last().map_or(0, |last| last + 1));
         let (holders, ends, bytes) = self.call(py, |index| {
             let (mut holders, mut ends, mut bytes) = (Vec::new(), Vec::new(), Vec::new());
-            for id in stored {
+            for &id in &ids {
                 let payload = index.payload(id)?.unwrap_or_default();
                 if !payload.is_empty() {
                     bytes.extend(payload);
@@ -51,13 +50,14 @@ impl Index {
             }
             Ok((holders, ends, bytes))
         })?;
+        let shape = [ids.len(), self.index.space().coordinates()];
         Ok((
             self.index.space().to_string(),
             is_inline,
             next_id,
-            ids.into_any(),
-            tags.into_any(),
-            states.into_any(),
+            PyArray1::from_vec(py, ids),
+            PyArray1::from_vec(py, tags),
+            PyArray1::from_vec(py, states).reshape(shape)?,
             PyArray1::from_vec(py, holders),
             PyArray1::from_vec(py, ends),
             PyBytes::new(py, &bytes),

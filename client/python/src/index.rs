@@ -11,6 +11,7 @@ use pyo3::{
     types::{PyBytes, PyTuple, PyType},
 };
 
+pub(crate) use self::calls::Form;
 use self::calls::{GivenId, IdsAndDistances, options};
 use crate::{
     content::Content,
@@ -20,20 +21,9 @@ use crate::{
     },
     query,
     rows::Rows,
-    search::{Radius, Search, k_of, seconds},
+    search::{Radius, Search, id_of, k_of, seconds, since_of, tag_of},
     space::{Space, of_argument},
 };
-
-/// The place of the points.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Form {
-    /// This process. With `is_inline`, an insert that fills a level merges it itself.
-    Memory { is_inline: bool },
-    /// This process and a server.
-    Shared,
-    /// A server.
-    Remote,
-}
 
 /// A dynamic set of states with exact nearest-neighbour search.
 #[pyclass(frozen, module = "wayfold")]
@@ -99,8 +89,8 @@ impl Index {
     fn insert(
         &self,
         state: &Bound<'_, PyAny>,
-        id: Option<u64>,
-        tag: u64,
+        #[pyo3(from_py_with = id_of)] id: Option<u64>,
+        #[pyo3(from_py_with = tag_of)] tag: u64,
         payload: Option<&[u8]>,
     ) -> PyResult<u64> {
         Ok(self.inserted(state, options(id, tag, payload))?.id)
@@ -112,8 +102,8 @@ impl Index {
         &self,
         state: &Bound<'_, PyAny>,
         search: &Bound<'_, Search>,
-        id: Option<u64>,
-        tag: u64,
+        #[pyo3(from_py_with = id_of)] id: Option<u64>,
+        #[pyo3(from_py_with = tag_of)] tag: u64,
         payload: Option<&[u8]>,
     ) -> PyResult<InsertedPoint> {
         let options = options(id, tag, payload).neighbors(search.get().search);
@@ -147,7 +137,12 @@ impl Index {
     }
 
     /// Sets the tag of a point. False if there is none with this id.
-    fn set_tag(&self, py: Python<'_>, id: GivenId, tag: u64) -> PyResult<bool> {
+    fn set_tag(
+        &self,
+        py: Python<'_>,
+        id: GivenId,
+        #[pyo3(from_py_with = tag_of)] tag: u64,
+    ) -> PyResult<bool> {
         self.of_point(py, &id, |index, id| index.set_tag(id, tag))
     }
 
@@ -230,7 +225,11 @@ impl Index {
     }
 
     /// Everything that changed after the revision that an earlier answer read; None if the index has forgotten some of it.
-    fn changes(&self, py: Python<'_>, since: u64) -> PyResult<Option<Changes>> {
+    fn changes(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = since_of)] since: u64,
+    ) -> PyResult<Option<Changes>> {
         let changes = self.call(py, |index| index.changes(wayfold::ReadRevision(since)))?;
         changes.map(|changes| Changes::of(py, changes)).transpose()
     }

@@ -6,7 +6,7 @@ use wayfold::{Credentials, PayloadEncoding};
 use crate::{
     error::OrRaise,
     index::{Form, Index},
-    search::seconds,
+    search::{seconds, unsigned},
     space::of_argument,
 };
 
@@ -22,7 +22,7 @@ pub(crate) fn shared(
     create: Option<&Bound<'_, PyAny>>,
     payload_encoding: Option<&str>,
     timeout: f64,
-    max_pending_bytes: usize,
+    #[pyo3(from_py_with = max_pending_bytes_of)] max_pending_bytes: usize,
     token: Option<String>,
     ca_certificate: Option<Vec<u8>>,
     client_certificate: Option<(Vec<u8>, Vec<u8>)>,
@@ -64,6 +64,10 @@ pub(crate) fn remote(
     }
     let index = py.detach(|| open.open()).or_raise(py)?;
     Index::of(py, index, Form::Remote)
+}
+
+fn max_pending_bytes_of(bytes: &Bound<'_, PyAny>) -> PyResult<usize> {
+    unsigned("max_pending_bytes", bytes)
 }
 
 fn encoding(name: Option<&str>) -> PyResult<PayloadEncoding> {

@@ -151,7 +151,7 @@ pub(crate) struct StoredPoints {
 
 /// Ids, tags and states of points.
 pub(crate) type Columns<'py> = (
-    Bound<'py, PyArray1<u64>>,
+    Bound<'py, PyArray1<i64>>,
     Bound<'py, PyArray1<u64>>,
     Bound<'py, PyArray2<f64>>,
 );
@@ -162,6 +162,22 @@ impl StoredPoints {
             points: Mutex::new(points),
             width,
         }
+    }
+
+    /// The ids, the tags and the numbers of the states of the points that the iterator has not returned.
+    pub(crate) fn read(&self, py: Python<'_>) -> PyResult<(Vec<u64>, Vec<u64>, Vec<f64>)> {
+        let read = py.detach(|| {
+            let mut points = self.points.lock().unwrap_or_else(PoisonError::into_inner);
+            let (mut ids, mut tags, mut states) = (Vec::new(), Vec::new(), Vec::new());
+            for point in &mut *points {
+                let point = point?;
+                ids.push(point.id);
+                tags.push(point.tag);
+                states.extend(point.state);
+            }
+            Ok((ids, tags, states))
+        });
+        read.or_raise(py)
     }
 }
 
@@ -181,22 +197,12 @@ impl StoredPoints {
     }
 
     /// The ids, the tags and the states of the points that the iterator has not returned.
-    pub(crate) fn columns<'py>(&self, py: Python<'py>) -> PyResult<Columns<'py>> {
-        let read = py.detach(|| {
-            let mut points = self.points.lock().unwrap_or_else(PoisonError::into_inner);
-            let (mut ids, mut tags, mut states) = (Vec::new(), Vec::new(), Vec::new());
-            for point in &mut *points {
-                let point = point?;
-                ids.push(point.id);
-                tags.push(point.tag);
-                states.extend(point.state);
-            }
-            Ok((ids, tags, states))
-        });
-        let (ids, tags, states) = read.or_raise(py)?;
+    fn columns<'py>(&self, py: Python<'py>) -> PyResult<Columns<'py>> {
+        let (ids, tags, states) = self.read(py)?;
         let shape = [ids.len(), self.width];
+        let ids = ids.iter().map(|&id| id as i64);
         Ok((
-            PyArray1::from_vec(py, ids),
+            PyArray1::from_iter(py, ids),
             PyArray1::from_vec(py, tags),
             PyArray1::from_vec(py, states).reshape(shape)?,
         ))

@@ -63,7 +63,7 @@ pub(crate) fn rows(
     }
     Ok(Rows {
         shape: shape.to_vec(),
-        numbers: copy(&array.readonly())?,
+        numbers: copy(&array.try_readonly()?)?,
     })
 }
 

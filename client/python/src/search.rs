@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use pyo3::prelude::*;
+use pyo3::{conversion::FromPyObjectOwned, exceptions::PyOverflowError, prelude::*};
 
 use crate::error::invalid;
 
@@ -23,8 +23,8 @@ impl Search {
         k: Option<i64>,
         k_factor: Option<f64>,
         radius: Option<Radius<'_>>,
-        tag: Option<(u64, u64)>,
-        since: Option<u64>,
+        #[pyo3(from_py_with = tag_of)] tag: Option<(u64, u64)>,
+        #[pyo3(from_py_with = since_of)] since: Option<u64>,
         epsilon: f64,
         timeout: Option<f64>,
     ) -> PyResult<Search> {
@@ -109,19 +109,25 @@ impl Scaling {
 
     /// Above this factor k-nearest PRM* and RRG are asymptotically optimal.
     #[staticmethod]
-    fn k_bound(dimension: usize) -> f64 {
+    fn k_bound(#[pyo3(from_py_with = dimension_of)] dimension: usize) -> f64 {
         wayfold::Scaling::k_bound(dimension)
     }
 
     /// Above this factor PRM* and RRG are asymptotically optimal.
     #[staticmethod]
-    fn prm_star_bound(dimension: usize, free_volume: f64) -> f64 {
+    fn prm_star_bound(
+        #[pyo3(from_py_with = dimension_of)] dimension: usize,
+        free_volume: f64,
+    ) -> f64 {
         wayfold::Scaling::prm_star_bound(dimension, free_volume)
     }
 
     /// Above this factor RRT* is asymptotically optimal.
     #[staticmethod]
-    fn rrt_star_bound(dimension: usize, free_volume: f64) -> f64 {
+    fn rrt_star_bound(
+        #[pyo3(from_py_with = dimension_of)] dimension: usize,
+        free_volume: f64,
+    ) -> f64 {
         wayfold::Scaling::rrt_star_bound(dimension, free_volume)
     }
 }
@@ -133,6 +139,42 @@ pub(crate) fn k_of(py: Python<'_>, k: i64) -> PyResult<u32> {
         _ if k > 0 => Err(invalid(py, &format!("k: {k}; it is at most {}", u32::MAX))),
         _ => Err(invalid(py, &format!("k: {k}; it is at least 1"))),
     }
+}
+
+/// An id to insert a point with.
+pub(crate) fn id_of(id: &Bound<'_, PyAny>) -> PyResult<Option<u64>> {
+    unsigned("id", id)
+}
+
+/// A tag, or a mask and a value.
+pub(crate) fn tag_of<'py, T: FromPyObjectOwned<'py>>(tag: &Bound<'py, PyAny>) -> PyResult<T> {
+    unsigned("tag", tag)
+}
+
+/// The revision that an earlier answer read.
+pub(crate) fn since_of<'py, T: FromPyObjectOwned<'py>>(since: &Bound<'py, PyAny>) -> PyResult<T> {
+    unsigned("since", since)
+}
+
+fn dimension_of(dimension: &Bound<'_, PyAny>) -> PyResult<usize> {
+    unsigned("dimension", dimension)
+}
+
+/// The whole numbers of an argument. The `OverflowError` of PyO3 would not name the field.
+pub(crate) fn unsigned<'py, T: FromPyObjectOwned<'py>>(
+    field: &str,
+    argument: &Bound<'py, PyAny>,
+) -> PyResult<T> {
+    argument.extract::<T>().map_err(|error| {
+        let (py, error): (_, PyErr) = (argument.py(), error.into());
+        match error.is_instance_of::<PyOverflowError>(py) {
+            true => {
+                let range = "numbers are at least 0 and have at most 64 bits";
+                invalid(py, &format!("{field}: {argument}; {range}"))
+            }
+            false => error,
+        }
+    })
 }
 
 /// A time in seconds.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +100,8 @@ def test_a_copy_has_all_points(way: str, tmp_path: Path) -> None:
         index.save(path)
         index.save(path)
         assert [path.name for path in tmp_path.iterdir()] == ["plane.wayfold"]
+        with np.load(path) as file:
+            assert file["ids"].dtype == file["tags"].dtype == np.uint64
         copy = wayfold.Index.load(path)
     assert copy.space == index.space
     for ours, theirs in zip(index.scan().columns(), copy.scan().columns(), strict=True):
@@ -130,6 +133,38 @@ def test_no_point_has_a_negative_id() -> None:
     assert index.payloads(ids)[:-2] == [index.payload(id) for id in ids[:-2]]
     assert index.get(-1) is None and index.payload(-1) is None and index.get(2**70) is None
     assert not (index.remove(-1) or index.replace(-1, [0, 0]) or index.set_tag(-1, 1) or index.set_payload(-1, b""))
+
+
+@pytest.mark.parametrize("wrong", [-1, 2**64])
+def test_a_number_out_of_range_is_named(wrong: int) -> None:
+    index = plane()
+    calls: dict[str, Callable[[], object]] = {
+        "id": lambda: index.insert([0, 0], id=wrong),
+        "tag": lambda: index.insert_with([0, 0], wayfold.Search(1), tag=wrong),
+        "since": lambda: index.changes(wrong),
+        "dimension": lambda: wayfold.Scaling.k_bound(wrong),
+        "max_pending_bytes": lambda: wayfold.shared("http://127.0.0.1:1", "none", max_pending_bytes=wrong),
+    }
+    for field, call in calls.items():
+        with pytest.raises(wayfold.InvalidArgument, match=f"{field}: {wrong}; numbers are at least 0"):
+            call()
+    with pytest.raises(wayfold.InvalidArgument, match=f"tag: {wrong};"):
+        index.set_tag(0, wrong)
+    with pytest.raises(wayfold.InvalidArgument, match=rf"tag: \({wrong}, 5\);"):
+        wayfold.Search(1, tag=(wrong, 5))
+    with pytest.raises(wayfold.InvalidArgument, match=f"since: {wrong};"):
+        wayfold.Search(1, since=wrong)
+    with pytest.raises(TypeError):
+        index.insert([0, 0], tag="1")  # type: ignore[arg-type]
+    assert len(index) == 3
+
+
+def test_ids_have_one_type() -> None:
+    index = plane()
+    ids, tags, _ = index.scan().columns()
+    assert ids.dtype == index.insert_many(np.zeros((2, 2))).dtype == np.int64 and tags.dtype == np.uint64
+    rest = np.setdiff1d(ids, index.nearest_k([5.0, 0.0], 1).ids)
+    assert rest.dtype == np.int64 and [index.remove(id) for id in rest] == [True, True]
 
 
 def test_a_wrong_file_is_refused(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def test_an_index_in_memory_is_not_used_after_a_fork() -> None:
     index.insert_many(np.zeros((200, 2)))
     for action in (lambda: index.query([0.0, 0.0]), lambda: index.insert([0.0, 0.0]), lambda: len(index)):
         text = in_fork(action)
-        assert text.startswith("Forked: the index was opened before a fork") and "'spawn'" in text
+        assert text.startswith("Forked: this process was forked after an index was opened") and "'spawn'" in text
     # An index that the new process makes itself works.
     assert in_fork(lambda: wayfold.Index("R2").insert_many(np.zeros((5_000, 2)))) == "nothing"
     assert len(index) == 200

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 import wayfold
 from wayfold import spaces
@@ -36,6 +36,17 @@ def test_a_translation_and_a_rotation_are_a_state_of_se3() -> None:
     # One rotation for all translations, and a list of pairs.
     assert index.query((np.zeros((2, 5, 3)), turn))[0].shape == (2, 5)
     assert index.insert_many([([0, 0, 0], turn), ([1, 1, 1], turn)]).shape == (2,)
+
+
+def test_rigid_transforms_of_scipy_are_states_of_se3() -> None:
+    index = wayfold.Index(spaces.SE3())
+    turns = Rotation.from_euler("z", [[0], [90]], degrees=True)
+    poses = RigidTransform.from_components([[1, 2, 3], [4, 5, 6]], turns)
+    assert index.insert_many(poses).tolist() == [0, 1]
+    assert index.insert_many([poses[0], poses[1]]).tolist() == [2, 3]
+    assert index.query(poses[1], 2)[1].tolist() == [1, 3]
+    _, _, found = index.scan().columns()
+    np.testing.assert_array_equal(found[:2], found[2:])
 
 
 def test_a_rotation_in_the_wrong_place_is_refused() -> None:

@@ -77,8 +77,8 @@ pub extern "C" fn wayfold_point_default() -> WayfoldPoint {
     }
 }
 
-/// Makes an empty index in this process. `space` is a text such as "R3*SO3:0.15" or "sum(R3, SO3)". A thread of the
-/// process, which all indices share, merges the index's trees. With `inline_merges` no thread is started: an insert that
+/// Makes an empty index in this process. `space` is a text such as "R3*SO3:0.15" or "sum(R3, SO3)". Two threads of the
+/// process, which all indices share, merge the index's trees. With `inline_merges` no thread is started: an insert that
 /// makes a merge due runs it, and few inserts take long.
 ///
 /// Thread-safe.
@@ -170,7 +170,8 @@ pub unsafe extern "C" fn wayfold_index_size(index: *const WayfoldIndex, size: *m
     })
 }
 
-/// Writes the distance of two states of the index's space.
+/// Writes the distance of two states of the index's space. The error about a number of `a` calls it `states[0]`, and
+/// that about one of `b` calls it `states[1]`.
 ///
 /// Thread-safe.
 ///

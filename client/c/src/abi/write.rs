@@ -18,8 +18,8 @@ use crate::{
 /// the code is that of the part, `wayfold_error_rows_done` tells how many rows are stored, from the first on, and `ids`
 /// gets the ids of these. Repeat only the rows after them: a repeated row is a second point. The next rows of a remote
 /// insert may be stored too if the code is `DEADLINE_EXCEEDED`, `CANCELLED`, `UNKNOWN`, `INTERNAL`, `DATA_LOSS` or
-/// `UNAVAILABLE`: look before you repeat them. If a shared index was closed, or the server refused its writes, the
-/// error has that reason, and the rows that the server had not taken are among the unsent writes.
+/// `UNAVAILABLE`: look before you repeat them. If a shared index was closed, or the server refused its writes, those
+/// of the stored rows that the server had not taken are among the unsent writes instead.
 ///
 /// Thread-safe.
 ///
@@ -230,32 +230,6 @@ pub unsafe extern "C" fn wayfold_index_get(
                 copy(&point.state, state);
             }
             put(point.is_some(), found, "found")
-        }
-    })
-}
-
-/// Writes the first `capacity` bytes of the payload of the point with this id, and the number of all its bytes. No bytes
-/// if there is no such point; `wayfold_index_get` tells.
-///
-/// Thread-safe.
-///
-/// # Safety
-/// `payload` has room for `capacity` bytes; `payload_bytes` can be written.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn wayfold_index_payload(
-    index: *const WayfoldIndex,
-    id: u64,
-    payload: *mut u8,
-    capacity: usize,
-    payload_bytes: *mut usize,
-) -> Code {
-    call(|| {
-        // SAFETY: the caller's promise.
-        let held = unsafe { index_of(index) }?.payload(id)?.unwrap_or_default();
-        // SAFETY: the caller's promise.
-        unsafe {
-            copy(&held[..held.len().min(capacity)], payload);
-            put(held.len(), payload_bytes, "payload_bytes")
         }
     })
 }

@@ -15,9 +15,9 @@ _QUATERNION = ("qx", "qy", "qz", "qw")
 
 def to_array(states: Any, names: tuple[str, ...]) -> npt.NDArray[np.float64]:
     """The states as an array of shape (..., m). `names` are the names of the coordinates of the space."""
-    if _is_rotation(states) or _is_transform(states) or _is_composed(states):
+    if _has_rotation(states):
         return _compose(states, names)
-    if isinstance(states, (list, tuple)) and states and any(_is_composed(state) or _is_rotation(state) for state in states):
+    if isinstance(states, (list, tuple)) and any(map(_has_rotation, states)):
         return np.stack([to_array(state, names) for state in states])
     try:
         # Aligned numbers in the byte order of this machine.
@@ -40,6 +40,10 @@ def array_of_lists(lists: list[list[int]], shape: Sequence[int]) -> npt.NDArray[
     for row, ids in enumerate(lists):
         array[row] = ids
     return array.reshape(tuple(shape))
+
+
+def _has_rotation(state: Any) -> bool:
+    return _is_rotation(state) or _is_transform(state) or _is_composed(state)
 
 
 def _is_rotation(state: Any) -> bool:

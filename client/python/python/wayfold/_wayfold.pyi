@@ -3,10 +3,11 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from os import PathLike
 from types import TracebackType
-from typing import Any, ClassVar, Literal, Protocol, Self, TypeAlias, type_check_only
+from typing import Any, ClassVar, Literal, Protocol, TypeAlias, type_check_only
 
 import numpy as np
 import numpy.typing as npt
+from typing_extensions import Self
 
 @type_check_only
 class _Rotation(Protocol):
@@ -22,10 +23,10 @@ class _RigidTransform(Protocol):
 
 # One state or many: an array of shape (..., m), a rotation, or the parts of states with a rotation among them.
 _Parts: TypeAlias = tuple[npt.ArrayLike | _Rotation, ...]
-_States: TypeAlias = npt.ArrayLike | _Rotation | _RigidTransform | _Parts | Sequence[_Rotation | _Parts]
+_States: TypeAlias = npt.ArrayLike | _Rotation | _RigidTransform | _Parts | Sequence[_Rotation | _RigidTransform | _Parts]
 _Ids: TypeAlias = npt.NDArray[np.int64]
 _Floats: TypeAlias = npt.NDArray[np.float64]
-_UnsignedIds: TypeAlias = npt.NDArray[np.uint64]
+_Unsigned: TypeAlias = npt.NDArray[np.uint64]
 
 class Space:
     """A configuration space with its metric, made of its text, such as `R3*SO3:0.15`."""
@@ -126,7 +127,7 @@ class StoredPoints(Iterator[StoredPoint]):
 
     def __iter__(self) -> Self: ...
     def __next__(self) -> StoredPoint: ...
-    def columns(self) -> tuple[_UnsignedIds, _UnsignedIds, _Floats]:
+    def columns(self) -> tuple[_Ids, _Unsigned, _Floats]:
         """The ids, the tags and the states of the points that the iterator has not returned."""
 
 class Changes:
@@ -226,8 +227,8 @@ class Index:
         stored. The `reason` of the error is PARTIAL then, and its `done` and `ids` tell the stored rows, from the first
         on. Repeat only the rows after them: a repeated row is a second point. The next rows of a remote insert may be
         stored too if the `code` is DEADLINE_EXCEEDED, CANCELLED, UNKNOWN, INTERNAL, DATA_LOSS or UNAVAILABLE: look before
-        you repeat them. If a shared index was closed, or the server refused its writes, the error has that reason, and the
-        rows that the server had not taken are among the unsent writes.
+        you repeat them. If a shared index was closed, or the server refused its writes, those of the stored rows that the
+        server had not taken are among the unsent writes instead.
         """
     def remove(self, id: int) -> bool:
         """Removes a point. False if there is none with this id."""
@@ -245,7 +246,7 @@ class Index:
         """The point with this id."""
     def payload(self, id: int) -> bytes | None:
         """The payload of a point: empty if it has none, None if there is no such point."""
-    def payloads(self, ids: Sequence[int] | _Ids | _UnsignedIds) -> list[bytes | None]:
+    def payloads(self, ids: Sequence[int] | _Ids | _Unsigned) -> list[bytes | None]:
         """The payloads of points, each id once, in their order: empty without one, None if there is no such point."""
     def nearest(self, state: _States) -> Neighbor | None:
         """The nearest point; None if there are no points."""
@@ -368,11 +369,11 @@ def _restore(
     space: str | Space,
     inline: bool,
     next_id: int,
-    ids: _UnsignedIds,
-    tags: _UnsignedIds,
+    ids: _Unsigned,
+    tags: _Unsigned,
     states: _Floats,
-    holders: _UnsignedIds,
-    ends: _UnsignedIds,
+    holders: _Unsigned,
+    ends: _Unsigned,
     payloads: bytes,
 ) -> Index: ...
 def _seconds_in_rust(index: Index, states: _States, k: int, is_one_call: bool) -> float: ...

@@ -10,13 +10,24 @@ use numpy::PyArray1;
 use pyo3::{exceptions::PyRuntimeWarning, prelude::*};
 use wayfold::{Error, InsertOptions, Neighbor};
 
-use super::{Form, Index};
+use super::Index;
 use crate::{
     error::OrRaise,
     points::{SearchResult, columns},
     rows::{Rows, one_state, rows},
     space::names,
 };
+
+/// The place of the points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Form {
+    /// This process. With `is_inline`, an insert that fills a level merges it itself.
+    Memory { is_inline: bool },
+    /// This process and a server.
+    Shared,
+    /// A server.
+    Remote,
+}
 
 /// The neighbours of one state.
 pub(super) type IdsAndDistances<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
@@ -41,16 +52,18 @@ pub(super) fn options(id: Option<u64>, tag: u64, payload: Option<&[u8]>) -> Inse
 impl Drop for Index {
     /// Warns of lost writes. Python shows no log lines of the Rust package. A closed index has no pending writes.
     fn drop(&mut self) {
-        let pending = match self.form {
-            Form::Shared => self.index.pending(),
-            Form::Memory { .. } | Form::Remote => 0,
+        let (pending, refused) = match self.form {
+            Form::Shared => (self.index.pending(), self.index.take_unsent().len()),
+            Form::Memory { .. } | Form::Remote => (0, 0),
         };
-        if pending == 0 {
-            return;
-        }
+        let count = match (pending, refused) {
+            (0, 0) => return,
+            (pending, 0) => format!("{pending} pending"),
+            (pending, refused) => format!("{pending} pending, {refused} refused"),
+        };
         let text = format!(
-            "a shared index was dropped before the server had acknowledged its writes ({pending} pending): use it in a \
-             `with` block, or call `flush` or `close`"
+            "a shared index was dropped before the server had acknowledged its writes ({count}): use it in a `with` block, \
+             or call `flush` or `close`"
         );
         Python::try_attach(|py| {
             // An exception may be under way, and a warning needs that none is.
