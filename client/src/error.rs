@@ -125,8 +125,10 @@ pub enum Error {
     #[error("the index is closed")]
     Closed,
     /// The index was made in another process, from which this one was forked: its threads are not here, and one of
-    /// them may have held a lock.
-    #[error("the index was opened before a fork: open it again in this process")]
+    /// them may have held a lock. Nor can this process open an index of a server if the other one had opened any.
+    #[error(
+        "this process was forked after an index was opened: fork before that, or start a process anew"
+    )]
     Forked,
     /// The thread that talks to servers could not be started.
     #[error("no thread to talk to servers: {source}")]
@@ -156,6 +158,8 @@ pub enum Error {
     #[error("rows 0 to {} of {rows} took effect; then: {source}", done - 1)]
     Partial {
         /// The number of rows that took effect, in order from the first. Row numbers in `source` count from row `done`.
+        /// A shared index takes back those that the server had not taken, if `source` is [`Error::WritesRefused`],
+        /// [`Error::Closed`] or [`Error::Ended`]: they are among the unsent writes.
         done: usize,
         /// The number of rows to send.
         rows: usize,

@@ -1,8 +1,10 @@
 //! The points that an index holds in this process.
 
+use std::ops::Deref;
+
 use wayfold_index::{
     Changes, Forest, ForestOptions, ForestSnapshot, Merge, Neighbor, NewPoint, Point, PointRef,
-    Points, ReadRevision, ScaledSearch, Space,
+    Points, ReadRevision, ScaledSearch, Search, Space,
 };
 
 use super::history::History;
@@ -158,19 +160,9 @@ impl LocalPoints {
         merge
     }
 
-    /// A copy of the points, frozen, for a search that would keep writers waiting.
-    pub(super) fn snapshot_for(&self, scaled: &ScaledSearch<'_>) -> Option<ForestSnapshot> {
-        let is_long = scaled.search.k > MAX_LOCKED_K || scaled.search.until.is_some();
-        is_long.then(|| self.forest.snapshot())
-    }
-
-    pub(super) fn search(
-        &self,
-        row: &[f64],
-        scaled: &ScaledSearch<'_>,
-    ) -> Result<Vec<Neighbor>, Error> {
-        let search = scaled.among(self.forest.len(), self.forest.space().dimension());
-        Ok(self.forest.search(row, &search)?.neighbors)
+    /// The search among the present points.
+    pub(super) fn among<'a>(&self, scaled: &ScaledSearch<'a>) -> Search<'a> {
+        scaled.among(self.forest.len(), self.forest.space().dimension())
     }
 
     pub(super) fn get(&self, id: u64) -> Option<Point> {
@@ -204,14 +196,39 @@ pub(super) struct NewRow<'a> {
     pub(super) is_new: bool,
 }
 
-/// Searches a snapshot.
-pub(super) fn search_snapshot(
-    snapshot: &ForestSnapshot,
+/// Answers a search of the points. One that would keep writers waiting reads a snapshot, without the lock.
+pub(super) fn search(
+    points: impl Deref<Target = LocalPoints>,
     row: &[f64],
     scaled: &ScaledSearch<'_>,
-) -> Result<Vec<Neighbor>, Error> {
-    let search = scaled.among(snapshot.len(), snapshot.space().dimension());
-    Ok(snapshot.search(row, &search)?.neighbors)
+    found: &mut Vec<Neighbor>,
+) -> Result<ReadRevision, Error> {
+    let (search, read_revision) = (points.among(scaled), points.read_revision());
+    let answer = match search.k > MAX_LOCKED_K || search.until.is_some() {
+        false => points.forest.search(row, &search),
+        true => {
+            let snapshot = points.forest.snapshot();
+            drop(points);
+            snapshot.search(row, &search)
+        }
+    };
+    *found = answer?.neighbors;
+    Ok(read_revision)
+}
+
+/// Answers the searches in turn, one a row, in a snapshot.
+pub(super) fn search_many(
+    snapshot: &ForestSnapshot,
+    rows: &[f64],
+    searches: &[ScaledSearch<'_>],
+) -> Result<Vec<Vec<Neighbor>>, Error> {
+    let rows = rows.chunks_exact(snapshot.space().coordinates());
+    rows.zip(searches.iter().cycle())
+        .map(|(row, scaled)| {
+            let search = scaled.among(snapshot.len(), snapshot.space().dimension());
+            Ok(snapshot.search(row, &search)?.neighbors)
+        })
+        .collect()
 }
 
 /// Refuses an id that no index takes.

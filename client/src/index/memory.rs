@@ -12,7 +12,7 @@ use wayfold_index::{
 };
 
 use super::{
-    local::{LocalPoints, MAX_ID, NewRow, check_id, search_snapshot},
+    local::{self, LocalPoints, MAX_ID, NewRow, check_id},
     merger::{self, Merged},
     origin::Origin,
 };
@@ -129,16 +129,8 @@ impl NearestNeighbors for Memory {
         scaled: &ScaledSearch<'_>,
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Error> {
-        let state = self.read()?;
-        let read_revision = state.points.read_revision();
-        *found = match state.points.snapshot_for(scaled) {
-            None => state.points.search(row, scaled)?,
-            Some(snapshot) => {
-                drop(state);
-                search_snapshot(&snapshot, row, scaled)?
-            }
-        };
-        Ok(read_revision)
+        let points = RwLockReadGuard::map(self.read()?, |state| &state.points);
+        local::search(points, row, scaled, found)
     }
 
     fn search_many(
@@ -147,11 +139,7 @@ impl NearestNeighbors for Memory {
         searches: &[ScaledSearch<'_>],
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
         let snapshot = self.read()?.points.forest.snapshot();
-        let rows = rows.chunks_exact(self.space.coordinates());
-        let searches = searches.iter().cycle();
-        rows.zip(searches)
-            .map(|(row, scaled)| search_snapshot(&snapshot, row, scaled))
-            .collect()
+        local::search_many(&snapshot, rows, searches)
     }
 
     fn insert(
@@ -169,7 +157,8 @@ impl NearestNeighbors for Memory {
         }
         found.clear();
         if let Some(scaled) = scaled {
-            *found = state.points.search(point.row, scaled)?;
+            let search = state.points.among(scaled);
+            *found = state.points.forest.search(point.row, &search)?.neighbors;
         }
         let id = match point.id {
             Some(id) => {

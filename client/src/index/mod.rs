@@ -37,8 +37,6 @@ use crate::{
     layout::{self, Coordinate},
 };
 use memory::{Memory, Merges};
-#[cfg(feature = "net")]
-use shared::SharedIndex;
 
 /// A dynamic set of states with exact nearest-neighbour search, for planners.
 ///
@@ -65,9 +63,9 @@ use shared::SharedIndex;
 #[derive(Clone, Debug)]
 pub struct Index {
     form: Arc<dyn NearestNeighbors<Error = Error>>,
-    /// The same as `form`, if it is the shared one.
+    /// What `form` holds, if it is the shared one.
     #[cfg(feature = "net")]
-    shared: Option<Arc<SharedIndex>>,
+    shared: Option<Arc<shared::Core>>,
     /// The kinds of the numbers of a state.
     coordinates: Arc<[Coordinate]>,
 }
@@ -162,9 +160,9 @@ impl Index {
     ///
     /// # Errors
     /// Those of [`Index::insert`]; the row in the error is the state's. Nothing is stored then, except with
-    /// [`Error::Partial`]: rows before the failed part are stored, under the ids in the error. After
-    /// [`Error::WritesRefused`] the rows that the server had not taken are in [`Index::take_unsent`], and after
-    /// [`Error::Closed`] in the result of [`Index::close`].
+    /// [`Error::Partial`]: rows before the failed part are stored, under the ids in the error. If the server refused
+    /// writes of a shared index, those of them that it had not taken are in [`Index::take_unsent`] instead; if the index
+    /// was closed meanwhile, in the result of [`Index::close`].
     pub fn insert_many<S: State>(
         &self,
         states: impl IntoIterator<Item = S>,

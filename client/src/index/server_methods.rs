@@ -44,10 +44,9 @@ impl Index {
     }
 
     pub(super) fn of_shared(shared: SharedIndex) -> Index {
-        let shared = Arc::new(shared);
         Index {
-            shared: Some(Arc::clone(&shared)),
-            ..Index::of(shared)
+            shared: Some(Arc::clone(&shared.core)),
+            ..Index::of(Arc::new(shared))
         }
     }
 
@@ -57,7 +56,8 @@ impl Index {
     /// # Errors
     /// [`Error::Timeout`]; the writes stay pending. [`Error::WritesRefused`]: see [`Index::take_unsent`].
     pub fn flush(&self) -> Result<(), Error> {
-        self.shared.as_ref().map_or(Ok(()), |shared| shared.flush())
+        let shared = self.shared.as_ref();
+        shared.map_or(Ok(()), |shared| shared.flush(shared.settings.timeout))
     }
 
     /// Acts like [`Index::flush`], but waits at most for `timeout` instead of the index's own.
@@ -67,7 +67,7 @@ impl Index {
     pub fn flush_within(&self, timeout: Duration) -> Result<(), Error> {
         self.shared
             .as_ref()
-            .map_or(Ok(()), |shared| shared.flush_within(timeout))
+            .map_or(Ok(()), |shared| shared.flush(timeout))
     }
 
     /// The number of writes that the server has not acknowledged; 0 for the other forms.

@@ -307,18 +307,29 @@ impl IndexHandle {
         Ok(())
     }
 
-    /// Acts like [`IndexHandle::wait_for_newest`] before a scan, a snapshot or a verification: they have no deadline, and
-    /// a server lets such a read wait for 5 s only. If there are several servers, the client goes to another one then.
-    pub(crate) async fn wait_before_stream(
+    /// Opens a scan, a snapshot or a verification, without a deadline, which would bound the whole stream. A server lets
+    /// such a read wait for 5 s only, so the client waits for the newest revision before; if there are several servers,
+    /// it goes to another one after a while.
+    pub(crate) async fn open_stream<A, Fut>(
         &self,
-        connection: &Connection,
-        remaining: Duration,
-    ) -> Result<(), tonic::Status> {
-        let wait = match self.client().connections().are_several() {
-            true => remaining.min(MAX_SILENCE),
-            false => remaining,
+        call: &'static str,
+        open: impl Fn(Connection) -> Fut,
+    ) -> Result<A, Error>
+    where
+        Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
+    {
+        let attempt = |connection: Connection, remaining: Duration| {
+            let wait = match self.client().connections().are_several() {
+                true => remaining.min(MAX_SILENCE),
+                false => remaining,
+            };
+            let opened = open(connection.clone());
+            async move {
+                self.wait_for_newest(&connection, wait).await?;
+                opened.await
+            }
         };
-        self.wait_for_newest(connection, wait).await
+        self.client().call(call, self.timeout, attempt).await
     }
 
     /// Waits until the server has the newest revision that the handle has seen.

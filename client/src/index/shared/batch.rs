@@ -79,6 +79,8 @@ pub(super) struct Batch {
     payload_count: usize,
     rows: usize,
     bytes: usize,
+    /// About as many bytes as its searches hold, and its changes of points that others may change too.
+    pub(super) kept_bytes: usize,
     /// The revision that it made, once the server has acknowledged it.
     pub(super) revision: Option<u64>,
     /// The first and the last of its ids that the index assigned.
@@ -99,9 +101,14 @@ impl Batch {
         self.ids.len()
     }
 
-    /// About as many bytes as it holds.
+    /// About as many bytes as its request has.
     pub(super) fn bytes(&self) -> usize {
         self.bytes
+    }
+
+    /// About as many bytes as this process holds for it.
+    pub(super) fn held_bytes(&self) -> usize {
+        self.bytes + self.kept_bytes
     }
 
     /// The bytes that a step adds.

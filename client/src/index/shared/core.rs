@@ -31,15 +31,10 @@ pub(super) const ID_BLOCK: u64 = 1 << 16;
 
 /// The order of locks: `writer`, `points`, `published`, `connection`.
 #[derive(Debug)]
-pub(super) struct Core {
+pub(in crate::index) struct Core {
     pub(super) space: Space,
     pub(super) link: Link,
-    pub(super) timeout: Duration,
-    pub(super) max_pending_bytes: usize,
-    pub(super) max_payload_bytes: usize,
-    /// The ids that are reserved at once.
-    pub(super) id_block: u64,
-    max_reserved_ids: u64,
+    pub(in crate::index) settings: Settings,
     pub(super) writer: Mutex<Writer>,
     /// Wakes callers that wait for `writer`.
     pub(super) progress: Condvar,
@@ -61,10 +56,11 @@ pub(super) struct Core {
 
 /// The limits of a shared index.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Settings {
-    pub(super) timeout: Duration,
+pub(in crate::index) struct Settings {
+    pub(in crate::index) timeout: Duration,
     pub(super) max_pending_bytes: usize,
     pub(super) max_payload_bytes: usize,
+    /// The ids that are reserved at once.
     pub(super) id_block: u64,
     pub(super) max_reserved_ids: u64,
 }
@@ -98,11 +94,7 @@ impl Core {
         Arc::new_cyclic(|this| Core {
             space: index.space.clone(),
             link,
-            timeout: settings.timeout,
-            max_pending_bytes: settings.max_pending_bytes,
-            max_payload_bytes: settings.max_payload_bytes,
-            id_block: settings.id_block,
-            max_reserved_ids: settings.max_reserved_ids,
+            settings,
             writer: Mutex::new(writer),
             progress: Condvar::new(),
             work: Notify::new(),
@@ -147,18 +139,27 @@ impl Core {
         let mut until = None;
         loop {
             self.check_writable(&writer)?;
-            let has_room = writer.bytes == 0 || writer.bytes + bytes <= self.max_pending_bytes;
+            let max_bytes = self.settings.max_pending_bytes;
+            let has_room = writer.bytes == 0 || writer.bytes + bytes <= max_bytes;
             if has_room && writer.ids.len() >= ids {
                 return Ok(writer);
             }
             writer.requested_ids = writer.requested_ids.max(ids);
             self.wake(&mut writer);
             self.urgent.notify_one();
-            let until = *until.get_or_insert_with(|| deadline(self.timeout));
+            let until = *until.get_or_insert_with(|| deadline(self.settings.timeout));
             if self.progress.wait_until(&mut writer, until).timed_out() {
-                return Err(Error::timeout("write", self.timeout));
+                return Err(Error::timeout("write", self.settings.timeout));
             }
         }
+    }
+
+    /// True if the copy has a point with this id, and takes writes.
+    pub(super) fn contains(&self, id: u64) -> Result<bool, Error> {
+        self.check()?;
+        let writer = self.writer.lock();
+        self.check_writable(&writer)?;
+        Ok(self.points.read().forest.contains(id))
     }
 
     fn check_writable(&self, writer: &Writer) -> Result<(), Error> {
@@ -195,8 +196,19 @@ impl Core {
         merger::after_change(points, || self.this.clone());
     }
 
+    /// The writer; `None` in a forked process.
+    fn writer_here(&self) -> Option<MutexGuard<'_, Writer>> {
+        (!self.is_forked()).then(|| self.writer.lock())
+    }
+
+    /// The number of writes that the server has not acknowledged.
+    pub(in crate::index) fn pending(&self) -> u64 {
+        let writer = self.writer_here();
+        writer.map_or(0, |writer| writer.written - writer.settled)
+    }
+
     /// Waits until the server has acknowledged every write before now.
-    pub(super) fn flush(&self, timeout: Duration) -> Result<(), Error> {
+    pub(in crate::index) fn flush(&self, timeout: Duration) -> Result<(), Error> {
         self.check()?;
         let until = deadline(timeout);
         let mut writer = self.writer.lock();
@@ -223,12 +235,13 @@ impl Core {
 
     /// The number of ids to reserve now.
     pub(super) fn reserve_count(&self, writer: &Writer) -> u64 {
+        let id_block = self.settings.id_block;
         match writer.ids.len() {
             left if left < writer.requested_ids => {
                 let missing = writer.requested_ids - left;
-                missing.clamp(self.id_block, self.max_reserved_ids)
+                missing.clamp(id_block, self.settings.max_reserved_ids)
             }
-            left if left < self.id_block / 2 => self.id_block,
+            left if left < id_block / 2 => id_block,
             _ => 0,
         }
     }
@@ -261,10 +274,18 @@ impl Core {
         }
     }
 
+    /// Takes the answers to searches.
+    pub(in crate::index) fn meanwhile(&self) -> MeanwhileAnswers {
+        let writer = self.writer_here();
+        writer.map_or_else(Default::default, |mut it| it.open_searches.take())
+    }
+
     /// Takes the answers to searches; waits for one if none is here and one is under way.
-    pub(super) fn wait_meanwhile(&self, timeout: Duration) -> MeanwhileAnswers {
+    pub(in crate::index) fn wait_meanwhile(&self, timeout: Duration) -> MeanwhileAnswers {
         let until = deadline(timeout);
-        let mut writer = self.writer.lock();
+        let Some(mut writer) = self.writer_here() else {
+            return MeanwhileAnswers::default();
+        };
         while writer.open_searches.are_awaited() && !self.has_ended() {
             self.wake(&mut writer);
             self.urgent.notify_one();
@@ -276,22 +297,21 @@ impl Core {
     }
 
     /// Gives back the writes that the server did not take, after which writing begins again.
-    pub(super) fn take_unsent(&self) -> Vec<UnsentWrite> {
-        if self.is_forked() {
+    pub(in crate::index) fn take_unsent(&self) -> Vec<UnsentWrite> {
+        let Some(mut writer) = self.writer_here() else {
             return Vec::new();
-        }
-        let mut writer = self.writer.lock();
+        };
         let unsent = writer.take_unsent();
         self.wake(&mut writer);
         unsent
     }
 
     /// Takes no more writes, waits for the pending ones, and gives back those that the server did not take in time.
-    pub(super) fn close(&self, timeout: Duration) -> Vec<UnsentWrite> {
-        if self.is_forked() {
-            return Vec::new();
+    pub(in crate::index) fn close(&self, timeout: Duration) -> Vec<UnsentWrite> {
+        match self.writer_here() {
+            Some(mut writer) => writer.is_closed = true,
+            None => return Vec::new(),
         }
-        self.writer.lock().is_closed = true;
         self.progress.notify_all();
         let flushed = self.flush(timeout);
         let mut writer = self.writer.lock();
@@ -335,7 +355,7 @@ impl Core {
         self.ended.get().is_some()
     }
 
-    pub(super) fn status(&self) -> ConnectionStatus {
+    pub(in crate::index) fn status(&self) -> ConnectionStatus {
         if self.is_forked() {
             let why = Arc::new(Error::Forked);
             return ConnectionStatus::Ended { why };

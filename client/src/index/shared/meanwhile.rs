@@ -101,6 +101,11 @@ impl OpenSearch {
         }
     }
 
+    /// The bytes that it holds until its point is published.
+    pub(super) fn bytes(&self) -> usize {
+        size_of::<OpenSearch>() + size_of_val(&self.row[..]) + size_of_val(&self.found[..])
+    }
+
     /// The points were read again, so the answer is a superset.
     pub(super) fn reloaded(&mut self) {
         self.is_reloaded = true;

@@ -18,11 +18,12 @@ mod subscriber;
 mod writer;
 
 pub use batch::UnsentWrite;
+pub(super) use core::Core;
 pub use meanwhile::{Meanwhile, MeanwhileAnswers};
 pub use open::OpenShared;
 pub use status::ConnectionStatus;
 
-use std::{fmt, sync::Arc, time::Duration};
+use std::{fmt, sync::Arc};
 
 use tokio::task::AbortHandle;
 use wayfold_index::{
@@ -31,71 +32,23 @@ use wayfold_index::{
 };
 
 use super::{
-    local::{check_id, search_snapshot},
+    local::{self, check_id},
     runtime::wait_for,
     scan::scan,
 };
 use crate::Error;
 use batch::{Batch, Step};
-use core::Core;
 
 /// The most rows that `insert_many` stores at once: readers wait for them.
 const MAX_ROWS_AT_ONCE: usize = 4_096;
 
 /// A shared index. Its tasks end with it.
 pub(super) struct SharedIndex {
-    core: Arc<Core>,
+    pub(super) core: Arc<Core>,
     tasks: [AbortHandle; 2],
 }
 
 impl SharedIndex {
-    fn new(core: Arc<Core>, tasks: [AbortHandle; 2]) -> SharedIndex {
-        SharedIndex { core, tasks }
-    }
-
-    pub(super) fn flush(&self) -> Result<(), Error> {
-        self.flush_within(self.core.timeout)
-    }
-
-    pub(super) fn flush_within(&self, timeout: Duration) -> Result<(), Error> {
-        self.core.flush(timeout)
-    }
-
-    /// The number of writes that the server has not acknowledged.
-    pub(super) fn pending(&self) -> u64 {
-        if self.core.is_forked() {
-            return 0;
-        }
-        let writer = self.core.writer.lock();
-        writer.written - writer.settled
-    }
-
-    pub(super) fn status(&self) -> ConnectionStatus {
-        self.core.status()
-    }
-
-    pub(super) fn meanwhile(&self) -> MeanwhileAnswers {
-        if self.core.is_forked() {
-            return MeanwhileAnswers::default();
-        }
-        self.core.writer.lock().open_searches.take()
-    }
-
-    pub(super) fn wait_meanwhile(&self, timeout: Duration) -> MeanwhileAnswers {
-        if self.core.is_forked() {
-            return MeanwhileAnswers::default();
-        }
-        self.core.wait_meanwhile(timeout)
-    }
-
-    pub(super) fn take_unsent(&self) -> Vec<UnsentWrite> {
-        self.core.take_unsent()
-    }
-
-    pub(super) fn close(&self, timeout: Duration) -> Vec<UnsentWrite> {
-        self.core.close(timeout)
-    }
-
     /// Stores rows under new ids, which readers see at once.
     fn insert_rows(&self, rows: &[f64], tag: u64, ids: &mut Vec<u64>) -> Result<(), Error> {
         let width = self.core.space.coordinates();
@@ -119,7 +72,7 @@ impl SharedIndex {
 
     /// Refuses a payload that the server would not take.
     fn check_payload(&self, payload: &[u8]) -> Result<(), Error> {
-        let (max, found) = (self.core.max_payload_bytes, payload.len());
+        let (max, found) = (self.core.settings.max_payload_bytes, payload.len());
         match found > max {
             true => Err(Error::Argument {
                 field: "payload",
@@ -131,6 +84,10 @@ impl SharedIndex {
 
     /// Changes a stored point; false if the copy has none with this id.
     fn change(&self, id: u64, step: &Step<'_>) -> Result<bool, Error> {
+        // A change without effect does not wait for room.
+        if !self.core.contains(id)? {
+            return Ok(false);
+        }
         let mut writer = self.core.room(Batch::step_bytes(step), 0)?;
         let mut points = self.core.points.write();
         if !points.forest.contains(id) {
@@ -161,16 +118,7 @@ impl NearestNeighbors for SharedIndex {
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Error> {
         self.core.check_readable()?;
-        let points = self.core.points.read();
-        let read_revision = points.read_revision();
-        *found = match points.snapshot_for(scaled) {
-            None => points.search(row, scaled)?,
-            Some(snapshot) => {
-                drop(points);
-                search_snapshot(&snapshot, row, scaled)?
-            }
-        };
-        Ok(read_revision)
+        local::search(self.core.points.read(), row, scaled, found)
     }
 
     fn search_many(
@@ -180,11 +128,7 @@ impl NearestNeighbors for SharedIndex {
     ) -> Result<Vec<Vec<Neighbor>>, Error> {
         self.core.check_readable()?;
         let snapshot = self.core.points.read().forest.snapshot();
-        let rows = rows.chunks_exact(self.core.space.coordinates());
-        let searches = searches.iter().cycle();
-        rows.zip(searches)
-            .map(|(row, scaled)| search_snapshot(&snapshot, row, scaled))
-            .collect()
+        local::search_many(&snapshot, rows, searches)
     }
 
     fn insert(
@@ -213,7 +157,7 @@ impl NearestNeighbors for SharedIndex {
                 return Err(Error::IdTaken { id });
             }
             if let Some(scaled) = scaled {
-                let among = scaled.among(points.forest.len(), self.core.space.dimension());
+                let among = points.among(scaled);
                 *found = points.forest.search(point.row, &among)?.neighbors;
                 search = Some(among);
             }
@@ -247,10 +191,7 @@ impl NearestNeighbors for SharedIndex {
             if let Err(error) = self.insert_rows(part, tag, &mut ids) {
                 ids.truncate(done);
                 return Err(match (done, error) {
-                    // The rows that the server had not taken are among the writes to take back.
-                    (0, error) | (_, error @ (Error::WritesRefused { .. } | Error::Closed)) => {
-                        error
-                    }
+                    (0, error) => error,
                     (done, error) => Error::Partial {
                         done,
                         rows: count,
@@ -342,12 +283,14 @@ impl Drop for SharedIndex {
             return;
         }
         self.tasks.iter().for_each(AbortHandle::abort);
-        let pending = self.pending();
-        if pending > 0 {
+        let writer = self.core.writer.lock();
+        let (pending, unsent) = (writer.written - writer.settled, writer.unsent.len());
+        if pending > 0 || unsent > 0 {
             let index = self.core.published.lock().0.name.clone();
             tracing::warn!(
                 index,
                 pending,
+                unsent,
                 "dropped with writes that the server has not acknowledged"
             );
         }
@@ -357,7 +300,7 @@ impl Drop for SharedIndex {
 impl fmt::Debug for SharedIndex {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("SharedIndex")
-            .field("status", &self.status())
+            .field("status", &self.core.status())
             .finish_non_exhaustive()
     }
 }

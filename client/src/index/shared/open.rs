@@ -1,7 +1,8 @@
 //! Opening a shared index.
 
-use std::{sync::Arc, time::Duration};
+use std::{io, panic::AssertUnwindSafe, sync::Arc, time::Duration};
 
+use futures_util::FutureExt;
 use wayfold_index::Space;
 
 use super::{
@@ -92,8 +93,9 @@ impl OpenShared {
         self
     }
 
-    /// The most bytes of writes that are not yet acknowledged and back from the feed: 16 MiB unless set. A write that
-    /// exceeds them waits, as does one without an id of its own once the ids that the server has reserved are spent.
+    /// The most bytes of writes, and of the searches of inserts, that are not yet acknowledged and back from the feed: 16
+    /// MiB unless set; the answer of one search may exceed them. A write that exceeds them waits, as does one without an
+    /// id of its own once the ids that the server has reserved are spent.
     pub fn max_pending_bytes(mut self, bytes: usize) -> OpenShared {
         self.max_pending_bytes = bytes;
         self
@@ -116,11 +118,12 @@ impl OpenShared {
         let core = wait_for(self.connect())?;
         let (index, revision) = core.published.lock().clone();
         let subscriber = Subscriber::new(Arc::clone(&core), index, revision);
+        let sending = sender::run(Arc::clone(&core));
         let tasks = [
-            spawn(sender::run(Arc::clone(&core)))?.abort_handle(),
-            spawn(subscriber.run())?.abort_handle(),
+            spawn(supervised(Arc::clone(&core), sending))?.abort_handle(),
+            spawn(supervised(Arc::clone(&core), subscriber.run()))?.abort_handle(),
         ];
-        Ok(Index::of_shared(SharedIndex::new(core, tasks)))
+        Ok(Index::of_shared(SharedIndex { core, tasks }))
     }
 
     async fn connect(self) -> Result<Arc<Core>, Error> {
@@ -137,7 +140,7 @@ impl OpenShared {
         let opened = link.open_session(&index, id_block, &operation_id).await?;
         writer.open(opened.session, opened.reserved);
         let mut points = LocalPoints::new(&index.space);
-        let (forest, revision) = link.load(&index, points.read_revision().0 + 1).await?;
+        let (forest, revision) = link.load(&index, 0, points.read_revision().0 + 1).await?;
         drop(points.replace(forest));
         Ok(Core::new(
             link,
@@ -153,5 +156,14 @@ impl OpenShared {
                 max_reserved_ids: limits.max_reserved_ids,
             },
         ))
+    }
+}
+
+/// Runs a task of an index. The index ends if it panics: its copy would never change again, or its writes would wait
+/// without end.
+async fn supervised(core: Arc<Core>, task: impl Future<Output = ()>) {
+    if AssertUnwindSafe(task).catch_unwind().await.is_err() {
+        let source = Arc::new(io::Error::other("a task of the index panicked"));
+        core.end(Error::Thread { source });
     }
 }

@@ -102,7 +102,7 @@ fn next(core: &Core, index: &IndexInfo) -> Next {
 async fn open(core: &Core, index: &IndexInfo, operation_id: &str) -> Result<(), Error> {
     let opened = core
         .link
-        .open_session(index, core.id_block, operation_id)
+        .open_session(index, core.settings.id_block, operation_id)
         .await?;
     let mut writer = core.writer.lock();
     if core.is_current(index) {

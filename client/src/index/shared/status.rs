@@ -30,7 +30,7 @@ pub enum ConnectionStatus {
         /// The refusal.
         why: Arc<Error>,
     },
-    /// The index is gone, or has another space: reads and writes fail.
+    /// The index is gone, has another space, or was given up after a panic in its background: reads and writes fail.
     Ended {
         /// The cause.
         why: Arc<Error>,

@@ -166,7 +166,12 @@ impl Subscriber {
             });
         }
         let at = core.points.read().read_revision().0 + RELOAD_CHANGES;
-        let (forest, revision) = core.link.load(&index, at).await?;
+        // A server that lags behind the copy waits for the revision, or refuses the read.
+        let after = match index.uid() == self.index.uid() {
+            true => self.revision,
+            false => 0,
+        };
+        let (forest, revision) = core.link.load(&index, after, at).await?;
         let mut writer = core.writer.lock();
         if index.uid() != self.index.uid() {
             // Its writer session and pending writes belong to the history that is gone.

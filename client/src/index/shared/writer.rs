@@ -26,6 +26,9 @@ const MAX_BATCH_STEPS: usize = 4_096;
 /// The most bytes of a batch.
 const MAX_BATCH_BYTES: usize = 1 << 20;
 
+/// About as many bytes as a step on a rebased point takes, besides the rows of the point and of the step.
+const REBASED_STEP_BYTES: usize = 256;
+
 #[derive(Debug)]
 pub(super) struct Writer {
     width: usize,
@@ -41,7 +44,7 @@ pub(super) struct Writer {
     rebased: HashMap<u64, RebasedPoint>,
     /// The number of points without the pending writes.
     pub(super) published_points: usize,
-    /// The bytes of `queue`.
+    /// The bytes that this process holds for `queue`.
     pub(super) bytes: usize,
     /// The most ids that a waiting caller needs at once.
     pub(super) requested_ids: u64,
@@ -55,7 +58,8 @@ pub(super) struct Writer {
     pub(super) refused: Option<Arc<Error>>,
     /// The number of refusals so far.
     pub(super) refusals: u64,
-    unsent: Vec<UnsentWrite>,
+    /// The writes that the server did not take, until the caller takes them back.
+    pub(super) unsent: Vec<UnsentWrite>,
     /// The sessions that were this process's before.
     past_sessions: Vec<u64>,
     /// True while the sender waits for work.
@@ -144,6 +148,8 @@ impl Writer {
         if let Some(batch) = self.queue.back_mut() {
             let step = batch.len() - 1;
             let open = OpenSearch::new((id, step), row, search, found, at);
+            batch.kept_bytes += open.bytes();
+            self.bytes += open.bytes();
             batch.searches.push(open);
             self.open_searches.open();
         }
@@ -187,7 +193,9 @@ impl Writer {
         if let Some(rebased) = self.rebased.get_mut(&id) {
             rebased.push(step);
         }
-        self.push(id, step);
+        let bytes = REBASED_STEP_BYTES + 2 * size_of::<f64>() * self.width;
+        self.push(id, step).kept_bytes += bytes;
+        self.bytes += bytes;
         Ok(())
     }
 

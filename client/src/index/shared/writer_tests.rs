@@ -175,7 +175,7 @@ fn a_batch_that_was_taken_waits_for_the_feed_after_a_refusal() {
     );
     assert_eq!(shown(&points, 5), Some((0, 1.0)));
     let unsent = writer.take_unsent();
-    assert_eq!(unsent.len(), 2);
+    assert_eq!((unsent.len(), writer.bytes), (2, 0));
     // A batch that was given back is none of those the writer waits for.
     assert!(
         writer
@@ -235,7 +235,7 @@ fn a_question_is_answered_when_its_point_is_published() {
     assert!(answers.is_empty());
     let answers = confirmed(&mut writer, &mut points, 2);
     assert_eq!((answers[0].id, answers[0].is_superset), (second, true));
-    assert_eq!(answers[0].points_before, 3);
+    assert_eq!((answers[0].points_before, writer.bytes), (3, 0));
     assert_eq!(neighbor_ids(&answers[0]), [4, first, 1]);
 }
 

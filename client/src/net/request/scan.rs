@@ -1,7 +1,5 @@
 //! Reading all points.
 
-use std::time::Duration;
-
 use tonic::Streaming;
 use wayfold_proto::v1;
 
@@ -69,16 +67,11 @@ impl ScanRequest {
 
     async fn send(self) -> Result<Scan, Error> {
         let ScanRequest { index, include, .. } = &self;
-        let client = index.client();
-        let attempt = |connection: Connection, remaining: Duration| {
+        let open = |connection: Connection| {
             let message = self.message();
-            async move {
-                index.wait_before_stream(&connection, remaining).await?;
-                // Without a deadline, which would bound the whole stream.
-                connection.points().scan(message).await
-            }
+            async move { connection.points().scan(message).await }
         };
-        let mut parts = client.call(CALL, index.timeout(), attempt).await?;
+        let mut parts = index.open_stream(CALL, open).await?;
         let Some(first) = receive(CALL, index, &mut parts).await? else {
             return Err(Error::protocol(CALL, "a scan without any part"));
         };

@@ -1,7 +1,5 @@
 //! Taking a snapshot.
 
-use std::time::Duration;
-
 use tonic::Streaming;
 use wayfold_proto::{
     snapshot::{Content, Header, Reader},
@@ -57,20 +55,15 @@ impl SnapshotRequest {
 
     async fn send(self) -> Result<Snapshot, Error> {
         let index = self.index;
-        let client = index.client();
         let message = v1::SnapshotIndexRequest {
             index_name: index.name().to_owned(),
             min_revision: index.min_revision(),
         };
-        let attempt = |connection: Connection, remaining: Duration| {
-            let (message, index) = (message.clone(), &index);
-            async move {
-                index.wait_before_stream(&connection, remaining).await?;
-                // Without a deadline, which would bound the whole stream.
-                connection.indexes().snapshot_index(message).await
-            }
+        let open = |connection: Connection| {
+            let message = message.clone();
+            async move { connection.indexes().snapshot_index(message).await }
         };
-        let mut parts = client.call(CALL, index.timeout(), attempt).await?;
+        let mut parts = index.open_stream(CALL, open).await?;
         let mut reader = Reader::new();
         match receive(&index, &mut parts, &mut reader).await? {
             Some((part, Content::Header(header))) => {

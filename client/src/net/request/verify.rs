@@ -1,7 +1,5 @@
 //! Verifying an index.
 
-use std::time::Duration;
-
 use wayfold_proto::v1::{self, verify_index_response::Result as Answer};
 
 use super::{awaitable, receive};
@@ -98,17 +96,12 @@ impl Verify {
         self,
         mut progress: impl FnMut(u64, u64),
     ) -> Result<Verified, Error> {
-        let (index, message) = (&self.index, self.message());
-        let attempt = |connection: Connection, remaining: Duration| {
-            let message = message.clone();
-            async move {
-                index.wait_before_stream(&connection, remaining).await?;
-                // Without a deadline, which would bound the whole stream.
-                connection.indexes().verify_index(message).await
-            }
+        let index = &self.index;
+        let open = |connection: Connection| {
+            let message = self.message();
+            async move { connection.indexes().verify_index(message).await }
         };
-        let client = index.client();
-        let mut answers = client.call(CALL, index.timeout(), attempt).await?;
+        let mut answers = index.open_stream(CALL, open).await?;
         loop {
             let answer = receive(CALL, index, &mut answers).await?;
             match answer.and_then(|answer| answer.result) {

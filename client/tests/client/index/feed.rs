@@ -188,6 +188,17 @@ impl tracing::Subscriber for Events {
     fn exit(&self, _: &Id) {}
 }
 
+/// The line that the drop of an index logs.
+pub(super) fn logged_by_drop(index: Index) -> String {
+    let events = Events::default();
+    tracing::subscriber::with_default(events.clone(), || drop(index));
+    let events = events.0.lock().unwrap();
+    let [line] = &events[..] else {
+        panic!("{events:?}");
+    };
+    line.clone()
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_drop_logs_the_number_of_pending_writes() {
     let fake = Fake::start().await;
@@ -199,13 +210,8 @@ async fn a_drop_logs_the_number_of_pending_writes() {
             .insert_with([0.5], InsertOptions::new().id(id))
             .unwrap();
     }
-    let events = Events::default();
-    tracing::subscriber::with_default(events.clone(), || drop(index));
-    let events = events.0.lock().unwrap();
-    let [line] = &events[..] else {
-        panic!("{events:?}");
-    };
-    for part in ["WARN", "index=\"line\"", "pending=2"] {
+    let line = logged_by_drop(index);
+    for part in ["WARN", "index=\"line\"", "pending=2", "unsent=0"] {
         assert!(line.contains(part), "{line}");
     }
 }

@@ -13,7 +13,7 @@ use wayfold::{
     RetryPolicy, Search, Space,
 };
 
-use super::conformance;
+use super::{conformance, feed::logged_by_drop};
 use crate::server::Server;
 use processes::{
     another_process_holds_the_same, no_edge_between_processes_is_missed, racing_writers_agree,
@@ -116,6 +116,34 @@ fn blocks_of_ids_keep_to_the_limit_of_the_server() {
     index.flush().unwrap();
     assert!(ids.is_sorted_by(|a, b| a < b), "{ids:?}");
     assert_eq!(index.len().unwrap(), ids.len());
+}
+
+/// The server has taken the first rows, and refuses the next ones, which nobody takes back.
+#[test]
+fn a_refusal_amid_an_insert_of_many_rows_loses_no_id_and_is_logged() {
+    let server = Server::with(|config| config.limits.max_points_per_index = 5_000);
+    let index = Index::shared(&server.uri, "arm").create(&"R1".parse().unwrap());
+    // As many bytes as the rows have that are stored at once: the next ones wait.
+    let index = index.max_pending_bytes(4_096 * 32).open().unwrap();
+    let rows = (0..20_000).map(|number| [f64::from(number)]);
+    let error = index.insert_many(rows).unwrap_err();
+    let Error::Partial {
+        done, ids, source, ..
+    } = error
+    else {
+        panic!("{error}");
+    };
+    assert!(matches!(*source, Error::WritesRefused { .. }), "{source}");
+    assert_eq!((source.reason(), ids.len()), (Some("QUOTA_EXCEEDED"), done));
+    let stored = content(&Index::remote(&server.uri, "arm").open().unwrap());
+    assert!(stored.keys().eq(&ids[..stored.len()]));
+    assert!(0 < stored.len() && stored.len() < done);
+    assert_eq!(index.pending(), 0);
+    let (line, unsent) = (logged_by_drop(index), done - stored.len());
+    assert!(
+        line.contains(&format!("pending=0 unsent={unsent}")),
+        "{line}"
+    );
 }
 
 /// The feed of the copy and two foreign ones hold what a server for one message of 20 kB allows. A shared index with 2

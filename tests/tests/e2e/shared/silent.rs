@@ -2,7 +2,7 @@
 
 use std::{net::TcpListener, time::Duration};
 
-use wayfold::{Code, ConnectionStatus, Error, Index};
+use wayfold::{Code, ConnectionStatus, Error, Index, InsertOptions, Neighbor, Search};
 use wayfold_index::Space;
 use wayfold_tests::{Process, ServerProcess, Signal};
 
@@ -42,7 +42,8 @@ fn pending_writes_are_bounded_while_the_server_is_silent() {
     assert!(matches!(error, Error::Timeout { .. }), "{error}");
     assert_eq!(index.pending(), inserted.len() as u64);
     assert!(inserted.len() * MIN_STEP_BYTES <= MAX_PENDING_BYTES);
-    // Nothing but new writes waits.
+    // Nothing but new writes waits, and no write without effect.
+    assert!(!index.remove(u64::MAX >> 1).unwrap());
     assert_eq!(index.len().unwrap(), inserted.len() + 1);
     let last = inserted.len() - 1;
     let nearest = index.nearest([last as f64, 0.1]).unwrap().unwrap();
@@ -72,6 +73,45 @@ fn pending_writes_are_bounded_while_the_server_is_silent() {
         matches!(status, ConnectionStatus::Following { .. })
     });
     assert_eq!(index.close(TIMEOUT), []);
+}
+
+/// What the inserts found is held until the server has stored their points.
+#[test]
+fn searches_of_pending_inserts_are_bounded_while_the_server_is_silent() {
+    const K: u32 = 1_000;
+    let directory = tempfile::tempdir().unwrap();
+    let mut command = command(&directory.path().join("data"), "127.0.0.1:0");
+    let server = ServerProcess::ready(Process::spawn(&mut command));
+    let index = Index::shared(server.uri(), "arm")
+        .create(&"R2".parse().unwrap())
+        .timeout(TIMEOUT)
+        .max_pending_bytes(MAX_PENDING_BYTES);
+    let index = index.open().unwrap();
+    index
+        .insert_many((0..K).map(|x| [f64::from(x), 0.0]))
+        .unwrap();
+    index.flush().unwrap();
+
+    server.process().signal(Signal::Pause);
+    let mut inserted = 0;
+    let error = loop {
+        let options = InsertOptions::new().id(1 << 40 | inserted as u64);
+        match index.insert_with([0.0, 1.0], options.neighbors(Search::k(K))) {
+            Ok(_) => inserted += 1,
+            Err(error) => break error,
+        }
+    };
+    assert!(matches!(error, Error::Timeout { .. }), "{error}");
+    // The last search may exceed the bound.
+    let found_bytes = (inserted - 1) * K as usize * size_of::<Neighbor>();
+    assert!(
+        inserted > 0 && found_bytes <= MAX_PENDING_BYTES,
+        "{inserted}"
+    );
+
+    server.process().signal(Signal::Resume);
+    assert_eq!(index.close(TIMEOUT), []);
+    assert_eq!(index.len().unwrap(), K as usize + inserted);
 }
 
 /// A write that was given back may have reached the server, as this one has.

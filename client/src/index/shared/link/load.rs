@@ -26,16 +26,17 @@ pub(super) struct Part {
 pub(super) type Parts = BoxStream<'static, Result<Part, Error>>;
 
 impl Link {
-    /// All points of the index and their revision. The changes of the forest are `at`.
+    /// All points of the index at revision `after` or a later one, and that revision. The changes of the forest are `at`.
     pub(in crate::index::shared) async fn load(
         &self,
         index: &IndexInfo,
+        after: u64,
         at: u64,
     ) -> Result<(Forest, u64), Error> {
         let (mut ended, mut refused) = (0, 0);
         let deadline = Instant::now() + self.timeout;
         let (points, revision) = loop {
-            match self.read_all(index, at).await {
+            match self.read_all(index, after, at).await {
                 Err(error) if error.reason() == Some("SCAN_ENDED") && ended < MAX_ENDED_SCANS => {
                     ended += 1;
                 }
@@ -55,16 +56,21 @@ impl Link {
         Ok((forest?, revision))
     }
 
-    async fn read_all(&self, index: &IndexInfo, at: u64) -> Result<(Points, u64), Error> {
+    async fn read_all(
+        &self,
+        index: &IndexInfo,
+        after: u64,
+        at: u64,
+    ) -> Result<(Points, u64), Error> {
         let mut parts: Parts = match &self.transport {
             Transport::Grpc(client) => {
-                let scan = handle(client, index, 0).scan().include(COLUMNS).await?;
+                let scan = handle(client, index, after).scan().include(COLUMNS).await?;
                 let total = scan.point_count();
                 let parts = scan.into_stream();
                 parts.map_ok(move |points| Part { points, total }).boxed()
             }
             #[cfg(feature = "zenoh")]
-            Transport::Zenoh(link) => link.scan(index),
+            Transport::Zenoh(link) => link.scan(index, after),
         };
         let mut points = Points::new(index.coordinate_count);
         let (mut revision, mut announced) = (0, 0);

@@ -77,7 +77,7 @@ impl Writer {
         let Some(mut batch) = self.queue.pop_front() else {
             return Ok(None);
         };
-        self.bytes -= batch.bytes();
+        self.bytes -= batch.held_bytes();
         if batch.revision.is_none() {
             self.settled += batch.len() as u64;
         }
@@ -229,7 +229,7 @@ impl Writer {
             .take_while(|batch| is_taken(batch))
             .count();
         for batch in self.queue.split_off(taken) {
-            self.bytes -= batch.bytes();
+            self.bytes -= batch.held_bytes();
             self.open_searches.close(batch.searches.len());
             self.settled += batch.len() as u64;
             for (id, _) in batch.steps(self.width) {
