@@ -76,6 +76,10 @@ to end. If a part of it cannot be read, it writes a new store with every index t
 can be read whole, and keeps the damaged one beside it as store.damaged-N. The
 other indices keep only their names: delete them and restore their snapshots.
 
+With --dry-run too, the store is opened as by a server that starts: an interrupted
+repair is finished, small files that all indices share are put back, and after an
+unclean stop the journal is rewritten.
+
 The new store needs about as many free bytes as the old one takes; --dry-run names
 the number, the damage and the indices that a repair loses.
 
@@ -84,7 +88,7 @@ Exit status:
   1          --dry-run found damage
   2          the command line or the settings are wrong
   3          the store cannot be repaired, for example because a server uses it, the
-             disk is full, or its list of files is damaged; nothing was changed";
+             disk is full, or its list of files is damaged; the old store is kept";
 
 const AFTER_RESEED: &str = "\
 Stop this server first; NATS has to run. The index gets a new uid and a new journal,
@@ -160,7 +164,7 @@ pub(super) enum Command {
     /// Rebuild a damaged store from everything that can be read of it
     #[command(after_help = AFTER_REPAIR)]
     Repair {
-        /// Report the damage and the cost of a repair, and change nothing
+        /// Report the damage and the cost of a repair, and rebuild nothing
         #[arg(long)]
         dry_run: bool,
     },

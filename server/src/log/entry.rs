@@ -77,8 +77,8 @@ impl Origin {
         match operations as u64 > self.revision {
             true => Err(LogError::Damaged {
                 uid,
-                revision: self.revision,
-                what: "its copy has more operations than revisions",
+                seen: 0,
+                what: "a copy of it has more operations than revisions".into(),
             }),
             false => Ok(()),
         }

@@ -32,8 +32,8 @@ pub enum LogError {
     /// The journal ends before what this server has applied. The server looks again: NATS may have answered from the past.
     #[error(
         "index {uid}: the journal ends at revision {head}, and this server has applied {applied}: NATS has lost the \
-         records between; nothing is written, and reads go on. If it lasts, stop this server and run \
-         `wayfold-server reseed`"
+         records between, or answers from the past; nothing is written, and reads go on; call again, or call another \
+         server. If it lasts, stop this server and run `wayfold-server reseed`"
     )]
     JournalBehind {
         /// The index.
@@ -42,6 +42,21 @@ pub enum LogError {
         head: u64,
         /// The newest revision that this server has applied.
         applied: u64,
+    },
+    /// A record of a journal that several servers share is damaged or missing. A server that cannot apply it takes a copy of
+    /// another one.
+    #[error(
+        "index {uid}: the record of revision {revision} in the journal is damaged: {what}; nothing is \
+         written until this server has a copy of another one, and reads go on; call again, or call another server. If \
+         it lasts at all servers, stop one and run `wayfold-server reseed` there"
+    )]
+    JournalDamaged {
+        /// The index.
+        uid: Uid,
+        /// The revision that the record should have.
+        revision: u64,
+        /// The damage.
+        what: &'static str,
     },
     /// Another server has applied a record that differs from the one that this server has applied at its revision.
     #[error(
@@ -96,42 +111,15 @@ pub enum LogError {
         /// The oldest revision whose successors are held.
         oldest: u64,
     },
-    /// A record differs from the one that was written.
-    #[error(
-        "the record of revision {revision} is damaged: {what}; restore the index from a snapshot, or delete it \
-         and create it again ({uid})"
-    )]
+    /// Stored records or points of an index are missing, or differ from the written ones.
+    #[error("{what}; restore the index from a snapshot, or delete it and create it again ({uid})")]
     Damaged {
         /// The index.
         uid: Uid,
-        /// The revision that the record should have.
-        revision: u64,
+        /// A revision that its readers may have seen; 0 if none is known.
+        seen: u64,
         /// The damage.
-        what: &'static str,
-    },
-    /// A point differs from the one that was written.
-    #[error(
-        "the point with id {id} is damaged: {what}; restore the index from a snapshot, or delete it and create it \
-         again ({uid})"
-    )]
-    DamagedPoint {
-        /// The index.
-        uid: Uid,
-        /// The point's id.
-        id: u64,
-        /// The damage.
-        what: &'static str,
-    },
-    /// Points are missing, or they are not the last written ones.
-    #[error(
-        "points are missing, or are not those of revision {revision}; restore the index from a snapshot, or \
-         delete it and create it again ({uid})"
-    )]
-    Incomplete {
-        /// The index.
-        uid: Uid,
-        /// The revision that the points should have.
-        revision: u64,
+        what: String,
     },
     /// The store read bytes that differ from the written ones.
     #[error(
@@ -214,9 +202,27 @@ pub enum LogError {
 }
 
 impl LogError {
+    /// The stored record of this revision is missing, or differs from the written one.
+    pub fn damaged_record(uid: Uid, revision: u64, what: &str) -> Self {
+        Self::Damaged {
+            uid,
+            seen: 0,
+            what: format!("the record of revision {revision} is damaged: {what}"),
+        }
+    }
+
+    /// The stored point with this id differs from the written one.
+    pub fn damaged_point(uid: Uid, id: u64, what: &str) -> Self {
+        Self::Damaged {
+            uid,
+            seen: 0,
+            what: format!("the point with id {id} is damaged: {what}"),
+        }
+    }
+
     /// The journal has lost the record of a revision that this server has applied, and another one took its place.
     pub(crate) const fn replaced(uid: Uid, revision: u64) -> Self {
-        Self::Damaged {
+        Self::JournalDamaged {
             uid,
             revision,
             what: "the journal has another one in its place",

@@ -25,12 +25,14 @@ mod effects;
 mod entry;
 mod error;
 mod fjall;
+mod following;
 mod memory;
 mod nats;
 mod record;
 mod retention;
 mod session;
 mod uid;
+mod unapplied;
 mod view;
 
 use std::sync::Arc;
@@ -111,7 +113,7 @@ pub trait Journal: Send + Sync {
     fn follow(&self, uid: Uid, after: u64) -> RecordStream;
 
     /// The same after a record that this server has applied. A journal elsewhere may have lost it, and have another one in its
-    /// place: then the stream ends with [`LogError::Damaged`].
+    /// place: then the stream ends with [`LogError::JournalDamaged`].
     fn follow_applied(&self, uid: Uid, applied: RecordPosition) -> RecordStream {
         self.follow(uid, applied.revision)
     }

@@ -1,10 +1,10 @@
 //! One mutation as the log holds it.
 
-use std::time::SystemTime;
+use std::{sync::Arc, time::SystemTime};
 
 use sha2::{Digest as _, Sha256};
 
-use super::{Effects, RecordPosition};
+use super::{Effects, LogError, RecordPosition, Uid};
 
 mod encoding;
 
@@ -150,6 +150,27 @@ impl Record {
     }
 }
 
+/// The position of the last of these records of an index. Fails unless the first follows `position`, and each other one the
+/// record before it.
+pub(super) fn position_after(
+    uid: Uid,
+    position: RecordPosition,
+    records: &[Arc<Record>],
+) -> Result<RecordPosition, LogError> {
+    let mut position = position;
+    for record in records {
+        if !record.follows(position) {
+            return Err(LogError::JournalDamaged {
+                uid,
+                revision: record.revision(),
+                what: "it does not follow the record before it",
+            });
+        }
+        position = record.position();
+    }
+    Ok(position)
+}
+
 /// `time` as [`Record::time_ms`] counts it.
 pub(super) fn time_ms(time: SystemTime) -> u64 {
     let since = time.duration_since(SystemTime::UNIX_EPOCH);
@@ -158,8 +179,6 @@ pub(super) fn time_ms(time: SystemTime) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use bytes::Bytes;
     use wayfold_index::PointRef;
 

@@ -55,6 +55,9 @@ pub(super) struct AwaitedReceipt {
     pub(super) outcome: BoxFuture<'static, Result<(), LogError>>,
 }
 
+/// A record that the journal can never have, and the end of the journal that showed it.
+type VoidRecord = (RecordPosition, u64);
+
 /// Runs the apply loop of this number until the index is dropped or its journal fails.
 pub(super) async fn run(
     hosted: Weak<Hosted>,
@@ -64,6 +67,7 @@ pub(super) async fn run(
 ) {
     // A receipt counts after those of the records before its own: a lost record is settled before the next one.
     let (mut awaited, mut arrivals) = (FuturesOrdered::new(), FuturesUnordered::new());
+    let mut void = None;
     loop {
         let outcome = tokio::select! {
             batch = records.next() => {
@@ -106,9 +110,8 @@ pub(super) async fn run(
                 }
                 let mut outcome = hosted.apply_acknowledged(acknowledged).await;
                 if outcome.is_ok() && let Some((record, base, Err(error))) = next {
-                    outcome = hosted.not_accepted(&record, base, error).await.map(|arrival| {
-                        arrivals.push(arrival);
-                    });
+                    let arrival = hosted.not_accepted(&record, base, error, &mut void).await;
+                    outcome = arrival.map(|arrival| arrivals.push(arrival));
                 }
                 drop(hosted);
                 yield_now().await;
@@ -160,14 +163,17 @@ impl Hosted {
         record: &Record,
         base: RecordPosition,
         error: LogError,
+        void: &mut Option<VoidRecord>,
     ) -> Result<impl Future<Output = Result<(), RegistryError>> + use<>, RegistryError> {
-        let head = match error {
-            LogError::Fenced { head, .. } => head,
-            error @ LogError::Unconfirmed { .. } => self.settle(record, error).await?,
-            error => return Err(error.into()),
+        let head = match (error, *void) {
+            (LogError::Fenced { head, .. }, _) => head,
+            // The publisher sends a record only after the one that it follows.
+            (LogError::Unconfirmed { .. }, Some((before, head))) if record.follows(before) => head,
+            (error @ LogError::Unconfirmed { .. }, _) => self.settle(record, error).await?,
+            (error, _) => return Err(error.into()),
         };
         let head = self.journal_has(base, head).await?;
-        Ok(self.superseded(record, head))
+        Ok(self.superseded(record, head, void))
     }
 
     /// Applies consecutive records, and publishes the last revision.
@@ -210,7 +216,7 @@ impl Hosted {
         let mut position = published;
         for record in records {
             if !record.follows(position) {
-                return Err(RegistryError::Log(LogError::Damaged {
+                return Err(RegistryError::Log(LogError::JournalDamaged {
                     uid: self.uid(),
                     revision: record.revision(),
                     what: "it does not follow the record before it",
@@ -264,7 +270,7 @@ impl Hosted {
         }
         let applied = forest.apply(record.revision(), effects.stored(), effects.removed());
         // This server checked its own records before it submitted them; other records may be damaged.
-        applied.map_err(|_| LogError::Damaged {
+        applied.map_err(|_| LogError::JournalDamaged {
             uid: self.uid(),
             revision: record.revision(),
             what: "its rows are not states of the space",
@@ -318,9 +324,11 @@ impl Hosted {
         &self,
         record: &Record,
         head: u64,
+        void: &mut Option<VoidRecord>,
     ) -> impl Future<Output = Result<(), RegistryError>> + use<> {
         // The record that has its place comes from the journal and decides. If none has it, none may ever come.
         if head < record.revision() {
+            *void = Some((record.position(), head));
             let decided = self.in_flight.lock().refused(record.position());
             notify(decided);
         }
@@ -328,8 +336,9 @@ impl Hosted {
     }
 
     /// Settles a record whose receipt was lost: an empty record is submitted in its place. If the journal takes that
-    /// one, the lost record can never be there; if it refuses, a record is there, or the record before it is not. In
-    /// all cases the records that come from the journal decide, up to the returned revision.
+    /// one, the lost record can never be there; if it refuses, a record is there, or the record before it is not. In both
+    /// cases the records that come from the journal decide, up to the returned revision. A refusal from the past of NATS
+    /// tells nothing.
     async fn settle(
         self: &Arc<Self>,
         record: &Record,
@@ -361,12 +370,29 @@ impl Hosted {
             };
             match outcome {
                 Ok(()) => break,
-                Err(LogError::Fenced { head, .. }) => return Ok(head),
-                Err(LogError::Unconfirmed { .. }) if Instant::now() < until => {}
+                Err(LogError::Fenced { head, .. }) if self.is_settled(previous, head).await => {
+                    return Ok(head);
+                }
+                Err(LogError::Fenced { .. } | LogError::Unconfirmed { .. })
+                    if Instant::now() < until => {}
+                Err(LogError::Fenced { head, .. }) => {
+                    self.journal_has(RecordPosition::START, head).await?;
+                    return Err(error.into());
+                }
                 Err(error) => return Err(error.into()),
             }
         }
         Ok(record.revision())
+    }
+
+    /// True if a journal that ends at the revision `head` has a record after `previous`, or another one in its place.
+    async fn is_settled(self: &Arc<Self>, previous: RecordPosition, head: u64) -> bool {
+        if head != previous.revision {
+            return head > previous.revision;
+        }
+        let found = self.read(head.saturating_sub(1), 1).await;
+        let is_other = |it: &Arc<Record>| it.revision() == head && it.position() != previous;
+        found.is_ok_and(|found| found.iter().any(is_other))
     }
 }
 

@@ -53,12 +53,9 @@ pub(super) fn catalog_error(error: RegistryError) -> Error {
 fn storage_error(what: String, error: LogError) -> Error {
     match error {
         LogError::Damaged { .. }
-        | LogError::DamagedPoint { .. }
         | LogError::Lost { .. }
-        | LogError::Incomplete { .. }
         | LogError::Unreadable { .. }
         | LogError::Unopened { .. }
-        | LogError::JournalBehind { .. }
         | LogError::Contradicted { .. } => Error::DataLoss { what },
         // Nothing is lost: the other servers of the cluster have it.
         LogError::Trimmed { .. } => Error::StorageFailed {
@@ -71,6 +68,9 @@ fn storage_error(what: String, error: LogError) -> Error {
         | LogError::DamagedStore { .. }
         | LogError::Shut { .. }
         | LogError::Unconfirmed { .. }
+        // The journal of a cluster gets its records back, or this server a copy of another one.
+        | LogError::JournalBehind { .. }
+        | LogError::JournalDamaged { .. }
         | LogError::Unreachable { .. }
         | LogError::Closed => Error::StorageFailed { what },
         LogError::UnknownIndex { .. }
@@ -86,14 +86,22 @@ mod tests {
     use crate::{log::Uid, service::Code};
 
     #[test]
-    fn a_server_that_was_away_for_too_long_sends_its_callers_to_another() {
+    fn a_server_that_cannot_follow_its_journal_sends_its_callers_to_another() {
+        let uid = Uid::unique();
         let trimmed = LogError::Trimmed {
-            uid: Uid::unique(),
+            uid,
             after: 7,
             oldest: 9,
         };
-        let error = registry_error("arm", RegistryError::Log(trimmed));
-        assert_eq!(error.code(), Code::Unavailable);
-        assert!(error.to_string().contains("call another server"), "{error}");
+        let behind = LogError::JournalBehind {
+            uid,
+            head: 7,
+            applied: 9,
+        };
+        for error in [trimmed, behind, LogError::replaced(uid, 7)] {
+            let error = registry_error("arm", RegistryError::Log(error));
+            assert_eq!(error.code(), Code::Unavailable);
+            assert!(error.to_string().contains("call another server"), "{error}");
+        }
     }
 }

@@ -4,9 +4,12 @@ use std::{slice::from_ref, sync::Arc};
 
 use futures_util::StreamExt;
 use tokio::runtime::{Builder, Runtime};
-use wayfold_server::log::{Catalogue, Log, LogError, MemoryLog, connect_nats};
+use wayfold_server::log::{Log, LogError, MemoryLog, connect_nats};
 
-use crate::{entry, nats::NatsServer};
+use crate::{
+    entry,
+    nats::{NatsServer, until},
+};
 
 fn connect(runtime: &Runtime, server: &NatsServer) -> Log {
     let _entered = runtime.enter();
@@ -28,14 +31,6 @@ async fn lose(server: &NatsServer) {
         }
     }
     panic!("no catalogue");
-}
-
-/// Waits until a server knows of a change.
-fn until(runtime: &Runtime, catalogue: &dyn Catalogue, is_known: impl Fn() -> bool) {
-    let mut changes = catalogue.changes().unwrap();
-    while !is_known() {
-        runtime.block_on(changes.changed()).unwrap();
-    }
 }
 
 #[ignore = "needs nats-server"]

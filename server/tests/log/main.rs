@@ -5,6 +5,7 @@
     reason = "a test that cannot go on has failed; clippy spares only what is marked as a test itself"
 )]
 
+mod claimed_in_nats;
 mod copied;
 mod disk;
 mod entry_lost_in_nats;
@@ -15,6 +16,7 @@ mod flips;
 mod following;
 mod forgotten;
 mod journal_end;
+mod large_in_nats;
 mod lost;
 mod model;
 mod nats;

@@ -7,7 +7,8 @@ use std::{
 };
 
 use tempfile::TempDir;
-use wayfold_server::log::NatsOptions;
+use tokio::runtime::Runtime;
+use wayfold_server::log::{Catalogue, NatsOptions};
 
 /// A server of NATS with JetStream, on a port of its own of the loopback interface. It is killed when it is dropped.
 pub(crate) struct NatsServer {
@@ -19,14 +20,18 @@ pub(crate) struct NatsServer {
 impl NatsServer {
     /// Starts the program that the environment variable `NATS_SERVER` names.
     pub(crate) fn start() -> Self {
+        // Many packs of records take several messages of so few bytes.
+        Self::start_with("max_payload: 1300")
+    }
+
+    /// The same with this text in its configuration.
+    pub(crate) fn start_with(more: &str) -> Self {
         let program = env::var_os("NATS_SERVER").expect("NATS_SERVER, the path of nats-server");
         let files = tempfile::tempdir().unwrap();
-        // Many packs of records take several messages of so few bytes.
         let config = files.path().join("nats.conf");
         let store = files.path().join("store");
-        let text = format!(
-            "listen: \"127.0.0.1:-1\"\nmax_payload: 1300\njetstream {{ store_dir: {store:?} }}\n"
-        );
+        let text =
+            format!("listen: \"127.0.0.1:-1\"\njetstream {{ store_dir: {store:?} }}\n{more}\n");
         fs::write(&config, text).unwrap();
         let mut child = Command::new(program)
             .arg("--config")
@@ -63,6 +68,13 @@ impl NatsServer {
             ca: None,
         }
     }
+
+    /// Sends the process a signal of this name.
+    pub(crate) fn signal(&self, name: &str) {
+        let mut kill = Command::new("kill");
+        kill.args(["-s", name, &self.child.id().to_string()]);
+        assert!(kill.status().unwrap().success());
+    }
 }
 
 impl Drop for NatsServer {
@@ -70,5 +82,13 @@ impl Drop for NatsServer {
         // Both fail only if it has ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
+    }
+}
+
+/// Waits until a server knows of a change.
+pub(crate) fn until(runtime: &Runtime, catalogue: &dyn Catalogue, is_known: impl Fn() -> bool) {
+    let mut changes = catalogue.changes().unwrap();
+    while !is_known() {
+        runtime.block_on(changes.changed()).unwrap();
     }
 }

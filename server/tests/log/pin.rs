@@ -24,7 +24,7 @@
 //! - A database that is dropped has ended its threads and writes nothing more. Relied on in `fjall/journal.rs`,
 //!   `fjall/manifest_copy.rs`, checked by `a_start_rewrites_the_journal_unless_the_shutdown_was_clean`, e2e `power_loss`.
 //! - All keys in one keyspace reach the tables in the order of the journal. Relied on in `fjall/layout.rs`, checked by
-//!   `log::model`, e2e `crash` and `power_loss`.
+//!   `the_log_on_disk_is_the_sum_of_its_records`, e2e `crash` and `power_loss`.
 
 /// The versions for which the list above was checked.
 const CHECKED: [(&str, &str); 2] = [("fjall", "3.1.13"), ("lsm-tree", "3.1.10")];

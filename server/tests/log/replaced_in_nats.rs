@@ -55,7 +55,7 @@ fn a_follower_compares_the_newest_record_in_nats() {
         ..position
     };
     let refused = next(&mut followed(&runtime, &log, uid, other)).unwrap_err();
-    let LogError::Damaged { revision, what, .. } = refused else {
+    let LogError::JournalDamaged { revision, what, .. } = refused else {
         panic!("{refused}");
     };
     assert_eq!(

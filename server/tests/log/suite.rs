@@ -317,7 +317,7 @@ fn check_applied(kept: &TestLog, model: &Model) {
         let unlinked = Record::new(view.revision() + 1, [7; 32], 0, Effects::new(1));
         let refused = log.apply(entry.uid, &[Arc::new(unlinked)]).err();
         assert!(
-            matches!(refused, Some(LogError::Damaged { .. })),
+            matches!(refused, Some(LogError::JournalDamaged { .. })),
             "{refused:?}"
         );
     }

@@ -15,7 +15,7 @@ use wayfold_server::log::{
 use super::{
     all_points,
     copied::copied,
-    disk::{index, marker, of_version, open, with_batch},
+    disk::{JournalFile, Part, index, marker, of_version, open, with_batch},
     effects, submit, synced,
 };
 
@@ -159,11 +159,26 @@ fn an_interrupted_upgrade_is_completed() {
 }
 
 #[test]
+fn a_damaged_directory_of_version_3_stays_one() {
+    let directory = of_version(3);
+    let path = directory.path();
+    let journal = Part::of(path, JournalFile::of(path).name);
+    journal.take_away();
+    assert!(!open(path).lost().is_empty());
+    assert_eq!(marker(path), "wayfold-server data, version 3\n");
+    journal.bring_back();
+    check_old(&open(path));
+    assert_eq!(marker(path), "wayfold-server data, version 4\n");
+}
+
+#[test]
 fn repair_reads_a_directory_of_version_3_and_leaves_the_version() {
     let directory = of_version(3);
     for dry_run in [true, false] {
         let report = repair(directory.path(), dry_run).unwrap();
         assert_eq!((report.damage, report.whole), (None, 2));
+        // The next start does not rewrite the journal.
+        assert!(directory.path().join("journal-synced").exists());
     }
     // The server that wrote it still opens it.
     assert_eq!(marker(directory.path()), "wayfold-server data, version 3\n");

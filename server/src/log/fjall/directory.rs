@@ -136,25 +136,19 @@ impl Directory {
 
     /// Writes the marker of this version durably, before anything is written that the older version does not know.
     /// From then on a server of that version, which would lose the writer sessions, refuses the directory.
-    pub(super) fn upgrade(&self) -> Result<(), OpenError> {
-        let written = || {
-            let (mut file, this) = (&self.locked, format!("{VERSION}\n"));
-            let start = io::SeekFrom::Start(FORM.len() as u64);
-            let mut found = String::new();
-            file.seek(start)?;
-            file.read_to_string(&mut found)?;
-            if found == this {
-                return Ok(());
-            }
-            // The lengths are the same, so an interruption leaves one version or the other.
-            file.seek(start)?;
-            file.write_all(this.as_bytes())?;
-            file.sync_all()
-        };
-        written().map_err(|source| OpenError::Io {
-            path: self.join(MARKER),
-            source,
-        })
+    pub(super) fn upgrade(&self) -> io::Result<()> {
+        let (mut file, this) = (&self.locked, format!("{VERSION}\n"));
+        let start = io::SeekFrom::Start(FORM.len() as u64);
+        let mut found = String::new();
+        file.seek(start)?;
+        file.read_to_string(&mut found)?;
+        if found == this {
+            return Ok(());
+        }
+        // The lengths are the same, so an interruption leaves one version or the other.
+        file.seek(start)?;
+        file.write_all(this.as_bytes())?;
+        file.sync_all()
     }
 
     /// Fails if the disk cannot be written, if it has no room for `bytes` and some more, or if `name` is missing.
@@ -176,7 +170,7 @@ impl Directory {
             let disk = rustix::fs::statvfs(&self.path)?;
             Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
         }
-        // On other systems a repair without enough room fails halfway and changes nothing.
+        // On other systems a repair without enough room fails halfway, and the damaged store stays.
         #[cfg(not(unix))]
         Ok(u64::MAX)
     }

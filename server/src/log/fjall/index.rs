@@ -3,10 +3,7 @@
 mod reading;
 mod writing;
 
-use std::{
-    collections::VecDeque,
-    sync::{Arc, OnceLock, Weak},
-};
+use std::sync::{Arc, OnceLock, Weak};
 
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::watch;
@@ -19,7 +16,7 @@ use super::{
 };
 use crate::log::{
     Entry, LogError, Operation, Origin, Record, Retention, Sessions, Window,
-    retention::BoundedQueue,
+    retention::BoundedQueue, unapplied::UnappliedQueue,
 };
 
 pub(super) struct Index {
@@ -29,8 +26,8 @@ pub(super) struct Index {
     /// The newest revision that is known to be on disk, or the error that forbids reading and writing. The error is set under
     /// the lock of `state`.
     durable: watch::Sender<Result<u64, LogError>>,
-    /// The submitted records that are not yet applied, oldest first. Lock it after `state`, and only briefly.
-    unapplied: Mutex<VecDeque<UnappliedRecord>>,
+    /// Lock it after `state`, and only briefly.
+    unapplied: Mutex<UnappliedQueue<Arc<PointsView>>>,
     /// The holder of this lock may write, and sees the store at this head.
     state: Mutex<State>,
     /// The last known window of kept records. Lock it after `state`.
@@ -53,12 +50,6 @@ pub(super) struct State {
     is_checked: bool,
     /// The view of the head, while it is held.
     view: Weak<PointsView>,
-}
-
-/// A submitted record, and the points as it left them.
-struct UnappliedRecord {
-    record: Arc<Record>,
-    view: Arc<PointsView>,
 }
 
 impl State {

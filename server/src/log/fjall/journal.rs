@@ -119,11 +119,11 @@ pub(super) fn number(name: &str) -> Option<u64> {
 }
 
 /// Ensures that the journal is on disk before the store is opened. Without the marker, the whole journal is rewritten
-/// in place and synced.
+/// in place and synced. Returns true if there was a marker, which is removed.
 ///
 /// After a failed sync, by this server or an earlier one, Linux treats the pages that it could not write as clean.
 /// Reads return them as if they were on disk, and no later sync writes them.
-pub(super) fn ensure_durable(directory: &Directory) -> io::Result<()> {
+pub(super) fn ensure_durable(directory: &Directory) -> io::Result<bool> {
     let marker = directory.join(MARKER);
     if !marker.try_exists()? {
         let store = directory.join(STORE);
@@ -132,11 +132,12 @@ pub(super) fn ensure_durable(directory: &Directory) -> io::Result<()> {
         }
         // fjall writes to a file even if it failed to make the file's name durable.
         sync_directory(&store)?;
-        return Ok(());
+        return Ok(false);
     }
     fs::remove_file(&marker)?;
     // The removal of the marker must be durable before the first write to the journal.
-    sync_directory(directory.path())
+    sync_directory(directory.path())?;
+    Ok(true)
 }
 
 /// Syncs each file of the journal and writes the marker. The store must be closed, and none of its syncs may have

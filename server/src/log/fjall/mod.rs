@@ -89,7 +89,6 @@ impl FjallLog {
     /// call fails with the cause, and [`Catalogue::lost`] names the indices.
     pub fn open(directory: &Path, options: impl Into<StoreOptions>) -> Result<Self, OpenError> {
         let directory = Arc::new(Directory::take(directory)?);
-        directory.upgrade()?;
         let failed = |path: &Path, source| OpenError::Io {
             path: path.into(),
             source,

@@ -51,11 +51,8 @@ pub(super) fn read(
     id: u64,
     value: &[u8],
 ) -> Result<StoredPoint, LogError> {
-    decode(number, id, value).ok_or(LogError::DamagedPoint {
-        uid,
-        id,
-        what: "it does not match its checksum",
-    })
+    let damaged = || LogError::damaged_point(uid, id, "it does not match its checksum");
+    decode(number, id, value).ok_or_else(damaged)
 }
 
 /// Decodes a stored point; None if it is damaged.

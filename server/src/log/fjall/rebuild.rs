@@ -16,7 +16,7 @@ use std::{
 
 use fjall::{Guard, KvPair, Slice};
 use thiserror::Error;
-use tracing::{info, warn};
+use tracing::{debug, info, warn};
 
 use super::{
     DAMAGED_STORE, Durability, MARKS, NEW_STORE, OpenError, REBUILT_STORE, STORE,
@@ -78,7 +78,7 @@ pub enum RepairError {
     Log(#[from] LogError),
     /// The disk is too full.
     #[error(
-        "{needed} bytes must be free to rebuild the store, and {free} are: free some, nothing was changed"
+        "{needed} bytes must be free to rebuild the store, and {free} are: free some, nothing was rebuilt"
     )]
     NoRoom {
         /// Bytes that must be free.
@@ -122,7 +122,8 @@ fn make(
     sync_directories(&new).map_err(shut)
 }
 
-/// Reads the whole store in a data directory, and rebuilds it if a part is unreadable. With `dry_run` it only reports.
+/// Reads the whole store in a data directory, and rebuilds it if a part is unreadable, unless it is a `dry_run`. Opens the
+/// store as a start does: an interrupted repair is finished, shared files are mended, and the journal is made durable.
 /// No server may use the directory.
 pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairError> {
     let exists = [STORE, REBUILT_STORE].map(|name| directory.join(name).exists());
@@ -134,11 +135,11 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
     let directory = Directory::take(directory)?;
     finish(&directory).map_err(shut)?;
     manifest_copy::mend(&directory)?;
-    journal::ensure_durable(&directory).map_err(shut)?;
+    let was_clean = journal::ensure_durable(&directory).map_err(shut)?;
     let path = directory.join(STORE);
     manifest::check(&path)?;
     let (_, marks) = Marks::open(&directory.join(MARKS)).map_err(shut)?;
-    let old = Store::open(&path, Durability::Fsync).map_err(unopened)?;
+    let old = Arc::new(Store::open(&path, Durability::Fsync).map_err(unopened)?);
     let handles = old.handles()?;
     let contents = survey(&handles, &marks)?;
     let mut report = RepairReport {
@@ -157,6 +158,16 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
         report.damage = Some("its filters or indices cannot be read".into());
     }
     if report.damage.is_none() || dry_run {
+        drop(handles);
+        let synced = StoreJournal::new(Arc::clone(&old), path).sync();
+        old.close();
+        // Without the marker the next start rewrites the journal.
+        if was_clean
+            && synced.is_ok()
+            && let Err(error) = journal::mark_synced(&directory)
+        {
+            debug!(%error, "cannot mark the journal as synced");
+        }
         return Ok(report);
     }
     report.check_room()?;

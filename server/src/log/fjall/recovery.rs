@@ -218,11 +218,7 @@ fn unreadable_index(number: Number, entry: Entry, mark: Option<&Mark>) -> Arc<In
 /// first read.
 fn state(handles: &Handles, index: &Index, mark: Option<&Mark>) -> Result<State, LogError> {
     let (number, uid) = (index.number, index.entry.uid);
-    let damaged = |revision, what| LogError::Damaged {
-        uid,
-        revision,
-        what,
-    };
+    let damaged = |revision, what| LogError::damaged_record(uid, revision, what);
     let get = |key: &[u8]| {
         let value = handles.keyspace.get(key);
         value.map_err(|error| unreadable(uid, error))

@@ -1,8 +1,10 @@
 //! One index in memory: its window of records, and the points that result from all its records.
 
-use std::{collections::VecDeque, sync::Arc};
+use std::{
+    future::{pending, ready},
+    sync::Arc,
+};
 
-use futures_util::{StreamExt, stream};
 use imbl::OrdMap;
 use parking_lot::Mutex;
 use tokio::sync::watch;
@@ -10,30 +12,31 @@ use tokio::sync::watch;
 use super::view::Head;
 use crate::log::{
     LogError, Operation, Origin, Record, RecordPosition, RecordStream, Retention, Sessions,
-    StoredPoint, Uid, View, Window,
+    StoredPoint, Uid, View, Window, following,
+    record::position_after,
     retention::{Allowance, BoundedQueue},
+    unapplied::UnappliedQueue,
 };
 
 pub(super) struct Store {
     uid: Uid,
-    journal: Mutex<Journal>,
+    state: Mutex<State>,
     /// The newest revision, or the error after which no further record comes.
     newest: watch::Sender<Result<u64, LogError>>,
 }
 
-struct Journal {
+struct State {
     head: Head,
     /// The newest records, without a gap up to the head.
     records: BoundedQueue<Arc<Record>>,
     /// The newest operations.
     operations: BoundedQueue<Arc<Operation>>,
-    /// The submitted records that are not yet applied, oldest first, with the heads that they made.
-    unapplied: VecDeque<(Arc<Record>, Head)>,
+    unapplied: UnappliedQueue<Head>,
     /// True if another store has taken the place of this one.
     is_replaced: bool,
 }
 
-impl Journal {
+impl State {
     /// Writes the record after the head.
     fn write(&mut self, record: &Arc<Record>) {
         self.head.apply(record);
@@ -56,7 +59,7 @@ impl Store {
     ) -> Self {
         Self {
             uid,
-            journal: Mutex::new(Journal {
+            state: Mutex::new(State {
                 head: Head {
                     position: RecordPosition {
                         revision: origin.revision,
@@ -68,7 +71,7 @@ impl Store {
                 },
                 records: BoundedQueue::default(),
                 operations: BoundedQueue::default(),
-                unapplied: VecDeque::new(),
+                unapplied: UnappliedQueue::default(),
                 is_replaced: false,
             }),
             newest: watch::Sender::new(Ok(origin.revision)),
@@ -76,18 +79,18 @@ impl Store {
     }
 
     pub(super) fn submit(&self, record: Arc<Record>) -> Result<(), LogError> {
-        let mut journal = self.journal.lock();
-        if journal.is_replaced {
+        let mut state = self.state.lock();
+        if state.is_replaced {
             return Err(LogError::Closed);
         }
-        if !record.follows(journal.head.position) {
-            return Err(self.fenced(record.revision() - 1, &journal));
+        if !record.follows(state.head.position) {
+            return Err(self.fenced(record.revision() - 1, &state));
         }
-        journal.write(&record);
-        let head = journal.head.clone();
+        state.write(&record);
+        let head = state.head.clone();
         let revision = record.revision();
-        journal.unapplied.push_back((record, head));
-        drop(journal);
+        state.unapplied.push(record, head);
+        drop(state);
         self.announce(revision);
         Ok(())
     }
@@ -95,49 +98,36 @@ impl Store {
     /// Applies consecutive records. The store may already have the first ones. Returns the points as of the last
     /// record.
     pub(super) fn apply(&self, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
-        let mut journal = self.journal.lock();
-        if journal.is_replaced {
+        let mut state = self.state.lock();
+        if state.is_replaced {
             return Err(LogError::Closed);
         }
         let Some(last) = records.last() else {
-            return Ok(Arc::new(journal.head.clone()));
+            return Ok(Arc::new(state.head.clone()));
         };
-        let is_applied = |submitted: &mut (Arc<Record>, Head)| {
-            let (record, _) = submitted;
-            record.revision() <= last.revision()
-        };
-        while let Some((record, head)) = journal.unapplied.pop_front_if(is_applied) {
-            if record.revision() == last.revision() {
-                return Ok(Arc::new(head));
-            }
+        if let Some(head) = state.unapplied.apply(records) {
+            return Ok(Arc::new(head));
         }
-        for record in records {
-            if record.revision() <= journal.head.position.revision {
-                continue;
-            }
-            if !record.follows(journal.head.position) {
-                return Err(LogError::Damaged {
-                    uid: self.uid,
-                    revision: record.revision(),
-                    what: "it does not follow the record before it",
-                });
-            }
-            journal.write(record);
+        let position = state.head.position;
+        let known = records.partition_point(|record| record.revision() <= position.revision);
+        position_after(self.uid, position, &records[known..])?;
+        for record in &records[known..] {
+            state.write(record);
         }
-        if journal.head.position.revision != last.revision() {
-            return Err(self.fenced(last.revision(), &journal));
+        if state.head.position.revision != last.revision() {
+            return Err(self.fenced(last.revision(), &state));
         }
-        let head = journal.head.clone();
-        drop(journal);
+        let head = state.head.clone();
+        drop(state);
         self.announce(last.revision());
         Ok(Arc::new(head))
     }
 
-    fn fenced(&self, expected: u64, journal: &Journal) -> LogError {
+    fn fenced(&self, expected: u64, state: &State) -> LogError {
         LogError::Fenced {
             uid: self.uid,
             expected,
-            head: journal.head.position.revision,
+            head: state.head.position.revision,
         }
     }
 
@@ -153,22 +143,22 @@ impl Store {
 
     /// Adds operations of records before the first one, oldest first.
     pub(super) fn remember(&self, operations: Vec<Arc<Operation>>) {
-        let mut journal = self.journal.lock();
+        let mut state = self.state.lock();
         for operation in operations {
             let bytes = operation.bytes();
-            journal.operations.push(operation, bytes);
+            state.operations.push(operation, bytes);
         }
     }
 
     /// Takes no record any more, because a copy at the revision `copied` takes its place. Refused unless the copy is
     /// newer.
     pub(super) fn supersede(&self, copied: u64) -> Result<(), LogError> {
-        let mut journal = self.journal.lock();
-        if copied <= journal.head.position.revision {
-            return Err(self.fenced(copied, &journal));
+        let mut state = self.state.lock();
+        if copied <= state.head.position.revision {
+            return Err(self.fenced(copied, &state));
         }
-        journal.is_replaced = true;
-        drop(journal);
+        state.is_replaced = true;
+        drop(state);
         self.close(LogError::Closed);
         Ok(())
     }
@@ -181,37 +171,15 @@ impl Store {
     /// A stream of the records after the revision `after`.
     pub(super) fn follow(self: Arc<Self>, after: u64) -> RecordStream {
         let newest = self.newest.subscribe();
-        let batches = stream::unfold(Some((self, newest, after)), async |follower| {
-            let (store, mut newest, after) = follower?;
-            let has_news = |newest: &Result<u64, LogError>| match newest {
-                Ok(newest) => *newest > after,
-                Err(_) => true,
-            };
-            let seen = newest.wait_for(has_news).await.map(|seen| seen.clone());
-            let records = match seen {
-                Ok(Ok(_)) => store.read_next(after),
-                Ok(Err(why)) => Err(why),
-                Err(_) => Err(LogError::Closed),
-            };
-            let last = records.as_ref().ok().and_then(|records| records.last());
-            let next = last.map(|last| last.revision());
-            Some((records, next.map(|after| (store, newest, after))))
-        });
-        batches.boxed()
+        following::follow(newest, pending(), after, move |after, newest| {
+            ready(self.read_next(after, newest))
+        })
     }
 
     /// The records after the revision `after`. Records that were trimmed before they were applied are followed too.
-    fn read_next(&self, after: u64) -> Result<Vec<Arc<Record>>, LogError> {
-        let unapplied: Vec<_> = {
-            let journal = self.journal.lock();
-            let unapplied = journal.unapplied.iter().map(|(record, _)| record);
-            let next = unapplied.filter(|record| record.revision() > after);
-            next.cloned().collect()
-        };
-        match unapplied.first() {
-            Some(first) if first.revision() == after + 1 => Ok(unapplied),
-            _ => self.read(Some(after), usize::MAX),
-        }
+    fn read_next(&self, after: u64, newest: u64) -> Result<Vec<Arc<Record>>, LogError> {
+        let unapplied = self.state.lock().unapplied.between(after, newest);
+        unapplied.map_or_else(|| self.read(Some(after), usize::MAX), Ok)
     }
 
     pub(super) fn read(
@@ -219,8 +187,8 @@ impl Store {
         after: Option<u64>,
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError> {
-        let journal = self.journal.lock();
-        let oldest = journal.head.position.revision - journal.records.iter().len() as u64;
+        let state = self.state.lock();
+        let oldest = state.head.position.revision - state.records.iter().len() as u64;
         let after = after.unwrap_or(oldest);
         if after < oldest {
             return Err(LogError::Trimmed {
@@ -231,7 +199,7 @@ impl Store {
         }
         let skipped = (after - oldest) as usize;
         let mut left = Allowance::of(max_bytes);
-        let records = journal.records.iter().skip(skipped);
+        let records = state.records.iter().skip(skipped);
         Ok(records
             .take_while(|record| left.take(record))
             .cloned()
@@ -239,24 +207,24 @@ impl Store {
     }
 
     pub(super) fn operations(&self) -> Vec<Arc<Operation>> {
-        self.journal.lock().operations.iter().cloned().collect()
+        self.state.lock().operations.iter().cloned().collect()
     }
 
     pub(super) fn window(&self) -> Window {
-        self.journal.lock().records.window()
+        self.state.lock().records.window()
     }
 
     pub(super) fn trim(&self, retention: &Retention) {
-        let journal = &mut *self.journal.lock();
+        let state = &mut *self.state.lock();
         retention
-            .forget_records(&mut journal.records, |record| record.time_ms())
+            .forget_records(&mut state.records, |record| record.time_ms())
             .for_each(drop);
         retention
-            .forget_operations(&mut journal.operations)
+            .forget_operations(&mut state.operations)
             .for_each(drop);
     }
 
     pub(super) fn view(&self) -> Arc<dyn View> {
-        Arc::new(self.journal.lock().head.clone())
+        Arc::new(self.state.lock().head.clone())
     }
 }

@@ -2,7 +2,8 @@
 //! compare-and-set, so of two servers that create an index of one name one wins.
 //!
 //! The bucket keeps the names and uids of deleted indices. A server deletes an index of its point store only if the bucket
-//! names it as deleted. It keeps an index that the bucket does not name, and does not serve it.
+//! names it as deleted, or if another index has the name that it claimed for this one. It keeps any other index that the
+//! bucket does not name, and does not serve it.
 
 mod bucket;
 mod value;
@@ -15,7 +16,7 @@ use std::{
 use parking_lot::Mutex;
 use tokio::{runtime::Handle, sync::watch};
 use tokio_util::task::AbortOnDropHandle;
-use tracing::warn;
+use tracing::{debug, warn};
 
 use self::{
     bucket::Bucket,
@@ -34,8 +35,9 @@ pub(super) struct NatsCatalogue {
     runtime: Handle,
     /// The indices of this server's point store.
     local: Arc<dyn Catalogue>,
-    /// The uids of claims without an answer, by name. None of them is in the bucket once a later claim of the name is.
-    unanswered: Mutex<BTreeMap<String, Vec<String>>>,
+    /// The uids of claims without an answer, by name: NATS may have taken such a claim, and may take it until it has taken
+    /// another one of the name.
+    unanswered: Mutex<BTreeMap<String, Vec<Uid>>>,
     _watching: AbortOnDropHandle<()>,
 }
 
@@ -101,8 +103,6 @@ impl NatsCatalogue {
         };
         let replaced = replaced.map(|uid| uid.to_string());
         deleted.extend(replaced.filter(|uid| !deleted.contains(uid)));
-        let unanswered = self.unanswered.lock().get(&entry.name).cloned();
-        deleted.extend(unanswered.unwrap_or_default());
         let named = CatalogueValue {
             name: entry.name.clone(),
             index: Some((entry.uid.to_string(), entry.content())),
@@ -112,11 +112,20 @@ impl NatsCatalogue {
         let claimed = self.runtime.block_on(self.bucket.set(named, revision));
         let mut unanswered = self.unanswered.lock();
         match &claimed {
-            Ok(()) => drop(unanswered.remove(&entry.name)),
+            Ok(()) => {
+                let void = unanswered.remove(&entry.name).unwrap_or_default();
+                drop(unanswered);
+                for uid in void.into_iter().filter(|uid| *uid != entry.uid) {
+                    // The point store has only those of restores.
+                    if let Err(error) = self.delete(uid) {
+                        debug!(index = entry.name, %uid, %error, "nothing is left of an index without a name");
+                    }
+                }
+            }
             Err(LogError::NameTaken { .. }) => {}
             Err(_) => {
                 let uids = unanswered.entry(entry.name.clone()).or_default();
-                uids.push(entry.uid.to_string());
+                uids.push(entry.uid);
             }
         }
         claimed

@@ -17,8 +17,11 @@ use crate::log::{Digest, LogError, Record, RecordStream, Uid};
 /// A pull of this length notices a lost server of NATS after about as long.
 const PULL_TIME: Duration = Duration::from_secs(2);
 
-/// The most bytes that a pull asks for, or one message.
+/// The most bytes of payloads that a pull asks for, or one message.
 const PULL_BYTES: usize = 1024 * 1024;
+
+/// A pull has room for these too: NATS counts the subjects and headers, and never sends a message that exceeds the pull.
+const MAX_HEAD_BYTES: usize = 64 * 1024;
 
 /// A follower asks again this many times, with [`RETRY_INTERVAL`] between, if the stream ends before its place: a new leader
 /// of NATS may answer with an older state.
@@ -170,7 +173,7 @@ async fn subscribe(
         let consumer = consumer.map_err(unreachable)?;
         let messages = consumer
             .stream()
-            .max_bytes_per_batch(connection.max_payload.max(PULL_BYTES))
+            .max_bytes_per_batch(connection.max_payload.max(PULL_BYTES) + MAX_HEAD_BYTES)
             .expires(PULL_TIME)
             .heartbeat(PULL_TIME / 4);
         messages.messages().await.map_err(unreachable)
@@ -200,7 +203,7 @@ pub(super) async fn read(
                 continue;
             }
             if record.revision() > last + 1 {
-                return Err(LogError::Damaged {
+                return Err(LogError::JournalDamaged {
                     uid,
                     revision: last + 1,
                     what: "its stream in NATS does not have it",

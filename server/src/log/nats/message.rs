@@ -50,7 +50,7 @@ impl Position {
                 },
             })
         };
-        read().ok_or(LogError::Damaged {
+        read().ok_or(LogError::JournalDamaged {
             uid,
             revision: 0,
             what: FOREIGN,
@@ -115,7 +115,7 @@ impl Unpacker {
         headers: &HeaderMap,
         payload: &[u8],
     ) -> Result<Vec<Arc<Record>>, LogError> {
-        let damaged = |what| LogError::Damaged {
+        let damaged = |what| LogError::JournalDamaged {
             uid,
             revision: next,
             what,
@@ -145,7 +145,7 @@ fn unpack(uid: Uid, first: u64, pack: &[u8]) -> Result<Vec<Arc<Record>>, LogErro
     let mut records = Vec::new();
     let mut cursor = Cursor::new(pack);
     while !cursor.is_empty() {
-        let damaged = |what| LogError::Damaged {
+        let damaged = |what| LogError::JournalDamaged {
             uid,
             revision: first + records.len() as u64,
             what,

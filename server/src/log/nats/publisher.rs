@@ -20,7 +20,7 @@ use bytes::Bytes;
 use tokio::{
     runtime::Handle,
     sync::{mpsc, oneshot},
-    time::{Instant, interval, timeout, timeout_at},
+    time::{Instant, interval, sleep, timeout, timeout_at},
 };
 use tracing::debug;
 use uuid::Uuid;
@@ -34,7 +34,7 @@ use crate::log::{LogError, Record, Uid};
 
 /// The number of times that a message is sent again because NATS was about to store another one of its subject, or because
 /// its stream had no leader.
-const MAX_REPEATS: usize = 100;
+const MAX_REPEATS: u64 = 100;
 
 /// The longest wait for further records. It is about as long as the last message took, if that is less, and after a wait in
 /// which none came the next message does not wait.
@@ -170,7 +170,7 @@ impl Task {
         let payload = Bytes::from(payload);
         let expected = self.place_before(first, begins).await?;
         let mut attempts = interval(RETRY_INTERVAL);
-        for _ in 0..MAX_REPEATS {
+        for repeat in 0..MAX_REPEATS {
             let sent = self.send((first, last), &payload, expected.sequence);
             let limit = match begins {
                 true => REQUEST_TIMEOUT,
@@ -210,12 +210,13 @@ impl Task {
                 PublishErrorKind::StreamNotFound => {
                     attempts.tick().await;
                 }
-                // NATS also refuses a correct number while it stores another message.
+                // NATS also refuses a correct number while it stores another message. That takes milliseconds, or until
+                // its servers have chosen a leader.
                 PublishErrorKind::Other
                     if connection::code(&error)
                         == Some(ErrorCode::STREAM_WRONG_LAST_SEQUENCE_CONSTANT) =>
                 {
-                    tokio::task::yield_now().await;
+                    sleep(Duration::from_millis(repeat)).await;
                 }
                 _ => {
                     debug!(uid = %self.uid, %error, "no acknowledgement from NATS");

@@ -1,10 +1,13 @@
-//! A journal elsewhere that acknowledges every record, and brings what a test sends.
+//! A journal elsewhere that acknowledges every record, unless a test has it refused, and brings what a test sends.
 
-use std::{future::ready, slice};
+use std::{collections::VecDeque, future::ready, slice};
 
 use futures_util::FutureExt;
 use parking_lot::Mutex;
-use tokio::{sync::watch, time::timeout};
+use tokio::{
+    sync::{oneshot, watch},
+    time::timeout,
+};
 use tokio_stream::wrappers::UnboundedReceiverStream;
 
 use super::*;
@@ -18,6 +21,8 @@ type Sent = Result<Vec<Arc<Record>>, LogError>;
 
 struct RemoteJournal {
     submitted: Mutex<Vec<Arc<Record>>>,
+    /// The ends at which it refuses the next records.
+    ends: Mutex<VecDeque<u64>>,
     /// The newest stream.
     brings: Mutex<Option<mpsc::UnboundedSender<Sent>>>,
     /// The revision after which the newest stream begins.
@@ -25,7 +30,15 @@ struct RemoteJournal {
 }
 
 impl Journal for RemoteJournal {
-    fn submit(&self, _: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+        if let Some(head) = self.ends.lock().pop_front() {
+            let expected = record.revision() - 1;
+            return Err(LogError::Fenced {
+                uid,
+                expected,
+                head,
+            });
+        }
         self.submitted.lock().push(record);
         Ok(Receipt::Awaited(ready(Ok(())).boxed()))
     }
@@ -37,8 +50,9 @@ impl Journal for RemoteJournal {
         UnboundedReceiverStream::new(stream).boxed()
     }
 
-    fn read(&self, _: Uid, _: Option<u64>, _: usize) -> Result<Vec<Arc<Record>>, LogError> {
-        Ok(self.submitted.lock().clone())
+    fn read(&self, _: Uid, after: Option<u64>, _: usize) -> Result<Vec<Arc<Record>>, LogError> {
+        let submitted = self.submitted.lock();
+        Ok(submitted[after.unwrap_or(0) as usize..].to_vec())
     }
 
     fn newest(&self, _: Uid) -> Result<u64, LogError> {
@@ -65,6 +79,7 @@ impl Server {
     fn keeping(window_bytes: usize) -> Self {
         let journal = Arc::new(RemoteJournal {
             submitted: Mutex::default(),
+            ends: Mutex::default(),
             brings: Mutex::default(),
             followed: watch::Sender::default(),
         });
@@ -91,6 +106,22 @@ impl Server {
         let writer = self.hosted.write().await.unwrap();
         let committed = self.hosted.commit(writer, effects("own")).await;
         assert_eq!(committed.unwrap(), CommitOutcome::Done);
+    }
+
+    /// Notes a record as submitted, whose receipt a test makes up.
+    fn in_flight(&self, record: &Record) -> oneshot::Receiver<Decision> {
+        let mut in_flight = self.hosted.in_flight.lock();
+        let refusals = in_flight.refusals();
+        in_flight.add(record.position(), refusals).unwrap()
+    }
+
+    /// The error of a receipt that was lost.
+    fn lost(&self, record: &Record) -> LogError {
+        LogError::Unconfirmed {
+            uid: self.hosted.uid(),
+            revision: record.revision(),
+            what: "no acknowledgement in time".into(),
+        }
     }
 
     fn brings(&self, records: &[Arc<Record>]) {
@@ -201,19 +232,85 @@ async fn a_stale_end_of_the_journal_does_not_void_a_record_that_it_has() {
     }
     let hosted = &server.hosted;
     let record = others(hosted.published().view.position());
-    let decision = {
-        let mut in_flight = hosted.in_flight.lock();
-        let refusals = in_flight.refusals();
-        in_flight.add(record.position(), refusals).unwrap()
-    };
+    let decision = server.in_flight(&record);
     server.journal.submitted.lock().push(Arc::clone(&record));
     let stale = LogError::Fenced {
         uid: hosted.uid(),
         expected: 2,
         head: 1,
     };
-    let arrival = hosted.not_accepted(&record, base, stale).await.unwrap();
+    let arrival = hosted.not_accepted(&record, base, stale, &mut None).await;
     server.brings(&[record]);
-    arrival.await.unwrap();
+    arrival.unwrap().await.unwrap();
     assert!(matches!(decision.await, Ok(Decision::Published)));
+}
+
+/// NATS answers the fence from the past, and stores the record then.
+#[tokio::test(start_paused = true)]
+async fn a_fence_that_a_stale_end_refuses_does_not_void_a_record_that_comes_late() {
+    let server = Server::start();
+    for _ in 0..2 {
+        server.commit().await;
+    }
+    let hosted = &server.hosted;
+    let base = hosted.published().view.position();
+    let record = others(base);
+    let decision = server.in_flight(&record);
+    server.journal.ends.lock().extend([1, 2, 3]);
+    let lost = server.lost(&record);
+    let arrival = hosted.not_accepted(&record, base, lost, &mut None).await;
+    server.brings(&[record]);
+    arrival.unwrap().await.unwrap();
+    assert!(matches!(decision.await, Ok(Decision::Published)));
+}
+
+/// Their message was lost.
+#[tokio::test(start_paused = true)]
+async fn the_records_after_a_lost_one_are_void_at_once() {
+    let server = Server::start();
+    server.commit().await;
+    let hosted = &server.hosted;
+    let base = hosted.published().view.position();
+    let (mut before, mut records) = (base, Vec::new());
+    for _ in 0..3 {
+        records.push(others(before));
+        before = records[records.len() - 1].position();
+    }
+    let decisions: Vec<_> = records.iter().map(|it| server.in_flight(it)).collect();
+    let (began, mut void) = (Instant::now(), None);
+    for (number, record) in records.iter().enumerate() {
+        // The fence of the first one is taken.
+        let refusals = usize::from(number > 0);
+        server.journal.ends.lock().extend(vec![2; refusals]);
+        let lost = server.lost(record);
+        let arrival = hosted.not_accepted(record, base, lost, &mut void).await;
+        drop(arrival.unwrap());
+    }
+    assert!(began.elapsed() < SETTLE_INTERVAL);
+    let fence = server.journal.submitted.lock().last().cloned().unwrap();
+    server.brings(&[fence]);
+    for decision in decisions {
+        assert!(matches!(decision.await, Ok(Decision::Refused)));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_journal_that_stays_behind_a_lost_record_is_reported() {
+    let server = Server::start();
+    for _ in 0..2 {
+        server.commit().await;
+    }
+    let hosted = &server.hosted;
+    let base = hosted.published().view.position();
+    let record = others(base);
+    server.journal.submitted.lock().pop();
+    server.journal.ends.lock().extend(vec![1; 1000]);
+    let lost = server.lost(&record);
+    let refused = hosted.not_accepted(&record, base, lost, &mut None).await;
+    let behind = RegistryError::Log(LogError::JournalBehind {
+        uid: hosted.uid(),
+        head: 1,
+        applied: 2,
+    });
+    assert_eq!(refused.err(), Some(behind));
 }

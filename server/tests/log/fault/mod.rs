@@ -197,7 +197,7 @@ impl PointStore for FaultLog {
                 continue;
             }
             if record.revision() != index.head + 1 || *record.previous() != index.digest {
-                return Err(LogError::Damaged {
+                return Err(LogError::JournalDamaged {
                     uid,
                     revision: record.revision(),
                     what: "it does not follow the record before it",

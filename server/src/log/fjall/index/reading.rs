@@ -23,13 +23,7 @@ impl Index {
         after: u64,
         last: u64,
     ) -> Option<Vec<Arc<Record>>> {
-        let unapplied = self.unapplied.lock();
-        let first = unapplied.front()?.record.revision();
-        let skipped = (after + 1).checked_sub(first)?;
-        let records = unapplied.iter().skip(skipped as usize);
-        let records = records.map(|unapplied| &unapplied.record);
-        let records = records.take_while(|record| record.revision() <= last);
-        Some(records.cloned().collect())
+        self.unapplied.lock().between(after, last)
     }
 
     pub(in crate::log::fjall) fn read(
@@ -68,11 +62,7 @@ impl Index {
         revision: u64,
         value: Option<&[u8]>,
     ) -> Result<Record, LogError> {
-        let damaged = |what| LogError::Damaged {
-            uid: self.entry.uid,
-            revision,
-            what,
-        };
+        let damaged = |what| LogError::damaged_record(self.entry.uid, revision, what);
         let record = Record::decode(value.ok_or_else(|| damaged("it is missing"))?);
         let record = record.map_err(damaged)?;
         if record.revision() != revision {
@@ -94,10 +84,9 @@ impl Index {
                 .map_err(|error| unreadable(uid, error))?;
             let revision = last_of(&key).unwrap_or_default();
             let operation = unseal(&key, &value).and_then(Operation::decode);
-            let operation = operation.ok_or(LogError::Damaged {
-                uid,
-                revision,
-                what: "its operation does not match its checksum",
+            let operation = operation.ok_or_else(|| {
+                let what = "its operation does not match its checksum";
+                LogError::damaged_record(uid, revision, what)
             })?;
             Ok((revision, Arc::new(operation)))
         });
@@ -139,11 +128,7 @@ impl Index {
                 state.is_checked = true;
                 Ok(self.view_of_head(store, &mut state))
             }
-            Err(
-                why @ (LogError::Unreadable { .. }
-                | LogError::Incomplete { .. }
-                | LogError::DamagedPoint { .. }),
-            ) => {
+            Err(why @ (LogError::Unreadable { .. } | LogError::Damaged { .. })) => {
                 drop(state);
                 error!(index = self.entry.name, error = %why, "an index is damaged: every call for it fails");
                 self.close(why.clone());
@@ -169,9 +154,13 @@ impl Index {
         }
         match sum == head.sum {
             true => Ok(()),
-            false => Err(LogError::Incomplete {
+            false => Err(LogError::Damaged {
                 uid,
-                revision: head.revision,
+                seen: head.revision,
+                what: format!(
+                    "points are missing, or are not those of revision {}",
+                    head.revision
+                ),
             }),
         }
     }

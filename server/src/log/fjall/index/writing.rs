@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use fjall::OwnedWriteBatch;
 
-use super::{Index, State, UnappliedRecord};
+use super::{Index, State};
 use crate::log::{
     LogError, Outcome, Record, View,
     fjall::{
@@ -14,6 +14,7 @@ use crate::log::{
         store::{Handles, Store, storage, unreadable},
         sync_marks::Mark,
     },
+    record::position_after,
 };
 
 impl Index {
@@ -31,8 +32,7 @@ impl Index {
         let handles = store.handles()?;
         self.write(&handles, &mut state, std::slice::from_ref(&record))?;
         let view = self.view_of_head(store, &mut state);
-        let unapplied = UnappliedRecord { record, view };
-        self.unapplied.lock().push_back(unapplied);
+        self.unapplied.lock().push(record, view);
         written(self.mark_of(&state.head));
         Ok(())
     }
@@ -45,24 +45,14 @@ impl Index {
         records: &[Arc<Record>],
         written: impl FnOnce(Mark),
     ) -> Result<Arc<dyn View>, LogError> {
-        if let Some(view) = self.applied(records) {
+        if let Some(view) = self.unapplied.lock().apply(records) {
             return Ok(view);
         }
         let mut state = self.open()?;
         let handles = store.handles()?;
         let before = state.head.revision;
         let known = records.partition_point(|record| record.revision() <= before);
-        let mut position = state.head.position();
-        for record in &records[known..] {
-            if !record.follows(position) {
-                return Err(LogError::Damaged {
-                    uid: self.entry.uid,
-                    revision: record.revision(),
-                    what: "it does not follow the record before it",
-                });
-            }
-            position = record.position();
-        }
+        position_after(self.entry.uid, state.head.position(), &records[known..])?;
         for records in records[known..].chunk_by(|one, next| is_plain(one) && is_plain(next)) {
             self.write(&handles, &mut state, records)?;
         }
@@ -73,22 +63,6 @@ impl Index {
             Some(last) if last != state.head.revision => Err(self.fenced(last, &state.head)),
             _ => Ok(self.view_of_head(store, &mut state)),
         }
-    }
-
-    /// The points as of the last of `records` if that record was submitted here; all of `records` then count as
-    /// applied.
-    fn applied(&self, records: &[Arc<Record>]) -> Option<Arc<dyn View>> {
-        let last = records.last()?.revision();
-        let mut unapplied = self.unapplied.lock();
-        while let Some(oldest) = unapplied.front()
-            && oldest.record.revision() <= last
-        {
-            let oldest = unapplied.pop_front()?;
-            if oldest.record.revision() == last {
-                return Some(oldest.view);
-            }
-        }
-        None
     }
 
     /// Writes the records after the head, and their points, in one batch. Several records must be plain ones.
