@@ -39,7 +39,7 @@ pub enum CommitOutcome {
 }
 
 impl Hosted {
-    /// Commits a mutation that was evaluated under `writer`: submits the non-empty `effects`, and returns once they are
+    /// Commits a mutation that was evaluated under `writer`: submits the `effects`, and returns once they are
     /// published. Above a watermark a mutation that stores points is refused. From the first poll on the commit
     /// completes, even if the caller drops the future.
     pub async fn commit(
@@ -99,30 +99,41 @@ impl Hosted {
 
     /// Waits until every mutation that any server acknowledged before the call is published here. Servers that share a
     /// journal may lag behind it, and NATS may be asked at a server that lags itself: only an accepted record shows that
-    /// none is missing. All calls that wait share the next one.
-    pub async fn latest(self: &Arc<Self>) -> Result<(), RegistryError> {
+    /// none is missing. All calls that wait share the next one. Returns false, without a record, if `may_write` is false
+    /// once this call holds the writer.
+    pub async fn latest(
+        self: &Arc<Self>,
+        may_write: impl Fn() -> bool,
+    ) -> Result<bool, RegistryError> {
         if !self.is_shared() {
-            return Ok(());
+            return Ok(true);
         }
         let Fences { begun, done } = &self.fences;
         let next = begun.load(SeqCst) + 1;
         let mut done = done.lock().await;
         if *done >= next {
-            return Ok(());
+            return Ok(true);
         }
         let number = begun.fetch_add(1, SeqCst) + 1;
-        while self.settled(self.write().await?).await? == CommitOutcome::Refused {}
-        *done = number;
-        Ok(())
+        loop {
+            let writer = self.write().await?;
+            if !may_write() {
+                return Ok(false);
+            }
+            if self.settled(writer).await? == CommitOutcome::Done {
+                *done = number;
+                return Ok(true);
+            }
+        }
     }
 
-    /// The operation with this id that took effect or is pending; None if it had no effect or is forgotten.
+    /// The operation with this id, remembered or pending.
     pub fn recall(&self, writer: &WriteGuard, id: &str) -> Option<Arc<Operation>> {
         let pending = writer.pending_operation(id).cloned();
         pending.or_else(|| self.operations.lock().recall(id).cloned())
     }
 
-    /// Remembers an operation that changed nothing.
+    /// Remembers an operation that changed nothing and has no record.
     pub fn remember(&self, operation: Arc<Operation>) {
         self.operations.lock().remember(operation);
     }

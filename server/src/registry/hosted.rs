@@ -27,9 +27,11 @@ use super::{
     payload_sizes::PayloadSizes,
     recent::RecentRecords,
     stored::FirstWrite,
-    subscribers::{Subscriber, Subscribers},
+    subscribers::Subscribers,
 };
-use crate::log::{Effects, Entry, LogError, RecordPosition, Retention, Uid, View, Window};
+use crate::log::{
+    Effects, Entry, LogError, Operation, RecordPosition, Retention, Uid, View, Window,
+};
 
 /// One frozen revision of an index. It does not change while it is held.
 pub struct Published {
@@ -63,18 +65,18 @@ pub struct Hosted {
     pub(super) last_seen_revision: AtomicU64,
     pub(super) last_idle_revision: AtomicU64,
     pub(super) recent: parking_lot::Mutex<RecentRecords>,
-    subscribers: Subscribers,
+    pub(crate) subscribers: Subscribers,
     /// The records that subscribers read from the log because no publication brought them.
-    missed: AtomicU64,
+    pub(crate) missed: AtomicU64,
     /// The records of a journal elsewhere that are outside of all windows and not forgotten, if this server trims it.
-    pub(super) held: AtomicU64,
+    pub(crate) held: AtomicU64,
     /// The revision up to which this server has forgotten records of a journal elsewhere: it does not ask for the same again.
     pub(super) forgotten: AtomicU64,
-    pub(super) first_write: FirstWrite,
+    pub(crate) first_write: FirstWrite,
     /// The oldest revision of a journal elsewhere, 1 if it has none, once it was asked.
     pub(super) oldest_at_start: OnceCell<u64>,
     /// Each batch of a writer session holds a reference while it is under way.
-    pub(super) batches: Arc<()>,
+    pub(crate) batches: Arc<()>,
     apply_loop: parking_lot::Mutex<ApplyLoop>,
     pub(super) fences: Fences,
     /// True once a damage of its journal was logged.
@@ -102,15 +104,19 @@ struct State {
 }
 
 impl Hosted {
-    /// Serves an index from the points of `view`, which are in the forest and the sizes too, and follows the log from
-    /// there on. Needs a runtime.
+    /// Serves an index from the points of `view`, which are in the forest and the sizes too, with these operations, oldest
+    /// first, and follows the log from there on. Needs a runtime.
     pub(super) fn new(
         host: &Arc<Host>,
         entry: &Entry,
         (forest, payload_sizes): (Forest, PayloadSizes),
         view: Arc<dyn View>,
-        operations: Operations,
+        remembered: Vec<Arc<Operation>>,
     ) -> Arc<Self> {
+        let mut operations = Operations::new(host.options.operations);
+        for operation in remembered {
+            operations.remember(operation);
+        }
         let published = Arc::new(Published {
             snapshot: forest.snapshot(),
             revision: view.revision(),
@@ -186,24 +192,9 @@ impl Hosted {
         self.in_flight.lock().len()
     }
 
-    /// Counts records that a subscriber reads from the log because no publication brought them.
-    pub fn count_missed(&self, records: u64) {
-        self.missed.fetch_add(records, Relaxed);
-    }
-
-    /// The number of these records.
-    pub(crate) fn missed(&self) -> u64 {
-        self.missed.load(Relaxed)
-    }
-
-    /// Counts a subscriber that has the records up to `revision`.
-    pub fn join(&self, revision: u64) -> Subscriber {
-        self.subscribers.join(revision)
-    }
-
-    /// The number of subscribers, and the published records that the last of them does not have.
-    pub(crate) fn subscribers_and_lag(&self) -> (usize, u64) {
-        self.subscribers.count_and_lag(self.published().revision)
+    /// The batches of writer sessions that are under way.
+    pub fn batches_under_way(&self) -> usize {
+        Arc::strong_count(&self.batches) - 1
     }
 
     /// Its uid.
@@ -276,15 +267,16 @@ impl Hosted {
 
     /// Moves the writer to the published state; fails if the index is closed.
     fn renew(&self, writer: &mut Writer) -> Result<(), RegistryError> {
-        let base = {
+        let (base, refusals) = {
+            // `close` changes both under this lock. Refusals count before the records that cause them are published, so no
+            // pending record is kept over one that took its revision.
+            let in_flight = self.in_flight.lock();
             let state = self.state.borrow();
             if let Some(why) = &state.closed {
                 return Err(why.clone());
             }
-            Arc::clone(&state.published)
+            (Arc::clone(&state.published), in_flight.refusals())
         };
-        // Read after the published state, so that no pending record is kept over one that took its revision.
-        let refusals = self.in_flight.lock().refusals();
         writer.catch_up(base, self.last_change.load(Relaxed), refusals);
         Ok(())
     }

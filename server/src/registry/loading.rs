@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use wayfold_index::{ApplyError, Forest, PointRef, Points, Space};
+use wayfold_index::{ApplyError, Forest, Points, Space};
 
-use super::Host;
-use crate::watermark::WatermarkExceeded;
+use super::{Host, PayloadSizes};
+use crate::{log::StoredPoint, watermark::WatermarkExceeded};
 
 /// Memory is checked each time that the points that were read take this much more.
 const CHECKED_BYTES: usize = 4 * 1024 * 1024;
@@ -45,13 +45,17 @@ pub(super) enum LoadError {
     Refused(Box<Points>, ApplyError),
 }
 
-/// A forest that gets its points in the order of their ids.
+/// A forest that gets its points in the order of their ids, and the sizes of their payloads.
 pub(super) struct Loader {
     host: Arc<Host>,
     forest: Forest,
     /// The points that are not in the forest yet.
     points: Points,
-    len: usize,
+    pub(super) payload_sizes: PayloadSizes,
+    /// The number of all points.
+    pub(super) len: usize,
+    /// The bound that the points exceed. Further points are only counted.
+    full: Option<WatermarkExceeded>,
 }
 
 impl Loader {
@@ -60,19 +64,20 @@ impl Loader {
             host: Arc::clone(host),
             forest: host.options.forest(space),
             points: Points::new(space.coordinates()),
+            payload_sizes: PayloadSizes::new(host.options.counts_payloads),
             len: 0,
+            full: None,
         }
     }
 
-    /// The number of points.
-    pub(super) fn len(&self) -> usize {
-        self.len
-    }
-
     /// Adds a point.
-    pub(super) fn push(&mut self, point: PointRef<'_>) -> Result<(), LoadError> {
-        self.points.push_point(point);
+    pub(super) fn push(&mut self, point: &StoredPoint) -> Result<(), LoadError> {
         self.len += 1;
+        self.payload_sizes.set(point.id, point.payload.len());
+        if self.full.is_some() {
+            return Ok(());
+        }
+        self.points.push_point(point.indexed());
         let checked_points = CHECKED_BYTES / point_bytes(self.forest.space());
         match self.points.len().is_multiple_of(checked_points.max(1)) {
             true => self.make_room(),
@@ -89,19 +94,26 @@ impl Loader {
         if memory.fits_at_start(4 * bytes).is_ok() {
             return Ok(());
         }
-        memory.fits_at_start(bytes).map_err(LoadError::Full)?;
-        let points = std::mem::replace(
-            &mut self.points,
-            Points::new(self.forest.space().coordinates()),
-        );
+        let fits = memory.fits_at_start(bytes);
+        let space = self.forest.space();
+        let points = std::mem::replace(&mut self.points, Points::new(space.coordinates()));
+        if let Err(full) = fits {
+            // The memory of the points is free for other indices.
+            self.forest = self.host.options.forest(space);
+            self.full = Some(full.clone());
+            return Err(LoadError::Full(full));
+        }
         match self.forest.load(&points) {
             Ok(()) => Ok(()),
             Err(error) => Err(LoadError::Refused(Box::new(points), error)),
         }
     }
 
-    /// The forest of all points at a revision.
-    pub(super) fn finish(mut self, revision: u64) -> Result<Forest, LoadError> {
+    /// The forest of all points at a revision, and the sizes of their payloads.
+    pub(super) fn finish(mut self, revision: u64) -> Result<(Forest, PayloadSizes), LoadError> {
+        if let Some(full) = self.full {
+            return Err(LoadError::Full(full));
+        }
         if !self.points.is_empty() {
             self.make_room()?;
         }
@@ -113,6 +125,6 @@ impl Loader {
             let (host, space) = (&self.host, self.forest.space().clone());
             self.forest.settle_up_to(|| host.merge_rows(&space));
         }
-        Ok(self.forest)
+        Ok((self.forest, self.payload_sizes))
     }
 }

@@ -309,7 +309,7 @@ impl Registry {
                 .is_ok_and(|newest| newest >= applied)
     }
 
-    /// Trims old records, in idle indices too.
+    /// Trims old records, in idle indices too. On disk the next record of an index removes them.
     fn trim(&self) {
         for hosted in self.hosted() {
             if let Err(error) = hosted.trim(SystemTime::now()) {

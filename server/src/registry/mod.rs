@@ -54,15 +54,13 @@ pub use hosted::{Hosted, Published};
 pub use index_limit::IndexLimit;
 use labels::Labels;
 pub use operations::OperationWindow;
-use operations::Operations;
 pub use options::RegistryOptions;
 use payload_sizes::PayloadSizes;
 pub(crate) use reseed::{Seed, reseed};
 pub use restore::Restore;
 pub(crate) use stopped::Stopped;
-pub(crate) use stored::{ComparisonFailure, StoredRevision};
+pub(crate) use stored::ComparisonFailure;
 pub use subscribers::Subscriber;
-pub use usage::BatchUnderWay;
 pub(crate) use usage::Part;
 pub use writer::{WriteGuard, Writer};
 
@@ -277,8 +275,7 @@ impl Registry {
         let forest = self.host.options.forest(&entry.space);
         let view = self.host.log.points.view(entry.uid)?;
         let sizes = PayloadSizes::new(self.host.options.counts_payloads);
-        let operations = Operations::new(self.host.options.operations);
-        let hosted = Hosted::new(&self.host, &entry, (forest, sizes), view, operations);
+        let hosted = Hosted::new(&self.host, &entry, (forest, sizes), view, Vec::new());
         // Its journal begins here.
         let _ = hosted.oldest_at_start.set(1);
         let state = IndexState::Hosted(Arc::clone(&hosted));

@@ -7,7 +7,7 @@ use tokio::time::timeout;
 use tracing::{info, warn};
 
 use super::{Hosted, Registry, RegistryError, Writer};
-use crate::log::{LogError, Record};
+use crate::log::{Journal, LogError, Record, Uid};
 
 /// The time in which an index of a starting server catches up with a journal, before it is served as it is.
 const CATCH_UP_TIME: Duration = Duration::from_secs(60);
@@ -55,7 +55,9 @@ impl Hosted {
         let mut records = match self.read(after, max_bytes).await {
             Ok(records) => records,
             // The journal has a gap that this server has passed with a copy of another one.
-            Err(RegistryError::Log(LogError::Damaged { uid, .. })) if !self.is_closed() => {
+            Err(RegistryError::Log(
+                LogError::JournalDamaged { uid, .. } | LogError::Damaged { uid, .. },
+            )) if !self.is_closed() => {
                 return Err(RegistryError::Log(LogError::Trimmed {
                     uid,
                     after,
@@ -74,13 +76,19 @@ impl Hosted {
         after: u64,
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, RegistryError> {
+        self.ask(move |journal, uid| journal.read(uid, Some(after), max_bytes))
+            .await
+    }
+
+    /// Asks the journal on a thread that may block.
+    async fn ask<T: Send + 'static>(
+        self: &Arc<Self>,
+        ask: impl FnOnce(&dyn Journal, Uid) -> Result<T, LogError> + Send + 'static,
+    ) -> Result<T, RegistryError> {
         let hosted = Arc::clone(self);
-        let read = move || {
-            let journal = &hosted.host.log.journal;
-            journal.read(hosted.uid(), Some(after), max_bytes)
-        };
-        let read = tokio::task::spawn_blocking(read).await;
-        Ok(read.map_err(|_| RegistryError::Stopped)??)
+        let asking = move || ask(&*hosted.host.log.journal, hosted.uid());
+        let answer = tokio::task::spawn_blocking(asking).await;
+        Ok(answer.map_err(|_| RegistryError::Stopped)??)
     }
 
     /// Waits until all records that the journal has now are published: a server that shares its journal may lag behind.
@@ -91,10 +99,7 @@ impl Hosted {
 
     /// The newest revision that the journal has.
     pub(super) async fn newest(self: &Arc<Self>) -> Result<u64, RegistryError> {
-        let hosted = Arc::clone(self);
-        let newest = move || hosted.host.log.journal.newest(hosted.uid());
-        let newest = tokio::task::spawn_blocking(newest).await;
-        Ok(newest.map_err(|_| RegistryError::Stopped)??)
+        self.ask(|journal, uid| journal.newest(uid)).await
     }
 
     /// Fails if the journal begins after revision 0, as that of a restored index does: an index without a record is then not
@@ -103,14 +108,11 @@ impl Hosted {
         if !self.is_shared() {
             return Ok(());
         }
-        let ask = || async {
-            let hosted = Arc::clone(self);
-            let oldest = move || hosted.host.log.journal.oldest(hosted.uid());
-            let oldest = tokio::task::spawn_blocking(oldest).await;
-            let oldest = oldest.map_err(|_| RegistryError::Stopped)??;
+        let oldest = || async {
+            let oldest = self.ask(|journal, uid| journal.oldest(uid)).await?;
             Ok::<_, RegistryError>(oldest.unwrap_or(1))
         };
-        match *self.oldest_at_start.get_or_try_init(ask).await? {
+        match *self.oldest_at_start.get_or_try_init(oldest).await? {
             0 | 1 => Ok(()),
             oldest => Err(RegistryError::Log(LogError::Trimmed {
                 uid: self.uid(),

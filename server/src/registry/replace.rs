@@ -5,8 +5,8 @@ use std::sync::Arc;
 use tracing::info;
 
 use super::{
-    Hosted, IndexState, Registry, RegistryError, Restore, loading::Loader, operations::Operations,
-    payload_sizes::PayloadSizes, replay::replay_or_damaged, restore::unloaded,
+    Hosted, IndexState, Registry, RegistryError, Restore, replay::replay_or_damaged,
+    restore::unloaded,
 };
 use crate::log::{Operation, Origin, Sessions, Uid};
 
@@ -29,15 +29,7 @@ impl Registry {
             _ => return Err(RegistryError::Deleted),
         }
         self.host.watermarks.check()?;
-        Ok(Restore {
-            stored: self.host.log.points.restore(entry.clone(), origin, true)?,
-            loader: Loader::new(&self.host, &entry.space),
-            payload_sizes: PayloadSizes::new(self.host.options.counts_payloads),
-            host: Arc::clone(&self.host),
-            entry,
-            origin,
-            limits: Vec::new(),
-        })
+        Restore::begin(&self.host, entry, origin, Vec::new(), true)
     }
 
     /// Hosts the copy of [`Registry::replace`], which has all its points, with these writer sessions and these operations,
@@ -55,15 +47,10 @@ impl Registry {
             origin,
             stored,
             loader,
-            payload_sizes,
             limits: _,
         } = restore;
-        let points = loader.len();
-        let forest = loader.finish(origin.revision).map_err(unloaded)?;
-        let mut remembered = Operations::new(host.options.operations);
-        for operation in &operations {
-            remembered.remember(Arc::clone(operation));
-        }
+        let points = loader.len;
+        let loaded = loader.finish(origin.revision).map_err(unloaded)?;
         let _change = self.change_lock.lock();
         let state = self.indexes.read().get(&entry.name).cloned();
         match &state {
@@ -74,7 +61,7 @@ impl Registry {
             None => return Err(RegistryError::Deleted),
         }
         let put = |state| self.change(|indexes| indexes.insert(entry.name.clone(), state));
-        let view = stored.finish(sessions, operations);
+        let view = stored.finish(sessions, operations.clone());
         let view = view.and_then(|()| host.log.points.view(entry.uid));
         let view = match view {
             Ok(view) => view,
@@ -83,7 +70,7 @@ impl Registry {
                 return Err(why.into());
             }
         };
-        let hosted = Hosted::new(&host, &entry, (forest, payload_sizes), view, remembered);
+        let hosted = Hosted::new(&host, &entry, loaded, view, operations);
         let (revision, index) = (origin.revision, &entry.name);
         info!(index, uid = %entry.uid, revision, points, "replaced an index by a copy of another server");
         put(IndexState::Hosted(Arc::clone(&hosted)));

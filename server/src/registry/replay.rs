@@ -6,15 +6,10 @@ use tracing::{error, info};
 use wayfold_index::{ApplyError, Forest, Points, PointsError};
 
 use super::{
-    Host, Hosted, IndexState, RegistryError,
+    Host, Hosted, IndexState, PayloadSizes, RegistryError,
     loading::{LoadError, Loader, loaded_bytes},
-    operations::Operations,
-    payload_sizes::PayloadSizes,
 };
-use crate::{
-    log::{Entry, LogError, StoredPoint},
-    watermark::WatermarkExceeded,
-};
+use crate::log::{Entry, LogError, StoredPoint};
 
 /// Replay logs its progress once per this many points.
 const PROGRESS_POINTS: usize = 1_000_000;
@@ -31,36 +26,32 @@ pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
     }
 }
 
-/// Builds an index from its points and from the operations that the log remembers. The log does not remember a call
-/// that changed nothing: the server evaluates its retry as a new call, with the same outcome.
+/// Builds an index from its points and from the operations that the log remembers. The log of a single server
+/// does not remember a call that changed nothing: the server evaluates its retry as a new call.
 fn replay(host: &Arc<Host>, entry: &Entry) -> Result<Arc<Hosted>, RegistryError> {
     let mut stored = StoredPoints::new(host, entry);
     let view = host
         .log
         .points
         .load(entry.uid, &mut |point| stored.push(point))?;
-    let (forest, sizes) = stored.finish(view.revision())?;
-    let mut operations = Operations::new(host.options.operations);
-    for operation in host.log.points.operations(entry.uid)? {
-        operations.remember(operation);
-    }
+    let revision = view.revision();
+    let points = stored.loader.len;
+    let loaded = stored.finish(revision)?;
+    let operations = host.log.points.operations(entry.uid)?;
     info!(
         index = entry.name,
         uid = %entry.uid,
-        revision = view.revision(),
-        points = forest.len(),
+        revision,
+        points,
         "replayed an index"
     );
-    Ok(Hosted::new(host, entry, (forest, sizes), view, operations))
+    Ok(Hosted::new(host, entry, loaded, view, operations))
 }
 
 /// The points of an index while they are read.
 struct StoredPoints<'a> {
     entry: &'a Entry,
-    /// Their forest, until memory runs out: the rest of the points are only counted.
-    loader: Result<Loader, WatermarkExceeded>,
-    payload_sizes: PayloadSizes,
-    count: usize,
+    loader: Loader,
     last: Option<u64>,
 }
 
@@ -68,9 +59,7 @@ impl<'a> StoredPoints<'a> {
     fn new(host: &Arc<Host>, entry: &'a Entry) -> Self {
         Self {
             entry,
-            loader: Ok(Loader::new(host, &entry.space)),
-            payload_sizes: PayloadSizes::new(host.options.counts_payloads),
-            count: 0,
+            loader: Loader::new(host, &entry.space),
             last: None,
         }
     }
@@ -78,55 +67,41 @@ impl<'a> StoredPoints<'a> {
     fn push(&mut self, point: &StoredPoint) -> Result<(), LogError> {
         let entry = self.entry;
         if point.state.len() != entry.space.coordinates() {
-            return Err(LogError::Damaged {
-                uid: entry.uid,
-                revision: point.modified,
-                what: "a state has not the width of the space",
-            });
+            let what = "its state has not the width of the space";
+            return Err(LogError::damaged_point(entry.uid, point.id, what));
         }
         if self.last.is_some_and(|last| last >= point.id) {
-            return Err(LogError::DamagedPoint {
-                uid: entry.uid,
-                id: point.id,
-                what: "it is stored twice",
-            });
+            let what = "it is stored twice";
+            return Err(LogError::damaged_point(entry.uid, point.id, what));
         }
         self.last = Some(point.id);
-        self.count += 1;
-        self.payload_sizes.set(point.id, point.payload.len());
-        if let Ok(loader) = &mut self.loader {
-            match loader.push(point.indexed()) {
-                Ok(()) => {}
-                // The loader is dropped, and the memory of its points is free for other indices.
-                Err(LoadError::Full(full)) => self.loader = Err(full),
-                Err(LoadError::Refused(points, error)) => {
-                    return Err(damaged(entry, point.modified, &points, &error));
-                }
+        match self.loader.push(point) {
+            // The rest of the points are counted: the index is loaded once there is memory for all.
+            Ok(()) | Err(LoadError::Full(_)) => {}
+            Err(LoadError::Refused(points, error)) => {
+                return Err(damaged(entry, point.modified, &points, &error));
             }
         }
-        if self.count.is_multiple_of(PROGRESS_POINTS) {
-            info!(index = entry.name, points = self.count, "reading points");
+        let points = self.loader.len;
+        if points.is_multiple_of(PROGRESS_POINTS) {
+            info!(index = entry.name, points, "reading points");
         }
         Ok(())
     }
 
     fn finish(self, revision: u64) -> Result<(Forest, PayloadSizes), RegistryError> {
-        let points = self.count;
-        let forest = match self.loader {
-            Ok(loader) => loader.finish(revision),
-            Err(full) => Err(LoadError::Full(full)),
-        };
-        let forest = forest.map_err(|error| match error {
+        let points = self.loader.len;
+        let sizes = self.loader.payload_sizes.memory_bytes();
+        self.loader.finish(revision).map_err(|error| match error {
             LoadError::Full(full) => RegistryError::NotLoaded {
                 points,
-                needed: loaded_bytes(&self.entry.space, points) + self.payload_sizes.memory_bytes(),
+                needed: loaded_bytes(&self.entry.space, points) + sizes,
                 full,
             },
             LoadError::Refused(points, error) => {
                 damaged(self.entry, revision, &points, &error).into()
             }
-        })?;
-        Ok((forest, self.payload_sizes))
+        })
     }
 }
 
@@ -134,21 +109,16 @@ impl<'a> StoredPoints<'a> {
 fn damaged(entry: &Entry, revision: u64, points: &Points, error: &ApplyError) -> LogError {
     let uid = entry.uid;
     match *error {
-        ApplyError::Points(PointsError::State { row, .. }) => LogError::DamagedPoint {
-            uid,
-            id: points.id(row),
-            what: "its state is not a canonical state of the space",
-        },
-        ApplyError::Points(PointsError::DuplicateId(id)) => LogError::DamagedPoint {
-            uid,
-            id,
-            what: "it is stored twice",
-        },
+        ApplyError::Points(PointsError::State { row, .. }) => {
+            let what = "its state is not a canonical state of the space";
+            LogError::damaged_point(uid, points.id(row), what)
+        }
+        ApplyError::Points(PointsError::DuplicateId(id)) => {
+            LogError::damaged_point(uid, id, "it is stored twice")
+        }
         ApplyError::Points(PointsError::Width { .. } | PointsError::TooMany(_))
-        | ApplyError::Revision { .. } => LogError::Damaged {
-            uid,
-            revision,
-            what: "its points do not make a forest",
-        },
+        | ApplyError::Revision { .. } => {
+            LogError::damaged_record(uid, revision, "its points do not make a forest")
+        }
     }
 }

@@ -10,8 +10,6 @@ use wayfold_proto::v1::PayloadEncoding;
 use super::{
     Host, Hosted, IndexLimit, IndexState, Registry, RegistryError,
     loading::{LoadError, Loader},
-    operations::Operations,
-    payload_sizes::PayloadSizes,
 };
 use crate::log::{
     Effects, Entry, Log, LogError, Origin, Record, RecordPosition, Restoring, RunId, Sessions,
@@ -26,7 +24,6 @@ pub struct Restore {
     pub(super) limits: Vec<IndexLimit>,
     pub(super) stored: Box<dyn Restoring>,
     pub(super) loader: Loader,
-    pub(super) payload_sizes: PayloadSizes,
 }
 
 impl Registry {
@@ -48,15 +45,7 @@ impl Registry {
             space,
             payload_encoding,
         };
-        Ok(Restore {
-            stored: self.host.log.points.restore(entry.clone(), origin, false)?,
-            loader: Loader::new(&self.host, &entry.space),
-            payload_sizes: PayloadSizes::new(self.host.options.counts_payloads),
-            host: Arc::clone(&self.host),
-            entry,
-            origin,
-            limits,
-        })
+        Restore::begin(&self.host, entry, origin, limits, false)
     }
 
     /// Hosts a restored index that has all its points, with these writer sessions. Blocks on the log and on building
@@ -69,10 +58,9 @@ impl Registry {
             limits,
             stored,
             loader,
-            payload_sizes,
         } = restore;
-        let points = loader.len();
-        let forest = loader.finish(origin.revision).map_err(unloaded)?;
+        let points = loader.len;
+        let loaded = loader.finish(origin.revision).map_err(unloaded)?;
         let mut change = self.change_lock.lock();
         self.room_for(&entry.name, &limits)?;
         // A copy has another uid, so no call to the original is repeated here.
@@ -91,13 +79,7 @@ impl Registry {
             }
         }
         let view = host.log.points.view(entry.uid)?;
-        let hosted = Hosted::new(
-            &host,
-            &entry,
-            (forest, payload_sizes),
-            view,
-            Operations::new(host.options.operations),
-        );
+        let hosted = Hosted::new(&host, &entry, loaded, view, Vec::new());
         info!(index = entry.name, uid = %entry.uid, revision = origin.revision, points, "restored an index");
         let state = IndexState::Hosted(Arc::clone(&hosted));
         self.change(|indexes| indexes.insert(entry.name, state));
@@ -149,6 +131,25 @@ pub(crate) fn publish(
 }
 
 impl Restore {
+    /// `replaces` is true if the point store has points under the uid.
+    pub(super) fn begin(
+        host: &Arc<Host>,
+        entry: Entry,
+        origin: Origin,
+        limits: Vec<IndexLimit>,
+        replaces: bool,
+    ) -> Result<Self, RegistryError> {
+        let stored = host.log.points.restore(entry.clone(), origin, replaces)?;
+        Ok(Self {
+            stored,
+            loader: Loader::new(host, &entry.space),
+            host: Arc::clone(host),
+            entry,
+            origin,
+            limits,
+        })
+    }
+
     /// The space of the index.
     pub(crate) fn space(&self) -> &Space {
         &self.entry.space
@@ -156,7 +157,7 @@ impl Restore {
 
     /// The bytes of the payloads so far; 0 if they are not counted.
     pub fn payload_bytes(&self) -> u64 {
-        self.payload_sizes.total()
+        self.loader.payload_sizes.total()
     }
 
     /// Adds the next points, by ascending id: canonical rows of the space with ids below the origin's next id. Blocks
@@ -167,8 +168,7 @@ impl Restore {
         self.host.watermarks.admit(bytes as u64)?;
         self.stored.add(points)?;
         for point in points {
-            self.loader.push(point.indexed()).map_err(unloaded)?;
-            self.payload_sizes.set(point.id, point.payload.len());
+            self.loader.push(point).map_err(unloaded)?;
         }
         Ok(())
     }

@@ -28,7 +28,7 @@ pub(super) fn is_damage(why: &RegistryError) -> bool {
     matches!(
         why,
         RegistryError::Log(
-            LogError::Damaged { .. }
+            LogError::JournalDamaged { .. }
                 | LogError::JournalBehind { .. }
                 | LogError::Trimmed { .. }
                 | LogError::Contradicted { .. }
@@ -51,10 +51,8 @@ fn revision_before(why: &RegistryError) -> Option<u64> {
     };
     match why {
         LogError::Lost { last, .. } => Some(*last),
-        LogError::Incomplete { revision, .. } => Some(*revision),
-        LogError::Damaged { .. } | LogError::DamagedPoint { .. } | LogError::Unreadable { .. } => {
-            Some(0)
-        }
+        LogError::Damaged { seen, .. } => Some(*seen),
+        LogError::Unreadable { .. } => Some(0),
         _ => None,
     }
 }

@@ -82,11 +82,6 @@ pub(crate) struct ComparisonFailure {
 }
 
 impl Hosted {
-    /// See [`FirstWrite`].
-    pub(crate) fn first_write(&self) -> &FirstWrite {
-        &self.first_write
-    }
-
     fn stored(&self, requested: Option<u64>) -> Result<StoredRevision, RegistryError> {
         let position = self.published().view.position();
         let applied = position.revision;
@@ -130,10 +125,5 @@ impl Hosted {
     /// Notes that no record is kept beyond the windows, or that another server counts them.
     pub(crate) fn count_none_held(&self) {
         self.held.store(0, Relaxed);
-    }
-
-    /// The records that were counted last.
-    pub(crate) fn held(&self) -> u64 {
-        self.held.load(Relaxed)
     }
 }

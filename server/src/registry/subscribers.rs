@@ -9,7 +9,7 @@ use parking_lot::Mutex;
 
 /// The subscribers of one index.
 #[derive(Debug, Default)]
-pub(super) struct Subscribers(Mutex<Vec<Weak<AtomicU64>>>);
+pub(crate) struct Subscribers(Mutex<Vec<Weak<AtomicU64>>>);
 
 /// A subscriber. It counts until it is dropped.
 #[derive(Debug)]
@@ -24,7 +24,7 @@ impl Subscriber {
 
 impl Subscribers {
     /// A new subscriber that has `revision`.
-    pub(super) fn join(&self, revision: u64) -> Subscriber {
+    pub(crate) fn join(&self, revision: u64) -> Subscriber {
         let subscriber = Arc::new(AtomicU64::new(revision));
         let mut subscribers = self.0.lock();
         subscribers.retain(|it| it.strong_count() > 0);
@@ -33,7 +33,7 @@ impl Subscribers {
     }
 
     /// The number of subscribers, and the records that the last of them does not have of those up to `newest`.
-    pub(super) fn count_and_lag(&self, newest: u64) -> (usize, u64) {
+    pub(crate) fn count_and_lag(&self, newest: u64) -> (usize, u64) {
         let subscribers = self.0.lock();
         let revisions = subscribers.iter().filter_map(Weak::upgrade);
         let lags = revisions.map(|at| newest.saturating_sub(at.load(Relaxed)));

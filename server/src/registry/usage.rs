@@ -1,32 +1,10 @@
 //! The resources that indices take, for the metrics of an operator.
 
-use std::sync::Arc;
-
-use super::{Hosted, Registry};
+use super::Registry;
 use crate::log::StoreUsage;
 
 /// A part of the memory or the disk of a server, and its bytes.
 pub(crate) type Part = (&'static str, u64);
-
-/// A batch of a writer session. It counts until it is dropped.
-#[derive(Debug)]
-pub struct BatchUnderWay {
-    _counted: Arc<()>,
-}
-
-impl Hosted {
-    /// Counts a batch of a writer session.
-    pub fn begin_batch(&self) -> BatchUnderWay {
-        BatchUnderWay {
-            _counted: Arc::clone(&self.batches),
-        }
-    }
-
-    /// The batches of writer sessions that are under way.
-    pub fn batches_under_way(&self) -> usize {
-        Arc::strong_count(&self.batches) - 1
-    }
-}
 
 impl Registry {
     /// About the memory of all indices and of the store, and the disk of the data directory, by part. Blocks.

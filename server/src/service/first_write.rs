@@ -64,7 +64,7 @@ impl Service {
     pub(super) fn is_compared(&self, hosted: &Hosted) -> bool {
         let cluster = self.inner.owners.get().zip(self.inner.peers.get());
         cluster.is_none_or(|(owners, _)| {
-            let compared = hosted.first_write().compared.load(Relaxed);
+            let compared = hosted.first_write.compared.load(Relaxed);
             compared == owners.changes() && hosted.contradiction().is_none()
         })
     }
@@ -77,7 +77,7 @@ async fn compare_in_turn(
     hosted: Arc<Hosted>,
 ) -> Result<(), Error> {
     let began = Instant::now();
-    let first_write = hosted.first_write();
+    let first_write = &hosted.first_write;
     let mut turn = first_write.turn.lock().await;
     peers.wait_for_members().await;
     // Read before the members are: one that joins meanwhile is asked by the next mutation.

@@ -11,7 +11,6 @@ use wayfold_proto::v1;
 use self::evaluation::Evaluation;
 use super::{
     Call, Error, Limits, Service,
-    answer::AnswerBudget,
     call::TimeSlicer,
     check::{self, Rows, Violations},
     mutation::{IdempotencyKey, Start, refused},
@@ -94,7 +93,11 @@ impl Service {
                     continue;
                 }
             };
-            insertion.evaluate(&mut evaluation, &mut pace).await?;
+            if let Err(error) = insertion.evaluate(&mut evaluation, &mut pace).await {
+                drop(evaluation);
+                refused(call, &hosted, writer, error).await?;
+                continue;
+            }
             let unread = std::mem::take(&mut evaluation.unread);
             if unread.is_empty() {
                 let evaluated = evaluation.finish().map(|(effects, mut response)| {
@@ -117,13 +120,7 @@ impl Service {
                 held = Some(writer);
             }
             reads += 1;
-            let is_compared = unread.compared.is_empty();
-            let read = payloads.read(call, &hosted, &base, unread, most).await?;
-            // The answer has all of these payloads, and maybe more; but a row may still replace what it is compared
-            // with.
-            if is_compared {
-                AnswerBudget::new(self.limits()).take(read)?;
-            }
+            payloads.read(call, &hosted, &base, unread, most).await?;
         }
     }
 }

@@ -1,5 +1,7 @@
 //! `log`: the mutations after a revision in one answer, for a subscriber that missed some.
 
+use std::sync::atomic::Ordering::Relaxed;
+
 use wayfold_proto::v1;
 
 use super::{Call, Error, Limits, Service, Watch};
@@ -37,7 +39,8 @@ impl Service {
         }
         let hosted = self.registry()?.get(&name);
         if let Ok(hosted) = hosted {
-            hosted.count_missed(answer.mutations.len() as u64);
+            let records = answer.mutations.len() as u64;
+            hosted.missed.fetch_add(records, Relaxed);
         }
         Ok(answer)
     }

@@ -146,12 +146,10 @@ impl Service {
                     is_caught_up = true;
                     if hosted.is_shared() {
                         drop(writer);
-                        let caught_up = async {
-                            hosted.catch_up().await?;
-                            hosted.latest().await
-                        };
-                        let caught_up = call.bound("while reading the journal", caught_up).await?;
+                        let doing = "while reading the journal";
+                        let caught_up = call.bound(doing, hosted.catch_up()).await?;
                         caught_up.map_err(|error| registry_error(hosted.name(), error))?;
+                        self.latest(call, hosted, doing).await?;
                     } else {
                         let _ = settled(call, hosted, writer).await?;
                     }
@@ -164,6 +162,25 @@ impl Service {
             };
             if settled(call, hosted, writer).await? == CommitOutcome::Done {
                 return Ok(Start::Remembered(response));
+            }
+        }
+    }
+
+    /// Waits until every mutation that any server acknowledged before is published here. That makes a record, so the records
+    /// of the members are compared as before a mutation.
+    pub(super) async fn latest(
+        &self,
+        call: &Call,
+        hosted: &Arc<Hosted>,
+        doing: &'static str,
+    ) -> Result<(), Error> {
+        loop {
+            self.may_write(call, hosted).await?;
+            let latest = hosted.latest(|| self.is_compared(hosted));
+            let latest = call.bound(doing, latest).await?;
+            // The members may have changed while this call waited for others.
+            if latest.map_err(|error| registry_error(hosted.name(), error))? {
+                return Ok(());
             }
         }
     }
@@ -244,21 +261,14 @@ impl Service {
         if let Some(key) = key {
             key.mark(&mut effects, response.encode_to_vec().into());
         }
-        if effects.is_empty() {
-            let remember = || {
-                if let Some(operation) = effects.operation() {
-                    hosted.remember(Arc::clone(operation));
-                }
-            };
-            // A concurrent retry finds the operation, and waits for the same records. Beside other servers the response
-            // may be one of the past until the journal has taken a record after it.
-            if !hosted.is_shared() {
-                remember();
+        // Beside other servers the response may be one of the past until the journal has taken a record after it. That record
+        // holds the operation, so that every server remembers it.
+        if effects.is_empty() && !hosted.is_shared() {
+            // A concurrent retry finds the operation, and waits for the same records.
+            if let Some(operation) = effects.operation() {
+                hosted.remember(Arc::clone(operation));
             }
             let committed = settled(call, hosted, writer).await?;
-            if hosted.is_shared() && committed == CommitOutcome::Done {
-                remember();
-            }
             return Ok((committed == CommitOutcome::Done).then_some(response));
         }
         let doing = match hosted.is_shared() {
@@ -324,7 +334,12 @@ pub(super) async fn refused(
     writer: WriteGuard,
     error: Error,
 ) -> Result<(), Error> {
-    if hosted.is_shared() && settled(call, hosted, writer).await? == CommitOutcome::Refused {
+    // The end of a call does not depend on the records.
+    let is_end = matches!(error, Error::DeadlineExceeded { .. } | Error::Denied { .. });
+    if hosted.is_shared()
+        && !is_end
+        && settled(call, hosted, writer).await? == CommitOutcome::Refused
+    {
         return Ok(());
     }
     Err(error)

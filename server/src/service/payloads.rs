@@ -60,7 +60,7 @@ impl Payloads {
         self.neighbors.as_ref()?.get(id)
     }
 
-    /// Reads payloads of `head`; those for the answer until they exceed `most` bytes of it. Returns the bytes of these.
+    /// Reads payloads of `head`; those for the answer until they exceed `most` bytes of it.
     pub(super) async fn read(
         &mut self,
         call: &Call,
@@ -68,12 +68,12 @@ impl Payloads {
         head: &Published,
         mut unread: UnreadPayloads,
         most: usize,
-    ) -> Result<usize, Error> {
+    ) -> Result<(), Error> {
         let compared = &unread.compared;
         let compared = self.compared.read(call, DOING, hosted, head, compared);
         compared.await?;
         let Some(neighbors) = &mut self.neighbors else {
-            return Ok(0);
+            return Ok(());
         };
         neighbors.begin_at(head);
         unread.neighbors.sort_unstable();
@@ -87,7 +87,7 @@ impl Payloads {
             let payloads = ids.iter().filter_map(|id| neighbors.get(*id));
             bytes += payloads.map(payload_bytes).sum::<usize>();
         }
-        Ok(bytes)
+        Ok(())
     }
 
     /// Catches up to the writer's newest record, or forgets the payloads.

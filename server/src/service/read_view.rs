@@ -53,12 +53,8 @@ impl Service {
             match self.latest_of_owner(call, hosted).await? {
                 Some(latest) => revision = revision.max(latest),
                 None => {
-                    // It is a record too.
-                    self.may_write(call, hosted).await?;
-                    let caught_up =
-                        call.bound("while waiting for the latest revision", hosted.latest());
-                    let caught_up = caught_up.await?;
-                    caught_up.map_err(|error| registry_error(hosted.name(), error))?;
+                    const WAITING: &str = "while waiting for the latest revision";
+                    self.latest(call, hosted, WAITING).await?;
                 }
             }
         }

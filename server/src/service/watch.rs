@@ -130,7 +130,7 @@ impl Watch {
                     self.after = newest;
                 }
                 if self.is_counted {
-                    self.subscriber = Some(self.hosted.join(self.after));
+                    self.subscriber = Some(self.hosted.subscribers.join(self.after));
                 }
                 Ok(self.message(newest))
             }

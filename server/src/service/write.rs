@@ -78,7 +78,7 @@ impl Service {
         if let Some(answer) = self.forward(call, &hosted, &request).await {
             return answer;
         }
-        let _counted = hosted.begin_batch();
+        let _counted = Arc::clone(&hosted.batches);
         let mut pace = call.pace(DOING);
         let mut key = IdempotencyKey::of_batch(&mut request, &mut pace).await?;
         let reserve_count = request.reserve_count;

@@ -72,12 +72,7 @@ impl Journal for ControlledLog {
             async move {
                 let revision = record.revision();
                 if fails.load(Ordering::Relaxed) {
-                    let what = "the disk is full";
-                    return Err(LogError::Damaged {
-                        uid,
-                        revision,
-                        what,
-                    });
+                    return Err(LogError::damaged_record(uid, revision, "the disk is full"));
                 }
                 let reached = synced.wait_for(|&synced| synced >= revision).await;
                 reached.unwrap();

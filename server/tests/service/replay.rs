@@ -129,11 +129,11 @@ impl PointStore for DamagedLog {
 fn readable(uid: Uid, view: Arc<dyn View>) -> Result<Arc<dyn View>, LogError> {
     match view.revision() == 2 {
         false => Ok(view),
-        true => Err(LogError::Damaged {
+        true => Err(LogError::damaged_record(
             uid,
-            revision: 2,
-            what: "it does not match its checksum",
-        }),
+            2,
+            "it does not match its checksum",
+        )),
     }
 }
 

@@ -276,11 +276,11 @@ async fn an_answer_that_differs_is_found() {
 #[tokio::test]
 async fn stored_points_that_cannot_be_read_are_data_loss() {
     let service = lying(|point| match point.id {
-        700 => Err(LogError::DamagedPoint {
-            uid: Uid::unique(),
-            id: 700,
-            what: "it does not match its checksum",
-        }),
+        700 => Err(LogError::damaged_point(
+            Uid::unique(),
+            700,
+            "it does not match its checksum",
+        )),
         _ => Ok(Some(point)),
     })
     .await;

@@ -41,7 +41,7 @@ impl Hosted {
             false
         };
         if is_resumed {
-            // A call may have submitted a record while the index closed: no receipt will decide it.
+            // The index may not have closed: no receipt will decide the records in flight.
             let why = self.closed().unwrap_or(RegistryError::Stopped);
             let (failed, refusals) = {
                 let mut in_flight = self.in_flight.lock();
@@ -82,8 +82,13 @@ impl Hosted {
 
     /// Closes the index: later writes, and calls that wait for it, get `why`.
     pub(in crate::registry) fn close(&self, why: RegistryError) {
-        let decided = self.in_flight.lock().fail(&why);
-        self.state.send_modify(|state| state.closed = Some(why));
+        let decided = {
+            // No writer may see the new count of refusals and an open index: nothing would decide its record.
+            let mut in_flight = self.in_flight.lock();
+            let decided = in_flight.fail(&why);
+            self.state.send_modify(|state| state.closed = Some(why));
+            decided
+        };
         notify(decided);
     }
 
@@ -95,5 +100,40 @@ impl Hosted {
     /// True if it takes no record now.
     pub(in crate::registry) fn is_closed(&self) -> bool {
         self.state.borrow().closed.is_some()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::thread;
+
+    use super::*;
+    use crate::{
+        registry::{Registry, RegistryOptions},
+        testing::recorded,
+    };
+
+    /// A writer with the new count and an open index would add a record that nothing decides.
+    #[tokio::test]
+    async fn no_writer_sees_the_new_count_of_refusals_before_the_index_is_closed() {
+        let registry = Registry::new(recorded(1), RegistryOptions::default());
+        registry.replay().unwrap();
+        let hosted = registry.get("arm").unwrap();
+        let before = hosted.in_flight.lock().refusals();
+        // The index cannot close while its state is read.
+        let open = hosted.state.borrow();
+        let closing = {
+            let hosted = Arc::clone(&hosted);
+            thread::spawn(move || hosted.close(RegistryError::Deleted))
+        };
+        while let Some(in_flight) = hosted.in_flight.try_lock() {
+            assert_eq!(in_flight.refusals(), before);
+            drop(in_flight);
+            thread::yield_now();
+        }
+        drop(open);
+        closing.join().unwrap();
+        assert!(hosted.is_closed());
+        assert_eq!(hosted.in_flight.lock().refusals(), before + 1);
     }
 }

@@ -12,7 +12,10 @@ use wayfold_proto::v1;
 use super::*;
 use crate::{
     identity::Caller,
-    log::{Effects, Entry, Journal, MemoryLog, PointStore, Record, Uid},
+    log::{
+        Catalogue, Effects, Entry, Journal, Log, LogError, MemoryLog, PointStore, Receipt, Record,
+        RecordStream, Uid,
+    },
     registry::{Registry, RegistryOptions},
     service::{
         Code, Limits, NotForwarded, Owners,
@@ -111,6 +114,36 @@ impl Peers for OtherMembers {
     }
 }
 
+/// A journal that other servers share.
+struct Shared(Arc<MemoryLog>);
+
+impl Journal for Shared {
+    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+        self.0.submit(uid, record)
+    }
+
+    fn follow(&self, uid: Uid, after: u64) -> RecordStream {
+        self.0.follow(uid, after)
+    }
+
+    fn read(
+        &self,
+        uid: Uid,
+        after: Option<u64>,
+        max_bytes: usize,
+    ) -> Result<Vec<Arc<Record>>, LogError> {
+        self.0.read(uid, after, max_bytes)
+    }
+
+    fn newest(&self, uid: Uid) -> Result<u64, LogError> {
+        self.0.newest(uid)
+    }
+
+    fn is_shared(&self) -> bool {
+        true
+    }
+}
+
 /// This many records of a run after these.
 fn more(records: &[Arc<Record>], run: u8, count: u64) -> Vec<Arc<Record>> {
     let mut all = records.to_vec();
@@ -136,7 +169,12 @@ struct Server {
 impl Server {
     fn new(entry: &Entry, records: &[Arc<Record>]) -> Self {
         let own = log_with(entry, records);
-        let registry = Registry::new(Arc::clone(&own), RegistryOptions::default());
+        let log = Log {
+            journal: Arc::new(Shared(Arc::clone(&own))),
+            points: Arc::clone(&own) as Arc<dyn PointStore>,
+            catalogue: Arc::clone(&own) as Arc<dyn Catalogue>,
+        };
+        let registry = Registry::new(log, RegistryOptions::default());
         registry.replay().unwrap();
         let service = Service::new(registry, Limits::default());
         service.set_ready();
@@ -270,4 +308,22 @@ async fn a_mutation_waits_for_the_records_of_a_member_that_is_ahead() {
     };
     let (inserted, ()) = tokio::join!(server.insert(), repaired);
     assert_eq!(inserted.unwrap(), RECORDS + 2);
+}
+
+/// It makes a record too.
+#[tokio::test(start_paused = true)]
+async fn a_latest_read_compares_again_if_the_members_change_while_it_waits() {
+    let (entry, records) = (arm(), more(&[], 1, RECORDS));
+    let server = Server::new(&entry, &records);
+    let hosted = server.service.registry().unwrap().get("arm").unwrap();
+    let writer = hosted.write().await.unwrap();
+    let call = Call::default();
+    let mut read = Box::pin(server.service.published(&call, &hosted, 0, true));
+    let waited = timeout(Duration::from_millis(1), read.as_mut()).await;
+    assert!(waited.is_err() && server.service.is_compared(&hosted));
+    server.set(vec![Some(log_with(&entry, &more(&records[..2], 2, 2)))]);
+    drop(writer);
+    let refused = read.await.err().unwrap();
+    assert_eq!(refused.code(), Code::DataLoss, "{refused}");
+    assert_eq!(server.own.newest(entry.uid).unwrap(), RECORDS);
 }

@@ -9,8 +9,8 @@ use crate::support::pass;
 /// The time in which a script ends, by the paused clock.
 const SCRIPT_TIME: Duration = Duration::from_secs(60);
 
-/// Plain calls, calls with operation ids and the calls of a session, some of them at once; returns the points that
-/// they leave.
+/// Plain calls, calls with operation ids, calls that change nothing, `latest` reads and the calls of a session, some of them
+/// at once; returns the points that they leave.
 async fn script(service: &Service, uid: &str) -> BTreeMap<u64, f64> {
     let insert = |state: f64, operation_id: &str| {
         let request = v1::InsertRequest {
@@ -27,7 +27,7 @@ async fn script(service: &Service, uid: &str) -> BTreeMap<u64, f64> {
 
     let three = try_join!(insert(1.0, ""), insert(2.0, ""), insert(3.0, "")).unwrap();
     let first = inserted(three.0, 1.0);
-    inserted(three.1, 2.0);
+    let second = inserted(three.1, 2.0);
     inserted(three.2, 3.0);
     let (once, again) = try_join!(insert(4.0, "four"), insert(4.0, "four")).unwrap();
     assert_eq!(once, again);
@@ -42,8 +42,41 @@ async fn script(service: &Service, uid: &str) -> BTreeMap<u64, f64> {
     let removed = service.remove(&CALL, removing.clone()).await.unwrap();
     assert_eq!(service.remove(&CALL, removing).await.unwrap(), removed);
     assert_eq!(insert(4.0, "four").await.unwrap(), once);
-    expected.remove(&first).unwrap();
-    expected.remove(&last).unwrap();
+
+    let updating = v1::UpdateRequest {
+        index_name: "arm".into(),
+        ids: once.ids.clone(),
+        tags: vec![4],
+        operation_id: "update".into(),
+        ..Default::default()
+    };
+    let updated = service.update(&CALL, updating.clone()).await.unwrap();
+    assert_eq!(updated.updated_count, 1);
+    assert_eq!(service.update(&CALL, updating).await.unwrap(), updated);
+    let latest = v1::GetRequest {
+        latest: true,
+        ..getting(&once.ids)
+    };
+    let [read, twin] = [latest.clone(), latest].map(|latest| service.get(&CALL, latest));
+    let (read, twin) = try_join!(read, twin).unwrap();
+    assert_eq!(read.points.unwrap().tags, [4]);
+    assert_eq!(twin.points.unwrap().tags, [4]);
+
+    let unchanged = service.remove(&CALL, removal(&[first])).await.unwrap();
+    assert_eq!(unchanged.missing_count, 1);
+    let too_close = v1::InsertRequest {
+        min_separation: 0.5,
+        operation_id: "close".into(),
+        ..insertion(&[[2.1]], &[])
+    };
+    let unchanged = service.insert(&CALL, too_close.clone()).await.unwrap();
+    assert_eq!(unchanged.ids, [second]);
+    service.remove(&CALL, removal(&[second])).await.unwrap();
+    let again = service.insert(&CALL, too_close).await.unwrap();
+    assert_eq!(again, unchanged);
+    for removed in [first, second, last] {
+        expected.remove(&removed).unwrap();
+    }
 
     let opening = v1::OpenSessionRequest {
         index_name: "arm".into(),

@@ -73,3 +73,41 @@ async fn a_full_table_of_sessions_is_refused_only_after_a_record() {
     assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");
     assert_eq!(stream.records(entry.uid).len(), 2);
 }
+
+/// The answer may be small by what other servers have changed.
+#[tokio::test]
+async fn an_answer_that_is_too_large_is_refused_only_after_a_record() {
+    let (stream, entry) = (Stream::new(17, 0.0), named_arm());
+    let points = Arc::new(MemoryLog::new());
+    points.create(entry.clone()).unwrap();
+    let limits = Limits {
+        max_answer_bytes: 456,
+        ..Limits::default()
+    };
+    let (service, ..) = server_over(&stream, points, limits);
+    for id in 0..12 {
+        let request = v1::InsertRequest {
+            payloads: vec![vec![1; 100].into()],
+            ..insertion(&[[id as f64]], &[id])
+        };
+        service.insert(&CALL, request).await.unwrap();
+    }
+    // Too many neighbours, and too large payloads of some.
+    for (k, with_payloads) in [(12, false), (3, true)] {
+        let request = v1::InsertRequest {
+            neighbor_spec: Some(v1::NeighborSpec {
+                k_form: nearest(k),
+                include: Some(v1::Include {
+                    with_payloads,
+                    ..Default::default()
+                }),
+                ..Default::default()
+            }),
+            ..insertion(&[[0.5]], &[])
+        };
+        let before = stream.records(entry.uid).len();
+        let refused = service.insert(&CALL, request).await.unwrap_err();
+        assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");
+        assert_eq!(stream.records(entry.uid).len(), before + 1, "{refused}");
+    }
+}
