@@ -59,49 +59,50 @@ pub(super) struct Members {
     subject: String,
     address: String,
     run: String,
-    live: Arc<watch::Sender<Live>>,
-    /// True if all live members have been heard.
-    hears_all: Arc<watch::Sender<bool>>,
-    /// The number of times that they changed, from 1 on.
-    changes: Arc<AtomicU64>,
-    /// False until the server serves.
-    is_serving: Arc<AtomicBool>,
+    shared: Arc<Shared>,
     following: Mutex<Option<AbortOnDropHandle<()>>>,
+}
+
+/// What the task that follows the members notes.
+struct Shared {
+    live: watch::Sender<Live>,
+    /// True if all live members have been heard.
+    hears_all: watch::Sender<bool>,
+    /// The number of times that they changed, from 1 on.
+    changes: AtomicU64,
+    /// False until the server serves.
+    is_serving: AtomicBool,
 }
 
 impl Members {
     /// Follows the others as the server at `address`, which is no live member before [`Members::serve`].
     pub(super) fn join(nats: Client, subject: String, address: String) -> Self {
         let run = Uid::unique().to_string();
-        let (live, is_serving) = (
-            Arc::new(watch::Sender::default()),
-            Arc::new(AtomicBool::new(false)),
-        );
-        let changes = Arc::new(AtomicU64::new(1));
-        let hears_all = Arc::new(watch::Sender::new(false));
+        let shared = Arc::new(Shared {
+            live: watch::Sender::default(),
+            hears_all: watch::Sender::new(false),
+            changes: AtomicU64::new(1),
+            is_serving: AtomicBool::new(false),
+        });
         let following = follow(
             nats.clone(),
             subject.clone(),
             (address.clone(), run.clone()),
-            (Arc::clone(&live), Arc::clone(&changes)),
-            (Arc::clone(&is_serving), Arc::clone(&hears_all)),
+            Arc::clone(&shared),
         );
         Self {
             nats,
             subject,
             address,
             run,
-            live,
-            hears_all,
-            changes,
-            is_serving,
+            shared,
             following: Mutex::new(Some(AbortOnDropHandle::new(tokio::spawn(following)))),
         }
     }
 
     /// Announces from now on that the server takes calls of the others.
     pub(super) fn serve(&self) {
-        self.is_serving.store(true, Relaxed);
+        self.shared.is_serving.store(true, Relaxed);
     }
 
     /// Announces that the server leaves, and announces it no more.
@@ -119,7 +120,7 @@ impl Members {
 
     /// The member that owns an index; None if it is this server, or if this server is cut off.
     pub(super) fn owner(&self, uid: Uid) -> Option<String> {
-        let live = self.live.borrow();
+        let live = self.shared.live.borrow();
         live.get(&self.address)?;
         let owner = live.keys().max_by_key(|address| weight(address, uid))?;
         (*owner != self.address).then(|| owner.clone())
@@ -127,7 +128,7 @@ impl Members {
 
     /// The other live members; at first the one that owns the index, or would without this server.
     pub(super) fn others(&self, uid: Uid) -> Vec<String> {
-        let live = self.live.borrow();
+        let live = self.shared.live.borrow();
         let others = live.keys().filter(|address| **address != self.address);
         let mut others: Vec<String> = others.cloned().collect();
         others.sort_by_key(|address| Reverse(weight(address, uid)));
@@ -136,26 +137,26 @@ impl Members {
 
     /// The number of times that the live members changed, from 1 on.
     pub(super) fn changes(&self) -> u64 {
-        self.changes.load(Relaxed)
+        self.shared.changes.load(Relaxed)
     }
 
     /// The number of live members, this one among them; 0 if it is cut off.
     pub(super) fn count(&self) -> usize {
-        let live = self.live.borrow();
+        let live = self.shared.live.borrow();
         let is_heard = live.contains_key(&self.address);
         if is_heard { live.len() } else { 0 }
     }
 
     /// Waits until all live members have been heard, since the start or since this one was cut off.
     pub(super) async fn wait_for_members(&self) {
-        let mut hears_all = self.hears_all.subscribe();
+        let mut hears_all = self.shared.hears_all.subscribe();
         // NATS may forbid the subject of the announcements: the members are strangers to each other then.
         let _ = timeout(MAX_HEARING_TIME, hears_all.wait_for(|it| *it)).await;
     }
 
     /// Waits until a member is gone.
     pub(super) async fn departure(&self, member: &str) {
-        let mut live = self.live.subscribe();
+        let mut live = self.shared.live.subscribe();
         // The sender lives as long as this.
         let _ = live.wait_for(|live| !live.contains_key(member)).await;
     }
@@ -186,9 +187,14 @@ async fn follow(
     nats: Client,
     subject: String,
     (address, run): (String, String),
-    (live, changes): (Arc<watch::Sender<Live>>, Arc<AtomicU64>),
-    (is_serving, hears_all): (Arc<AtomicBool>, Arc<watch::Sender<bool>>),
+    shared: Arc<Shared>,
 ) {
+    let Shared {
+        live,
+        hears_all,
+        changes,
+        is_serving,
+    } = &*shared;
     let mut hears_itself_since = None;
     let mut heard = match nats.subscribe(subject.clone()).await {
         Ok(heard) => heard.boxed(),
@@ -222,14 +228,14 @@ async fn follow(
                         );
                     }
                     let is_own = member.run == own.run;
-                    if (is_own || !is_twin) && note(&live, member, is_own) {
+                    if (is_own || !is_twin) && note(live, member, is_own) {
                         changes.fetch_add(1, Relaxed);
                     }
                 }
             }
         }
         let now = Instant::now();
-        if expire(&live, now) {
+        if expire(live, now) {
             changes.fetch_add(1, Relaxed);
         }
         hears_itself_since = match live.borrow().contains_key(&own.address) {

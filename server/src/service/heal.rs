@@ -35,11 +35,8 @@ const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// An index that may go on by itself has this long.
 const GRACE: Duration = Duration::from_secs(5);
 
-/// The longest wait before the members are asked again for a copy of an index.
+/// The longest wait before the members are asked again for a copy of an index, unless the last attempt took longer.
 const MAX_WAIT: Duration = Duration::from_secs(15);
-
-/// The same if a copy failed after its transfer had begun: a large one is not sent again and again.
-const MAX_WAIT_AFTER_PARTS: Duration = Duration::from_secs(300);
 
 /// A member that sends no part of a copy for this long does not answer.
 const PART_TIME: Duration = Duration::from_secs(10);
@@ -62,32 +59,12 @@ impl Attempts {
         }
     }
 
-    /// Notes that one failed.
-    fn failed(&mut self, why: NoCopy) {
-        let most = match why.is_late {
-            true => MAX_WAIT_AFTER_PARTS,
-            false => MAX_WAIT,
-        };
-        self.wait = (2 * self.wait).min(most);
-        self.next = Instant::now() + self.wait;
-        self.why = why.why;
-    }
-}
-
-/// No member has given a copy.
-#[derive(Debug)]
-struct NoCopy {
-    why: String,
-    /// True if a copy failed after its transfer had begun.
-    is_late: bool,
-}
-
-impl From<String> for NoCopy {
-    fn from(why: String) -> Self {
-        Self {
-            why,
-            is_late: false,
-        }
+    /// Notes that one failed after `took`. The next one waits for at least as long: a large copy that breaks off again and
+    /// again is under way for at most half of the time.
+    fn failed(&mut self, why: String, took: Duration) {
+        self.wait = (2 * self.wait).min(MAX_WAIT);
+        self.next = Instant::now() + self.wait.max(took);
+        self.why = why;
     }
 }
 
@@ -95,8 +72,6 @@ impl From<String> for NoCopy {
 enum Failure {
     /// It has applied another record of this revision.
     Contradicts(u64),
-    /// The copy failed after its transfer had begun.
-    Late(String),
     /// Another reason.
     Other(String),
 }
@@ -150,16 +125,17 @@ impl Service {
             if attempt.next > Instant::now() {
                 continue;
             }
-            if let Err(no_copy) = heal_index(registry, self, peers, &index).await {
-                let (index, uid, why) = (&index.name, index.uid, &no_copy.why);
+            let began = Instant::now();
+            if let Err(why) = heal_index(registry, self, peers, &index).await {
+                let (index, uid) = (&index.name, index.uid);
                 // It may last for days: log it only when it changes.
-                match attempt.why == *why {
+                match attempt.why == why {
                     true => debug!(index, %uid, why, "no member gives a copy of an index"),
                     false => {
                         warn!(index, %uid, why, "no member gives a copy of an index yet; trying again");
                     }
                 }
-                attempt.failed(no_copy);
+                attempt.failed(why, began.elapsed());
             }
         }
     }
@@ -171,14 +147,14 @@ async fn heal_index(
     service: &Service,
     peers: &dyn Peers,
     index: &Stopped,
-) -> Result<(), NoCopy> {
+) -> Result<(), String> {
     let mut min_revision = index.min_revision;
     if index.position.is_none() {
         // The revision that its readers saw is unknown. They cannot have seen more than the journal has.
         let newest = blocking(registry, |registry, uid| registry.newest(uid), index.uid).await;
         match newest {
             Ok(newest) => min_revision = min_revision.max(newest),
-            Err(Failure::Other(why) | Failure::Late(why)) => return Err(why.into()),
+            Err(Failure::Other(why)) => return Err(why),
             Err(Failure::Contradicts(_)) => {}
         }
     }
@@ -187,16 +163,13 @@ async fn heal_index(
         applied: index.position.map(Into::into),
         min_revision,
     };
-    let (mut failures, mut late) = (Vec::new(), HashSet::new());
+    let mut failures = Vec::new();
     let members = peers.peers(index.uid);
     // A member that knows the newest record of this server speaks before one that does not: it may contradict.
     let compared = members.iter().map(|member| (member, true));
     let others = members.iter().map(|member| (member, false));
     let is_comparable = index.position.is_some();
     for (member, must_compare) in compared.filter(|_| is_comparable).chain(others) {
-        if late.contains(member) {
-            continue;
-        }
         let copy = (index, &request, must_compare);
         let copied = copy_from(registry, service, (peers, member), copy).await;
         match copied {
@@ -219,24 +192,18 @@ async fn heal_index(
                 };
                 // The task only closes the index: its result is always Ok.
                 let _ = blocking(registry, close, index.uid).await;
-                let why = format!("{member} has another record of revision {revision}");
-                return Err(why.into());
+                return Err(format!(
+                    "{member} has another record of revision {revision}"
+                ));
             }
             Err(Failure::Other(_)) if must_compare => {}
             Err(Failure::Other(why)) => failures.push(format!("{member}: {why}")),
-            Err(Failure::Late(why)) => {
-                failures.push(format!("{member}: {why}"));
-                late.insert(member);
-            }
         }
     }
     if failures.is_empty() {
         failures.push("there is no other live member".into());
     }
-    Err(NoCopy {
-        why: failures.join("; "),
-        is_late: !late.is_empty(),
-    })
+    Err(failures.join("; "))
 }
 
 /// Takes a copy of a member in the place of an index. Returns its revision; the flag is true if the member
@@ -276,19 +243,13 @@ async fn copy_from(
         )));
     }
     let mut draft = Draft::new(service, index.uid, position);
-    let rest = async {
-        while !draft.is_whole(start.operations) {
-            let part = next(&mut parts).await?;
-            let read = tokio::task::spawn_blocking(move || draft.read(part).map(|()| draft));
-            draft = read.await??;
-        }
-        tokio::task::spawn_blocking(move || draft.host()).await?
-    };
-    match rest.await {
-        Ok(()) => Ok((position.revision, start.is_compared)),
-        Err(Failure::Other(why)) => Err(Failure::Late(why)),
-        Err(failure) => Err(failure),
+    while !draft.is_whole(start.operations) {
+        let part = next(&mut parts).await?;
+        let read = tokio::task::spawn_blocking(move || draft.read(part).map(|()| draft));
+        draft = read.await??;
     }
+    tokio::task::spawn_blocking(move || draft.host()).await??;
+    Ok((position.revision, start.is_compared))
 }
 
 /// The next part of a copy.

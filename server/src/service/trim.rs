@@ -18,10 +18,7 @@ use super::{
     Error, Owners, Peers, Service,
     member::{StoredIndex, StoredRequest, StoredResponse},
 };
-use crate::{
-    log::Uid,
-    registry::{Hosted, Registry, StoredRevision},
-};
+use crate::{log::Uid, registry::Hosted};
 
 /// The members that store a record durably before it is forgotten.
 const MIN_STORES: usize = 2;
@@ -54,25 +51,6 @@ struct Bounds {
     held_by: Option<String>,
 }
 
-/// The stored revisions of a member that bound the trim.
-#[derive(Clone, Copy)]
-struct MemberStore {
-    revision: u64,
-    is_durable: bool,
-    /// The oldest revision in its window.
-    oldest: Option<u64>,
-}
-
-impl From<StoredRevision> for MemberStore {
-    fn from(stored: StoredRevision) -> Self {
-        Self {
-            revision: stored.revision,
-            is_durable: stored.is_durable,
-            oldest: stored.oldest,
-        }
-    }
-}
-
 /// The name of this server among the members.
 const OWN: &str = "this server";
 
@@ -99,7 +77,7 @@ impl Service {
             let uids: BTreeSet<Uid> = owned.iter().map(|hosted| hosted.uid()).collect();
             holders.retain(|uid, _| uids.contains(uid));
             for indexes in owned.chunks(MAX_INDEXES) {
-                trim(registry, &*peers, indexes, &mut holders).await;
+                trim(&self, &*peers, indexes, &mut holders).await;
             }
         }
     }
@@ -110,8 +88,12 @@ impl Service {
         let revisions = revisions.chain(repeat(None));
         let requested = request.uids.iter().zip(revisions);
         let requested = requested.filter_map(|(uid, revision)| Some((uid.parse().ok()?, revision)));
-        let stored = stored(self.registry()?, requested.collect()).await;
-        let stored = stored.into_iter().map(|(uid, stored)| StoredIndex {
+        let requested: BTreeMap<Uid, Option<u64>> = requested.collect();
+        let registry = Arc::clone(self.registry()?);
+        let stored = tokio::task::spawn_blocking(move || registry.stored(&requested)).await;
+        // The join fails only if the task panicked; the panic hook has printed it.
+        let stored = stored.unwrap_or_default().into_iter();
+        let stored = stored.map(|(uid, stored)| StoredIndex {
             uid: uid.to_string(),
             revision: stored.revision,
             is_durable: stored.is_durable,
@@ -125,34 +107,22 @@ impl Service {
     }
 }
 
-/// The stored revisions of some indices of this server.
-async fn stored(
-    registry: &Arc<Registry>,
-    requested: BTreeMap<Uid, Option<u64>>,
-) -> HashMap<Uid, StoredRevision> {
-    let registry = Arc::clone(registry);
-    let stored = tokio::task::spawn_blocking(move || registry.stored(&requested)).await;
-    // The join fails only if the task panicked; the panic hook has printed it.
-    stored.unwrap_or_default()
-}
-
 /// Trims the journal of these indices.
 async fn trim(
-    registry: &Arc<Registry>,
+    service: &Service,
     peers: &dyn Peers,
     indexes: &[Arc<Hosted>],
     holders: &mut HashMap<Uid, Holder>,
 ) {
-    let uids = || indexes.iter().map(|hosted| hosted.uid());
-    let own = stored(registry, uids().map(|uid| (uid, None)).collect()).await;
-    let own = own.into_iter().map(|(uid, stored)| (uid, stored.into()));
-    let mut stores = vec![(OWN.to_owned(), Some(own.collect()))];
+    let uids = indexes.iter().map(|hosted| hosted.uid().to_string());
+    let request = StoredRequest {
+        uids: uids.collect(),
+        revisions: Vec::new(),
+    };
+    let own = service.stored(request.clone()).await;
+    let mut stores = vec![(OWN.to_owned(), own.ok().map(read))];
     for member in peers.all() {
-        let request = StoredRequest {
-            uids: uids().map(|uid| uid.to_string()).collect(),
-            revisions: Vec::new(),
-        };
-        let answer = timeout(ANSWER_TIME, peers.stored(&member, request)).await;
+        let answer = timeout(ANSWER_TIME, peers.stored(&member, request.clone())).await;
         let store = match answer {
             Ok(Ok(answer)) => Some(read(answer)),
             Ok(Err(error)) => {
@@ -219,27 +189,21 @@ fn note_holder(hosted: &Hosted, bounds: Bounds, held: u64, holders: &mut HashMap
 }
 
 /// The revisions that a member stores. An index whose uid does not parse counts as missing.
-fn read(answer: StoredResponse) -> HashMap<Uid, MemberStore> {
-    let read = answer.indexes.into_iter().filter_map(|index| {
-        let stored = MemberStore {
-            revision: index.revision,
-            is_durable: index.is_durable,
-            oldest: index.oldest,
-        };
-        Some((index.uid.parse().ok()?, stored))
-    });
+fn read(answer: StoredResponse) -> HashMap<Uid, StoredIndex> {
+    let indexes = answer.indexes.into_iter();
+    let read = indexes.filter_map(|stored| Some((stored.uid.parse().ok()?, stored)));
     read.collect()
 }
 
 /// The part of an index's journal that each of the members stores, two of them durably, and that no window has. A member
 /// without an answer stores nothing.
-fn bounds(stores: &[(String, Option<HashMap<Uid, MemberStore>>)], uid: Uid) -> Bounds {
-    let stored: Vec<(&String, Option<&MemberStore>)> = stores
+fn bounds(stores: &[(String, Option<HashMap<Uid, StoredIndex>>)], uid: Uid) -> Bounds {
+    let stored: Vec<(&String, Option<&StoredIndex>)> = stores
         .iter()
         .map(|(member, store)| (member, store.as_ref().and_then(|store| store.get(&uid))))
         .collect();
     let known = || stored.iter().filter_map(|(_, stored)| *stored);
-    let before = |stored: &MemberStore| stored.oldest.map(|oldest| oldest.saturating_sub(1));
+    let before = |stored: &StoredIndex| stored.oldest.map(|oldest| oldest.saturating_sub(1));
     // A member whose window is empty asks for no record.
     let newest = known().map(|stored| stored.revision).max();
     let outside = known().filter_map(before).min().or(newest).unwrap_or(0);
@@ -278,19 +242,20 @@ fn bounds(stores: &[(String, Option<HashMap<Uid, MemberStore>>)], uid: Uid) -> B
 mod tests {
     use super::*;
 
-    fn stored(revision: u64, is_durable: bool, oldest: Option<u64>) -> Option<MemberStore> {
-        Some(MemberStore {
+    fn stored(revision: u64, is_durable: bool, oldest: Option<u64>) -> Option<StoredIndex> {
+        Some(StoredIndex {
             revision,
             is_durable,
             oldest,
+            ..Default::default()
         })
     }
 
     /// The bounds by what the members "0", "1" … store.
-    fn of(members: &[Option<MemberStore>]) -> (Option<u64>, u64, Option<String>) {
+    fn of(members: &[Option<StoredIndex>]) -> (Option<u64>, u64, Option<String>) {
         let uid = Uid::unique();
         let stores = members.iter().enumerate().map(|(number, member)| {
-            let store = member.map(|stored| HashMap::from([(uid, stored)]));
+            let store = member.clone().map(|stored| HashMap::from([(uid, stored)]));
             (number.to_string(), store)
         });
         let bounds = bounds(&stores.collect::<Vec<_>>(), uid);

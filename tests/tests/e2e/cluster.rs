@@ -1,10 +1,11 @@
 //! Servers that share a journal in NATS, while servers of both kinds fail under their writers: each acknowledged mutation
 //! takes effect once, all servers have the same points, and the history of the clients holds.
 //!
-//! A run is a sequence of rounds, each with servers, clients and a seed of its own. In every second round the journal is not
-//! trimmed. A round ends if JetStream has stopped for good, by the logs of its own servers: then reads go on, and the copies
-//! have all that was acknowledged. While a server of NATS is away and the store of another one was damaged, nothing need be
-//! acknowledged; once all run again it must be. `tests/cluster/run` starts it.
+//! A run is a sequence of rounds, each with servers, clients and a seed of its own. After each fault the clients pause, and
+//! `VerifyIndex` compares the servers as they run. In every second round the journal is not trimmed. A round ends if JetStream
+//! has stopped for good, by the logs of its own servers: then reads go on, and the copies have all that was acknowledged. While
+//! a server of NATS is away and the store of another one was damaged, nothing need be acknowledged; once all run again it must
+//! be. `tests/cluster/run` starts it.
 
 mod client;
 mod clock;
@@ -100,7 +101,9 @@ impl Run {
             history,
             acknowledged: acknowledged.clone(),
             over: over.subscribe(),
+            calling: Arc::default(),
         };
+        let (judge, calling) = (Judge::new(history, uid), Arc::clone(&scene.calling));
         let mut working = JoinSet::new();
         for writer in writers {
             working.spawn(Client::new(writer).work(scene.clone()));
@@ -122,7 +125,7 @@ impl Run {
                 stalled.set(reached.is_err().then_some(stall));
             }
         };
-        let mut suffered = 0;
+        let (mut suffered, mut divergent) = (0, 0);
         // The servers of NATS whose stores are damaged: two of three copies are no majority until they have caught up.
         let mut damaged = BTreeSet::new();
         for number in faults.clone().take_while(|_| stalled.get().is_none()) {
@@ -148,6 +151,10 @@ impl Run {
                 stalled.set(None);
                 reach_more(20, Stall::UnderFault).await;
             }
+            if !cluster.is_whole() {
+                // A server ends if NATS does not answer when it starts.
+                stalled.set(stalled.get().or(Some(Stall::UnderFault)));
+            }
             if fault.takes_nats() && !lacks_majority {
                 // The others have caught up: writing went on with them.
                 damaged.retain(|it| *it == of || fault.needs() == Needs::Network);
@@ -160,30 +167,38 @@ impl Run {
                 "lacked_majority": lacks_majority,
                 "acknowledged": *acknowledged.borrow(), "seconds": began.elapsed().as_secs_f32(),
             }));
+            if stalled.get().is_none() {
+                // The restart at the end of the round would hide a server that has stopped or differs.
+                let _silence = calling.write().await;
+                match judge.compare(&cluster.live_uris()).await {
+                    Some(differing) => divergent += differing,
+                    None => stalled.set(Some(Stall::AfterFault)),
+                }
+            }
         }
         over.send_replace(true);
-        let judge = Judge::new(history, uid);
-        let verdict = if stalled.get().is_some() {
+        let has_stopped = stalled.get().is_some() || !cluster.kill_all();
+        let mut verdict = if has_stopped {
             assert!(
                 cluster.has_jetstream_stopped(last.get().1),
-                "nothing is acknowledged any more"
+                "nothing is acknowledged any more, or a server does not start"
             );
             let clients = working.join_all().await;
-            let uris = cluster.uris.lock().unwrap().clone();
-            judge.judge_reads(clients, &uris).await
+            judge.judge_reads(clients, &cluster.live_uris()).await
         } else {
-            cluster.kill_all();
             let clients = working.join_all().await;
-            let uris = cluster.uris.lock().unwrap().clone();
-            judge.judge(clients, &uris).await
+            judge.judge(clients, &cluster.live_uris()).await
         };
+        verdict.divergent += divergent;
         for server in 0..SERVERS {
             cluster.kill(server);
         }
-        let is_good = verdict.is_good() && cluster.notices.panics() == 0;
+        // A server that refuses calls because NATS has lost something says so in its log.
+        let is_noticed = verdict.data_losses == 0 || !cluster.notices.lines.is_empty();
+        let is_good = verdict.is_good() && is_noticed && cluster.notices.panics() == 0;
         self.record.append(&json!({
             "seed": self.seed, "kinds": self.list, "round": round, "faults": suffered, "trims": trims,
-            "jetstream_stopped": stalled.get().is_some(),
+            "jetstream_stopped": has_stopped,
             "ok": is_good, "acknowledged": verdict.acknowledged, "latest": verdict.latest,
             "plain": verdict.plain, "lost": verdict.lost, "twice": verdict.twice,
             "divergent": verdict.divergent, "data_losses": verdict.data_losses, "violations": verdict.violations,

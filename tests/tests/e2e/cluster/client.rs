@@ -7,7 +7,7 @@ use std::{
 
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
-use tokio::sync::watch;
+use tokio::sync::{RwLock, watch};
 use tonic::{Code, Status, transport::Endpoint};
 use wayfold_proto::v1::{GetRequest, ScanRequest};
 use wayfold_tests::{Content, INCLUDE_ALL, Refusal, Stubs, history::Operation, number, revision};
@@ -34,6 +34,8 @@ pub(super) struct Scene {
     pub(super) history: History,
     pub(super) acknowledged: watch::Sender<u64>,
     pub(super) over: watch::Receiver<bool>,
+    /// Clients hold it shared while they call. Nobody calls while the run holds it.
+    pub(super) calling: Arc<RwLock<()>>,
 }
 
 /// A writer that reads too.
@@ -71,6 +73,7 @@ impl Client {
                 continue;
             };
             for _ in 0..TURNS_A_SERVER {
+                let _calling = scene.calling.read().await;
                 // It has just come from another server, and must not go backwards.
                 if !self.look(&stubs, &scene).await {
                     break;

@@ -66,6 +66,7 @@ pub(super) enum Needs {
 pub(super) enum Stall {
     BeforeFault,
     UnderFault,
+    AfterFault,
 }
 
 impl Fault {
@@ -178,7 +179,9 @@ pub(super) fn jump(random: &mut impl Rng) -> i64 {
 fn only_a_stall_under_a_fault_that_takes_a_majority_is_excused() {
     let damaged = BTreeSet::from([1]);
     for fault in Fault::ALL {
-        assert!(!fault.excuses(Stall::BeforeFault, 0, &damaged), "{fault:?}");
+        for stall in [Stall::BeforeFault, Stall::AfterFault] {
+            assert!(!fault.excuses(stall, 0, &damaged), "{fault:?}");
+        }
         assert!(!fault.excuses(Stall::UnderFault, 0, &BTreeSet::new()));
         let takes_nats = fault.takes_nats();
         assert_eq!(fault.excuses(Stall::UnderFault, 0, &damaged), takes_nats);

@@ -1,14 +1,17 @@
 //! Judges a round: by the model, which computes every answer, and by the checker of histories.
 
-use std::time::Instant;
+use std::{collections::BTreeSet, time::Instant};
 
 use tokio::time::timeout;
-use wayfold_proto::v1::GetRequest;
+use tonic::Status;
+use wayfold_proto::v1::{
+    VerifyIndexRequest, VerifyReport, verify_index_response::Result as Verified,
+};
 use wayfold_tests::{
     Content, Model, Stubs,
     history::{Operation, check},
     ledger::Entry,
-    revision,
+    number, revision,
 };
 
 use super::{
@@ -36,7 +39,8 @@ pub(super) struct Verdict {
     pub(super) plain: u64,
     pub(super) lost: u64,
     pub(super) twice: u64,
-    /// The servers whose content is not the first server's, or that do not answer.
+    /// The servers whose content is not the first server's, that search other points than they store, or that do not answer:
+    /// after each fault, and at the end.
     pub(super) divergent: u64,
     /// The refusals that said that NATS has lost something.
     pub(super) data_losses: u64,
@@ -139,6 +143,63 @@ impl Judge {
         verdict
     }
 
+    /// The number of servers that differ while nobody calls, as in [`Verdict::divergent`]; None if the first one does not answer
+    /// a read with `latest`.
+    pub(super) async fn compare(&self, uris: &[String]) -> Option<u64> {
+        let mut first = Stubs::connect(&uris[0]).await;
+        loop {
+            let latest = async {
+                loop {
+                    if let Ok(newest) = first.latest("arm").await {
+                        return newest;
+                    }
+                }
+            };
+            let newest = timeout(MAX_PAUSE, latest).await.ok()?;
+            let mut reports = Vec::new();
+            for uri in uris {
+                let stubs = Stubs::connect(uri).await;
+                reports.push(self.verified(&stubs, newest).await);
+            }
+            let described = reports.iter().flatten().flat_map(|it| &it.index);
+            let revisions: BTreeSet<u64> = described.map(|it| number(&it.revision)).collect();
+            // The record of a call without an answer may arrive meanwhile.
+            if revisions.len() > 1 {
+                continue;
+            }
+            let hashes = reports.iter().map(|it| Some(&it.as_ref()?.content_hash));
+            let hashes: Vec<_> = hashes.collect();
+            let differs = |hash: &&Option<_>| hash.is_none() || **hash != hashes[0];
+            return Some(hashes.iter().filter(differs).count() as u64);
+        }
+    }
+
+    /// The report of `VerifyIndex` at a server that has reached a revision; None if it searches other points than it stores, or
+    /// does not get there.
+    async fn verified(&self, stubs: &Stubs, newest: u64) -> Option<VerifyReport> {
+        let request = VerifyIndexRequest {
+            index_name: "arm".into(),
+            min_revision: revision(&self.uid, newest),
+            ..Default::default()
+        };
+        let answered = async {
+            loop {
+                if let Ok(report) = verify(stubs, request.clone()).await {
+                    return report;
+                }
+            }
+        };
+        let Ok(report) = timeout(MAX_PAUSE, answered).await else {
+            println!("a server does not reach revision {newest}");
+            return None;
+        };
+        if report.disagreement_count > 0 {
+            println!("a server searches other points than it stores: {report:?}");
+            return None;
+        }
+        Some(report)
+    }
+
     /// The contents of all servers, at a revision that has everything; none of a server that does not answer.
     async fn contents(
         &self,
@@ -151,19 +212,7 @@ impl Judge {
         let mut contents = Vec::new();
         for (server, uri) in uris.iter().enumerate() {
             let (stubs, invoked) = (Stubs::connect(uri).await, Instant::now());
-            let request = GetRequest {
-                index_name: "arm".into(),
-                min_revision: revision(&self.uid, newest),
-                ..Default::default()
-            };
-            let caught_up = async {
-                let points = &mut stubs.points.clone();
-                while points.get(request.clone()).await.is_err() {
-                    tokio::task::yield_now().await;
-                }
-            };
-            if timeout(MAX_PAUSE, caught_up).await.is_err() {
-                println!("server {server} does not reach revision {newest}");
+            if self.verified(&stubs, newest).await.is_none() {
                 contents.push(None);
                 continue;
             }
@@ -177,6 +226,21 @@ impl Judge {
         }
         contents
     }
+}
+
+async fn verify(stubs: &Stubs, request: VerifyIndexRequest) -> Result<VerifyReport, Status> {
+    let mut parts = stubs
+        .indexes
+        .clone()
+        .verify_index(request)
+        .await?
+        .into_inner();
+    while let Some(part) = parts.message().await? {
+        if let Some(Verified::Report(report)) = part.result {
+            return Ok(report);
+        }
+    }
+    Err(Status::internal("a verification without a report"))
 }
 
 /// Compares every answer and the contents with brute force.

@@ -96,10 +96,17 @@ impl Cluster {
         std::fs::remove_dir_all(self.data(server)).unwrap();
     }
 
+    /// Starts servers. One that ends instead, as it does without NATS, stays away.
     pub(super) fn start_servers(&mut self, servers: &[usize]) {
         let started: Vec<_> = servers.iter().map(|server| self.launch(*server)).collect();
-        for (&server, process) in servers.iter().zip(started) {
-            let mut process = ServerProcess::ready(process);
+        for (&server, mut process) in servers.iter().zip(started) {
+            let Some(line) = process.line() else {
+                let log = process.finish().stderr;
+                println!("server {server} has not started:\n{log}");
+                self.notices.read(server, &log);
+                continue;
+            };
+            let mut process = ServerProcess::listening(process, &line);
             self.pages[server] = process.pages();
             self.uris.lock().unwrap()[server] = process.uri().to_owned();
             self.servers[server] = Some(process);
@@ -147,10 +154,23 @@ impl Cluster {
         timeout(MAX_PAUSE, only).await.expect("one owner")
     }
 
+    /// True if all servers run.
+    pub(super) fn is_whole(&self) -> bool {
+        self.servers.iter().all(Option::is_some)
+    }
+
+    /// The addresses of the servers that run.
+    pub(super) fn live_uris(&self) -> Vec<String> {
+        let live = self.servers.iter().flatten();
+        live.map(|server| server.uri().to_owned()).collect()
+    }
+
+    /// Kills a server, if it runs.
     pub(super) fn kill(&mut self, server: usize) {
-        let killed = self.servers[server].take().unwrap();
-        let log = killed.stop(Signal::Kill).stderr;
-        self.notices.read(server, &log);
+        if let Some(killed) = self.servers[server].take() {
+            let log = killed.stop(Signal::Kill).stderr;
+            self.notices.read(server, &log);
+        }
     }
 
     pub(super) fn kill_nats(&mut self, node: usize) {
@@ -170,7 +190,8 @@ impl Cluster {
         has_stopped
     }
 
-    pub(super) fn kill_all(&mut self) {
+    /// Kills all servers of both kinds, and starts them again; false if a server has not started.
+    pub(super) fn kill_all(&mut self) -> bool {
         for server in 0..SERVERS {
             self.kill(server);
         }
@@ -181,6 +202,7 @@ impl Cluster {
             self.nats.restart(node);
         }
         self.start_servers(&[0, 1, 2]);
+        self.is_whole()
     }
 
     pub(super) fn signal(&self, server: usize, signal: Signal) {
