@@ -15,6 +15,7 @@ use wayfold_proto::v1;
 use crate::{
     admission::{MAX_BYTES, Overloaded, QUEUE_TARGET_MS},
     identity::{Denial, IdentificationError},
+    observe::SparseLines,
     service::{Code, Damaged, Error, Listing, Violation},
 };
 
@@ -75,8 +76,16 @@ impl Detail {
 
 /// The status of a failed call.
 pub(crate) fn from_error(error: &Error) -> Status {
-    if matches!(error.code(), Code::Internal | Code::DataLoss) {
-        error!(%error, "call failed");
+    // Apart, so that calls of a damaged index hide no bug.
+    static OF_BUGS: SparseLines = SparseLines::new();
+    static OF_DAMAGE: SparseLines = SparseLines::new();
+    let left_out = match error.code() {
+        Code::Internal => OF_BUGS.next(),
+        Code::DataLoss => OF_DAMAGE.next(),
+        _ => None,
+    };
+    if let Some(left_out) = left_out {
+        error!(%error, left_out, "call failed");
     }
     describing(error)
 }
@@ -155,7 +164,7 @@ pub(crate) fn overloaded(Overloaded(target): Overloaded) -> Status {
 /// The status of a call while requests, calls and unread answers hold `most` bytes, or those of its flow their share.
 pub(crate) fn too_many_bytes(most: usize) -> Status {
     let message = format!(
-        "requests, calls and unread answers hold the {most} bytes that {MAX_BYTES} or a quarter of the memory limit \
+        "requests, calls and unread answers hold the {most} bytes that {MAX_BYTES} or an eighth of the memory limit \
          allows, or this connection's share of them: read the answers, and try again later"
     );
     busy("TOO_MANY_BYTES", message, MAX_BYTES, most)

@@ -1,5 +1,6 @@
 //! The command line of `wayfold-server`: settings, logging, runtime, serving, draining, exit status.
 
+mod files;
 mod flags;
 mod repair;
 mod reseed;
@@ -85,6 +86,7 @@ const BLOCKING_THREADS: usize = 512;
 const QUEUE_INTERVAL: u32 = 4;
 
 fn serve(config: Config) -> Result<(), Box<dyn Error>> {
+    files::raise_limit(&config);
     let mut threads = runtime::Builder::new_multi_thread();
     threads.global_queue_interval(QUEUE_INTERVAL);
     if config.runtime.workers > 0 {

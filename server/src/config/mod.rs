@@ -2,6 +2,7 @@
 
 mod error;
 mod layers;
+mod memory;
 mod nearest;
 
 use std::{collections::BTreeMap, path::Path, time::Duration};
@@ -10,13 +11,13 @@ use serde::Deserialize;
 
 pub use crate::admission::AdmissionConfig;
 pub use error::ConfigError;
+pub use memory::MemoryConfig;
 
 use crate::{
     log::{Durability, NatsOptions},
     observe::LogFormat,
     registry::RegistryOptions,
     service::Limits,
-    watermark::{self, Watermarks},
 };
 
 /// The default settings, commented.
@@ -291,17 +292,6 @@ impl ClusterConfig {
     }
 }
 
-/// `[memory]`
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-pub struct MemoryConfig {
-    /// The memory that the process may use; 0 to ask the system.
-    pub limit_bytes: u64,
-    /// The percentage of the limit above which growth is refused.
-    pub high_percent: u64,
-    /// The percentage of the limit from which it is accepted again.
-    pub low_percent: u64,
-}
-
 /// `[disk]`
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct DiskConfig {
@@ -328,28 +318,6 @@ impl SnapshotConfig {
 }
 
 impl Config {
-    /// The most bytes that calls hold: those that are set, or a quarter of the memory limit if that is less.
-    pub(crate) fn max_call_bytes(&self) -> usize {
-        let limit = watermark::memory_limit(self.memory.limit_bytes);
-        let quarter = limit.map_or(u64::MAX, |limit| limit / 4);
-        let quarter = usize::try_from(quarter).unwrap_or(usize::MAX);
-        self.admission.max_bytes.min(quarter)
-    }
-
-    /// The watermarks of memory and disk, by these settings.
-    pub(crate) fn watermarks(&self) -> Watermarks {
-        let MemoryConfig {
-            limit_bytes,
-            high_percent,
-            low_percent,
-        } = self.memory;
-        let disk = self.data.directory();
-        Watermarks {
-            memory: watermark::memory(limit_bytes, high_percent, low_percent),
-            disk: disk.and_then(|directory| watermark::disk(directory, self.disk.min_free_bytes)),
-        }
-    }
-
     /// Loads the settings from all layers: the defaults, the `file` if given, the `environment`, and the `flags`, which
     /// are pairs of a key such as `grpc.listen` and its value. A later layer overrides an earlier one.
     pub fn load(
@@ -357,30 +325,14 @@ impl Config {
         environment: &BTreeMap<String, String>,
         flags: &[(&str, String)],
     ) -> Result<Self, ConfigError> {
-        layers::load(file, environment, flags)
+        let mut config = layers::load(file, environment, flags)?;
+        config.fit_into_memory();
+        Ok(config)
     }
 }
 
 impl Default for Config {
     fn default() -> Self {
-        layers::load(None, &BTreeMap::new(), &[]).expect("default.toml is valid")
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn calls_hold_at_most_a_quarter_of_the_memory_limit() {
-        let mut config = Config::default();
-        for (limit, set, expected) in [
-            (400_000_000, 250_000_000, 100_000_000),
-            (4_000_000_000, 250_000_000, 250_000_000),
-        ] {
-            config.memory.limit_bytes = limit;
-            config.admission.max_bytes = set;
-            assert_eq!(config.max_call_bytes(), expected);
-        }
+        Self::load(None, &BTreeMap::new(), &[]).expect("default.toml is valid")
     }
 }

@@ -52,7 +52,7 @@ impl HealthFace {
         let phase = status_in(self.phases.current());
         match name {
             WRITING if !self.service.accepts_growth() => Some(ServingStatus::NotServing),
-            INDICES if self.service.has_damage() => Some(ServingStatus::NotServing),
+            INDICES if self.service.has_shown_damage() => Some(ServingStatus::NotServing),
             WRITING | INDICES => Some(phase),
             _ if !NAMES.contains(&name) => None,
             _ if !self.service.accepts_reads() => Some(ServingStatus::NotServing),

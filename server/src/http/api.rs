@@ -46,6 +46,8 @@ pub(super) struct Api {
     pub(super) shared: Shared,
     /// All of them take the turns and the memory of one connection, so that the page cannot slow planners.
     flow: Arc<Flow>,
+    /// That of scrapes is one of administration: the load does not refuse them.
+    pub(super) scrapes: Arc<Flow>,
     pub(super) calls: Semaphore,
     pub(super) streams: Arc<Semaphore>,
     pub(super) addresses: Arc<Addresses>,
@@ -90,6 +92,7 @@ impl Api {
     pub(super) fn new(pages: &Pages, has_tls: bool) -> Self {
         Self {
             flow: pages.shared.admission.open(),
+            scrapes: Arc::clone(pages.shared.admission.open().admin()),
             calls: Semaphore::new(MAX_CALLS),
             streams: Arc::new(Semaphore::new(MAX_STREAMS)),
             shared: pages.shared.clone(),

@@ -38,6 +38,7 @@ use tokio::{net::TcpListener, time::timeout};
 use tokio_util::task::{TaskTracker, task_tracker::TaskTrackerToken};
 
 use crate::{
+    admission::CALL_BYTES,
     faces::{Addresses, Shared},
     grpc::{Client, Tls, token},
     identity::Identities,
@@ -46,7 +47,7 @@ use crate::{
     service::{Call, Error, Peer, Service},
     status,
 };
-use api::{Api, refusal};
+use api::{Api, refusal, unread};
 use bounded::{BoundedConnection, ConnectionSlots};
 use guard::Guard;
 pub(crate) use state::State;
@@ -55,7 +56,7 @@ pub(crate) use state::State;
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 /// The most connections at a time.
-const MAX_CONNECTIONS: usize = 64;
+pub(crate) const MAX_CONNECTIONS: usize = 256;
 
 /// The pause after a failure of the listener.
 const ACCEPT_RETRY_PAUSE: Duration = Duration::from_secs(1);
@@ -110,6 +111,7 @@ fn call(identities: &Identities, request: &Parts) -> Call {
 
 fn routes(pages: Pages, has_tls: bool) -> Router {
     let guard = Guard { has_tls };
+    let state = Arc::new(Api::new(&pages, has_tls));
     let api = Router::new()
         .route("/api/v1/addresses", post(overview::addresses))
         .route("/api/v1/overview", post(overview::overview))
@@ -118,9 +120,9 @@ fn routes(pages: Pages, has_tls: bool) -> Router {
         // Not by GET: browsers name the origin of every POST, and of some GETs they do not.
         .route("/api/v1/{index}/points", post(points::points))
         .layer(from_fn_with_state(guard, guard::own_origin))
-        .with_state(Arc::new(Api::new(&pages, has_tls)));
-    Router::new()
         .route("/metrics", get(metrics))
+        .with_state(state);
+    Router::new()
         .route("/healthz", get(async || "alive\n"))
         .route("/readyz", get(ready))
         .with_state(Arc::new(pages))
@@ -134,26 +136,33 @@ fn active(request: &Parts) -> Option<TaskTrackerToken> {
     connection.map(|it| it.0.calls.token())
 }
 
-async fn metrics(Of(pages): Of<Arc<Pages>>, request: Parts) -> Response {
+async fn metrics(Of(api): Of<Arc<Api>>, request: Parts) -> Response {
     let arrived = Instant::now();
-    let call = call(&pages.shared.identities, &request);
+    let shared = &api.shared;
+    let call = call(&shared.identities, &request);
     if let Err(denied) = Service::authorize_metrics(&call) {
         let status = status::from_error(&denied);
         // Each look would be a call; only those of strangers count.
-        let metrics = &pages.shared.metrics;
         let verb = ("http", "metrics");
-        let mut record = CallRecord::begin("Http/metrics", verb, arrived, metrics, &call);
+        let mut record = CallRecord::begin("Http/metrics", verb, arrived, &shared.metrics, &call);
         record.end(Ending::Failed(status.code));
         return refusal(&status);
     }
-    let _active = active(&request);
-    let Some(_place) = pages.shared.metrics.place() else {
-        pages.shared.admission.count_excess();
+    let active = active(&request);
+    let held = api.scrapes.hold();
+    if !held.take(CALL_BYTES) {
+        return refusal(&status::too_many_bytes(api.scrapes.max_bytes()));
+    }
+    let Some(_place) = shared.metrics.place() else {
+        shared.admission.count_excess();
         let status = status::too_many_calls("scrapes", MAX_SCRAPES, "try again later");
         return refusal(&status);
     };
-    match metrics_text(&pages.shared).await {
-        Ok(text) => ([(header::CONTENT_TYPE, OPEN_METRICS)], text).into_response(),
+    match metrics_text(shared).await {
+        Ok(text) => {
+            let text = unread(text.into_bytes(), held, active);
+            ([(header::CONTENT_TYPE, OPEN_METRICS)], text).into_response()
+        }
         Err(error) => refusal(&status::from_error(&error)),
     }
 }
@@ -175,7 +184,7 @@ async fn ready(Of(pages): Of<Arc<Pages>>) -> (StatusCode, &'static str) {
             "the store cannot be read, see `wayfold list`\n",
         ),
         Phase::Serving if !service.accepts_growth() => (StatusCode::OK, "degraded: reading only\n"),
-        Phase::Serving if service.has_damage() => (
+        Phase::Serving if service.has_shown_damage() => (
             StatusCode::OK,
             "degraded: an index is damaged, see `wayfold list`\n",
         ),

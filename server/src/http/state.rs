@@ -1,6 +1,9 @@
 //! The figures that are measured at each look at `/metrics`.
 
-use std::{fmt, sync::Arc};
+use std::{
+    fmt,
+    sync::{Arc, atomic::Ordering::Relaxed},
+};
 
 use prometheus_client::{
     collector::Collector,
@@ -196,9 +199,9 @@ impl State {
             let Some(label) = hosted.own_label() else {
                 continue;
             };
-            missed.push(([("index", Arc::clone(label))], hosted.missed()));
+            missed.push(([("index", Arc::clone(label))], hosted.missed.load(Relaxed)));
             let published = hosted.published();
-            let (subscribers, lag) = hosted.subscribers_and_lag();
+            let (subscribers, lag) = hosted.subscribers.count_and_lag(published.revision);
             let window = hosted.window();
             let figures = [
                 published.snapshot.len() as u64,
@@ -218,7 +221,7 @@ impl State {
                 window.records,
                 window.bytes,
                 u64::from(self.shared.service.owns(hosted.uid_text())),
-                hosted.held(),
+                hosted.held.load(Relaxed),
             ];
             for (gauge, figure) in gauges.iter_mut().zip(figures) {
                 gauge.2.push(([("index", Arc::clone(label))], figure));

@@ -8,9 +8,13 @@ use wayfold_proto::v1;
 use super::{
     metrics::{EndedCall, IndexLabel, Metrics},
     slow::{SlowCalls, Times},
+    sparse::SparseLines,
     trace::trace_ids,
 };
-use crate::service::{Call, Code, MAX_NAME_BYTES, Peer};
+use crate::service::{Call, Code, MAX_NAME_BYTES};
+
+/// The lines of calls that failed by a fault of the server: one damaged index fails all its calls.
+static FAULTS: SparseLines = SparseLines::new();
 
 /// The end of a call.
 #[derive(Clone, Copy, PartialEq)]
@@ -60,13 +64,12 @@ impl fmt::Debug for Ending {
 }
 
 /// A call from its arrival to the last byte of its answer. Its end is written when it is dropped: at `debug`, or at
-/// `warn` when the fault is the server's.
+/// `warn` when the fault is the server's, unless it had such a line just before.
 pub(crate) struct CallRecord {
     rpc: String,
     started: Instant,
     span: Span,
     ending: Ending,
-    peer: Option<Peer>,
     times: Option<(SlowCalls, Times)>,
     metrics: Metrics,
     face: &'static str,
@@ -96,6 +99,7 @@ impl CallRecord {
                 rpc,
                 // A field that is recorded later costs a call more than one that is known here.
                 identity = call.caller.name(),
+                peer = call.peer.map(field::display),
                 trace = ids.map(|(trace, _)| trace),
                 parent = ids.map(|(_, parent)| parent),
                 index = field::Empty,
@@ -104,7 +108,6 @@ impl CallRecord {
             rpc,
             started,
             ending: Ending::Left,
-            peer: call.peer,
             times: None,
         }
     }
@@ -135,7 +138,7 @@ impl Drop for CallRecord {
         let code = self.ending;
         let whole = self.started.elapsed();
         if let Some((slow_calls, times)) = &self.times {
-            slow_calls.report(&self.span, self.peer, whole, times);
+            slow_calls.report(&self.span, whole, times);
         }
         self.metrics.count(&EndedCall {
             face: self.face,
@@ -146,11 +149,11 @@ impl Drop for CallRecord {
             queued: self.times.as_ref().map(|(_, times)| times.queued),
         });
         let duration_us = u64::try_from(whole.as_micros()).unwrap_or(u64::MAX);
-        let peer = self.peer.map(field::display);
-        if code.is_fault() {
-            warn!(parent: &self.span, peer, ?code, duration_us, "call failed");
-        } else {
-            debug!(parent: &self.span, peer, ?code, duration_us, "call ended");
+        match code.is_fault().then(|| FAULTS.next()).flatten() {
+            Some(left_out) => {
+                warn!(parent: &self.span, ?code, duration_us, left_out, "call failed");
+            }
+            None => debug!(parent: &self.span, ?code, duration_us, "call ended"),
         }
     }
 }

@@ -1,31 +1,18 @@
 //! The line of a slow call, which says where its time went.
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{sync::Arc, time::Duration};
 
-use parking_lot::Mutex;
-use tracing::{Span, field, warn};
+use tracing::{Span, warn};
 
-use crate::service::Peer;
-
-/// The least time between two lines: a server on which all calls are slow writes one for many.
-const INTERVAL: Duration = Duration::from_secs(1);
+use super::sparse::SparseLines;
 
 /// The calls that take longer than a threshold. Clones share the count of those without a line.
 #[derive(Clone, Debug)]
 pub(crate) struct SlowCalls {
     /// None: no call is slow.
     threshold: Option<Duration>,
-    lines: Arc<Mutex<Lines>>,
-}
-
-#[derive(Debug, Default)]
-struct Lines {
-    last: Option<Instant>,
-    /// The slow calls since then.
-    left_out: u64,
+    /// A server on which all calls are slow writes one line for many.
+    lines: Arc<SparseLines>,
 }
 
 /// The parts of the time of a call with one answer.
@@ -51,11 +38,11 @@ impl SlowCalls {
     }
 
     /// Writes a line if a call that took `whole` was slow.
-    pub(super) fn report(&self, span: &Span, peer: Option<Peer>, whole: Duration, times: &Times) {
+    pub(super) fn report(&self, span: &Span, whole: Duration, times: &Times) {
         if self.threshold.is_none_or(|threshold| whole < threshold) {
             return;
         }
-        let Some(left_out) = self.lines.lock().next(Instant::now()) else {
+        let Some(left_out) = self.lines.next() else {
             return;
         };
         let Times {
@@ -67,7 +54,6 @@ impl SlowCalls {
         let waited = answered.saturating_sub(received + queued + computed);
         warn!(
             parent: span,
-            peer = peer.map(field::display),
             total_ms = ms(whole),
             receiving_ms = ms(received),
             queued_ms = ms(queued),
@@ -80,31 +66,6 @@ impl SlowCalls {
     }
 }
 
-impl Lines {
-    /// The number of slow calls without a line before this one; None if this one gets none either.
-    fn next(&mut self, now: Instant) -> Option<u64> {
-        if self.last.is_some_and(|last| now < last + INTERVAL) {
-            self.left_out += 1;
-            return None;
-        }
-        self.last = Some(now);
-        Some(std::mem::take(&mut self.left_out))
-    }
-}
-
 fn ms(time: Duration) -> u64 {
     u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_line_counts_the_slow_calls_that_had_none() {
-        let (mut lines, start) = (Lines::default(), Instant::now());
-        let at = |ms| start + Duration::from_millis(ms);
-        let written = [0, 1, 999, 1000, 2500].map(|ms| lines.next(at(ms)));
-        assert_eq!(written, [Some(0), None, None, Some(2), Some(0)]);
-    }
 }

@@ -60,12 +60,16 @@ mod verify;
 mod watch;
 mod write;
 
-use std::sync::{
-    Arc, OnceLock,
-    atomic::{AtomicBool, Ordering},
+use std::{
+    sync::{
+        Arc, OnceLock,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
 };
 
-use tokio::sync::Semaphore;
+use parking_lot::Mutex;
+use tokio::{sync::Semaphore, time::Instant};
 use tokio_util::sync::CancellationToken;
 
 use crate::{
@@ -93,6 +97,9 @@ pub use snapshot::Snapshot;
 pub use verify::Verification;
 pub use watch::Watch;
 
+/// The time for which probes get the answer of one look for damage.
+const DAMAGE_AGE: Duration = Duration::from_secs(1);
+
 /// The service: cheap to clone, used from any number of tasks.
 #[derive(Clone)]
 pub struct Service {
@@ -114,6 +121,8 @@ struct Inner {
     held_scans: held_scans::HeldScans,
     /// A permit for each copy that may be given to another member.
     copies: Arc<Semaphore>,
+    /// The last look for damage, and what it found.
+    damage: Mutex<Option<(Instant, bool)>>,
 }
 
 impl Service {
@@ -142,6 +151,7 @@ impl Service {
                 stopping: CancellationToken::new(),
                 held_scans: Default::default(),
                 copies: Arc::new(Semaphore::new(copy::MAX_COPIES)),
+                damage: Mutex::default(),
             }),
         }
     }
@@ -204,6 +214,15 @@ impl Service {
     pub(crate) fn has_damage(&self) -> bool {
         let registry = self.inner.registry.get();
         registry.is_some_and(|registry| registry.has_damage())
+    }
+
+    /// The same for probes, which anyone may repeat: a look goes over all indices, and its answer holds for a second.
+    pub(crate) fn has_shown_damage(&self) -> bool {
+        let mut last = self.inner.damage.lock();
+        match *last {
+            Some((at, found)) if at.elapsed() < DAMAGE_AGE => found,
+            _ => last.insert((Instant::now(), self.has_damage())).1,
+        }
     }
 
     /// The levels of memory and disk, by name.
@@ -287,7 +306,7 @@ impl Service {
         })
     }
 
-    fn limits(&self) -> &Limits {
+    pub(crate) fn limits(&self) -> &Limits {
         &self.inner.limits
     }
 }

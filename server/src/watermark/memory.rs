@@ -18,12 +18,21 @@ use super::{Resource, Usage, Watermark};
 /// The root of the mounted control groups.
 const CGROUPS: &str = "/sys/fs/cgroup";
 
+/// Merges have this part of the limit at least, above the high watermark.
+const MERGE_PARTS: u64 = 16;
+
 /// The most that the use of memory grows before freed memory is given back.
 const MAX_UNRELEASED: u64 = 16 * 1024 * 1024;
 
 /// A watermark of the process's memory at these percentages of `limit_bytes`, or of the limit that the system sets if
-/// that is 0. None if the system tells no use or no limit: only Linux does.
-pub fn memory(limit_bytes: u64, high_percent: u64, low_percent: u64) -> Option<Arc<Watermark>> {
+/// that is 0; and lower if merges and the `call_bytes` that calls may hold would not fit above it. None if the system tells
+/// no use or no limit: only Linux does.
+pub fn memory(
+    limit_bytes: u64,
+    high_percent: u64,
+    low_percent: u64,
+    call_bytes: u64,
+) -> Option<Arc<Watermark>> {
     let (limit, used) = match (self::limit(limit_bytes), used()) {
         (Ok(limit), Ok(used)) => (limit, used),
         (Err(error), _) | (_, Err(error)) => {
@@ -31,8 +40,9 @@ pub fn memory(limit_bytes: u64, high_percent: u64, low_percent: u64) -> Option<A
             return None;
         }
     };
-    let high = limit / 100 * high_percent;
-    let low = limit / 100 * low_percent.min(high_percent);
+    let of_others = call_bytes.saturating_add(limit / MERGE_PARTS);
+    let high = (limit / 100 * high_percent).min(limit.saturating_sub(of_others));
+    let low = high / high_percent * low_percent.min(high_percent);
     debug!(limit, high, low, used, "watermarks of memory");
     let level = move || {
         let mut used = self::used()?;
@@ -47,7 +57,8 @@ pub fn memory(limit_bytes: u64, high_percent: u64, low_percent: u64) -> Option<A
             limit,
         })
     };
-    Some(Arc::new(Watermark::new(Resource::Memory, level)))
+    let watermark = Watermark::new(Resource::Memory, level);
+    Some(Arc::new(watermark.reserving(call_bytes)))
 }
 
 /// The memory that the process may use: `set`, or the limit of the system if that is 0.

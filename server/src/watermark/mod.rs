@@ -111,6 +111,8 @@ pub struct Watermark {
     resource: Resource,
     probe: Box<Probe>,
     interval: Duration,
+    /// The bytes below the limit that are kept for calls.
+    reserved: u64,
     state: Mutex<State>,
     /// Held by the thread that measures.
     measuring: Mutex<()>,
@@ -136,6 +138,7 @@ impl Watermark {
             resource,
             probe: Box::new(probe),
             interval: INTERVAL,
+            reserved: 0,
             state: Mutex::default(),
             measuring: Mutex::default(),
             refused: AtomicU64::new(0),
@@ -145,6 +148,11 @@ impl Watermark {
     /// The same watermark, with another time between two measurements.
     pub fn measured_every(self, interval: Duration) -> Self {
         Self { interval, ..self }
+    }
+
+    /// The same watermark, which keeps these bytes below the limit for calls.
+    pub(crate) fn reserving(self, reserved: u64) -> Self {
+        Self { reserved, ..self }
     }
 
     /// Takes in about `bytes` more, or refuses them. A resource without a measurement refuses nothing.
@@ -175,11 +183,13 @@ impl Watermark {
         }
     }
 
-    /// The bytes up to the limit, above the watermarks; None if the resource cannot be measured.
+    /// The bytes for merges: up to the limit, above the watermarks too, without those that are kept for calls. None if the
+    /// resource cannot be measured.
     pub fn remaining(&self) -> Option<u64> {
         let state = self.measured();
         let (_, level) = state.measured?;
-        Some(level.limit.saturating_sub(level.used + state.added))
+        let taken = level.used + state.added + self.reserved;
+        Some(level.limit.saturating_sub(taken))
     }
 
     /// The resource now; None if it cannot be measured.

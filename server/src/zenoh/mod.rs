@@ -28,7 +28,7 @@ use tracing::{debug, info, warn};
 use zenoh::{Session, key_expr::KeyExpr, query::Queryable};
 
 pub use session::ZenohError;
-pub(crate) use session::exposed;
+pub(crate) use session::{MAX_PENDING, MAX_SESSIONS, exposed};
 
 use crate::{config::ZenohConfig, faces::Shared};
 use feed::Announcer;

@@ -7,6 +7,10 @@ use tracing::{info, warn};
 use zenoh::{Session, liveliness::LivelinessToken, pubsub::Subscriber, sample::SampleKind};
 
 use super::ZenohError;
+use crate::observe::SparseLines;
+
+/// The bytes of an id of Zenoh as text. A stranger may declare a longer one.
+const MAX_ID_BYTES: usize = 32;
 
 /// Interval of the checks for a first link.
 const CHECK_INTERVAL: Duration = Duration::from_secs(2);
@@ -28,6 +32,8 @@ impl ServerWatch {
             .await
             .map_err(ZenohError::declare)?;
         let under = prefix.to_owned();
+        // A stranger may declare any number of them.
+        let lines = SparseLines::new();
         let others = session
             .liveliness()
             .declare_subscriber(format!("{prefix}/@server/*"))
@@ -35,10 +41,15 @@ impl ServerWatch {
             .callback(move |sample| {
                 let key = sample.key_expr().as_str();
                 let other = key.rsplit('/').next().unwrap_or_default();
-                if sample.kind() == SampleKind::Put && other != own {
+                if sample.kind() == SampleKind::Put
+                    && other != own
+                    && let Some(left_out) = lines.next()
+                {
+                    let other = &other[..other.floor_char_boundary(MAX_ID_BYTES)];
                     warn!(
                         prefix = under,
                         other,
+                        left_out,
                         "another server answers under this prefix, and each query reaches only one of them: set a \
                          zenoh.prefix for each server that shares routers with another, or a cluster for both"
                     );

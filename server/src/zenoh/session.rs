@@ -19,6 +19,16 @@ const WAIT_FOR_PEER_US: u64 = 1_000_000;
 /// Time that a publication waits for room on a link before it is dropped, in microseconds.
 const WAIT_FOR_ROOM_US: u64 = 10_000;
 
+/// Time in which a new connection must become a session, in milliseconds. Zenoh's own 10 s let few silent strangers keep
+/// everybody out.
+const ACCEPT_TIME_MS: u64 = 2_000;
+
+/// The most connections that are no sessions yet: Zenoh closes further ones at once.
+pub(crate) const MAX_PENDING: usize = 1_000;
+
+/// The most sessions: Zenoh refuses further ones.
+pub(crate) const MAX_SESSIONS: usize = 1_000;
+
 /// Zenoh drops messages larger than this many times the largest payload silently; smaller ones get a refusal.
 const MESSAGE_LIMIT_FACTOR: usize = 4;
 
@@ -228,13 +238,20 @@ fn settings(config: &ZenohConfig) -> Result<Config, ZenohError> {
         "mode": "peer",
         "listen": { "endpoints": [config.listen], "exit_on_failure": true, "timeout_ms": 0 },
         "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
-        "transport": { "link": {
-            "rx": { "max_message_size": MESSAGE_LIMIT_FACTOR.saturating_mul(config.max_message_bytes) },
-            "tx": { "queue": { "congestion_control": {
-                "block": { "wait_before_close": WAIT_FOR_PEER_US },
-                "drop": { "wait_before_drop": WAIT_FOR_ROOM_US },
-            } } },
-        } },
+        "transport": {
+            "unicast": {
+                "accept_timeout": ACCEPT_TIME_MS,
+                "accept_pending": MAX_PENDING,
+                "max_sessions": MAX_SESSIONS,
+            },
+            "link": {
+                "rx": { "max_message_size": MESSAGE_LIMIT_FACTOR.saturating_mul(config.max_message_bytes) },
+                "tx": { "queue": { "congestion_control": {
+                    "block": { "wait_before_close": WAIT_FOR_PEER_US },
+                    "drop": { "wait_before_drop": WAIT_FOR_ROOM_US },
+                } } },
+            },
+        },
     });
     let over: Value = json5::from_str(&config.config).map_err(|error| wrong(place(error)))?;
     if !over.is_object() {

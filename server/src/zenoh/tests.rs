@@ -7,7 +7,7 @@ use std::{
 };
 
 use sha2::{Digest, Sha256};
-use tokio::sync::oneshot;
+use tokio::{net::TcpStream, sync::oneshot};
 use wayfold_proto::v1;
 use zenoh::{Config, Wait, bytes::Encoding, qos::CongestionControl, query::ReplyError};
 
@@ -52,12 +52,39 @@ async fn face_and_robot(service: Service, identities: Identities) -> (ZenohFace,
         .await
         .unwrap();
     let face = face.unwrap();
+    let robot = robot(&face).await;
+    (face, robot, metrics)
+}
+
+/// A client that is linked with a face.
+async fn robot(face: &ZenohFace) -> Session {
     let config = format!(
         "{{ mode: 'client', connect: {{ endpoints: ['{}'] }}, scouting: {{ multicast: {{ enabled: false }} }} }}",
         face.locators().await[0]
     );
     let robot = zenoh::open(Config::from_json5(&config).unwrap());
-    (face, robot.await.unwrap(), metrics)
+    robot.await.unwrap()
+}
+
+/// Zenoh's own settings admit 100 of them, for 10 s each.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn silent_connections_keep_no_client_out() {
+    let service = Service::starting(Default::default());
+    let (face, first, _) = face_and_robot(service, Identities::default()).await;
+    let locators = face.locators().await;
+    let address = locators[0].trim_start_matches("tcp/");
+    let mut silent = Vec::new();
+    for _ in 0..200 {
+        silent.push(TcpStream::connect(address).await.unwrap());
+    }
+    let second = robot(&face).await;
+    let refused = refusal(&second).await;
+    assert!(refused.contains("STARTING"), "{refused}");
+    drop(silent);
+    for robot in [first, second] {
+        robot.close().await.unwrap();
+    }
+    face.stop().await;
 }
 
 /// The links stay open for a moment after the last answer, and the queryable with them: it refuses a client that asks

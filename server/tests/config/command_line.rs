@@ -1,6 +1,12 @@
 //! The answers of the command line that need no server: help, version, the default settings, and mistakes.
 
 use std::process::{Command, Output};
+#[cfg(target_os = "linux")]
+use std::{
+    fs,
+    io::{BufRead, BufReader, Read},
+    process::Stdio,
+};
 
 use wayfold_server::config::DEFAULTS;
 
@@ -88,4 +94,44 @@ fn mistakes_exit_with_2_and_say_where() {
         assert!(stderr.contains(part), "{stderr}");
         assert!(output.stdout.is_empty());
     }
+}
+
+/// The soft limit of open files of a server that was started with a limit of 256, set by this option of `ulimit`, and its log.
+#[cfg(target_os = "linux")]
+fn file_limit(option: &str) -> (String, String) {
+    let script = format!("ulimit {option} 256 && exec \"$0\" \"$@\"");
+    let mut server = Command::new("sh")
+        .args(["-c", &script, env!("CARGO_BIN_EXE_wayfold-server")])
+        .args(["--grpc", "127.0.0.1:0", "--data", "memory"])
+        .args(["--zenoh", "off", "--http", "off", "--log", "warn"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // It says its address once it serves.
+    let mut first = String::new();
+    let stdout = server.stdout.take().unwrap();
+    BufReader::new(stdout).read_line(&mut first).unwrap();
+    let limits = fs::read_to_string(format!("/proc/{}/limits", server.id())).unwrap();
+    server.kill().unwrap();
+    server.wait().unwrap();
+    let mut log = String::new();
+    server.stderr.unwrap().read_to_string(&mut log).unwrap();
+    let files = limits
+        .lines()
+        .find_map(|it| it.strip_prefix("Max open files"));
+    let soft = files.and_then(|it| it.split_whitespace().next());
+    (soft.unwrap().to_owned(), log)
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn the_limit_of_open_files_is_raised_and_reported_if_it_is_too_low() {
+    // The soft limit alone, and both.
+    let (raised, _) = file_limit("-Sn");
+    assert_ne!(raised, "256");
+    let (fixed, log) = file_limit("-n");
+    assert_eq!(fixed, "256");
+    assert!(log.contains("limit of open files is too low"), "{log}");
+    assert!(log.contains("grpc.max_connections"), "{log}");
 }

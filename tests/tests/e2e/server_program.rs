@@ -2,6 +2,7 @@
 
 use std::{fs, net::TcpListener, thread};
 
+use futures_util::poll;
 use tokio_stream::pending;
 use tonic::{Code, Request, transport::Channel};
 use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
@@ -228,6 +229,31 @@ async fn the_calls_of_an_index_belong_to_the_trace_in_which_it_was_opened() {
     }
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_call_whose_client_left_is_no_warning_and_names_its_peer() {
+    let mut server = server!("--log", "wayfold_server=debug");
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let uid = stubs.create("line", "R1").await.revision.unwrap().uid;
+    let mut points = stubs.points.clone();
+    // It waits for a revision that never comes.
+    let mut waiting = Box::pin(points.get(v1::GetRequest {
+        index_name: "line".into(),
+        ids: vec![1],
+        min_revision: revision(&uid, 7),
+        ..Default::default()
+    }));
+    assert!(poll!(waiting.as_mut()).is_pending());
+    // These are behind it on the same connection.
+    for _ in 0..3 {
+        stubs.describe("line").await;
+    }
+    drop(waiting);
+    let line = server.log_until("PointService/Get").pop().unwrap();
+    for part in ["DEBUG", "call ended", "code=Cancelled", "peer=127.0.0.1:"] {
+        assert!(line.contains(part), "{part}: {line}");
+    }
+}
+
 #[tokio::test]
 async fn a_slow_call_has_a_line_that_says_where_its_time_went() {
     let file = tempfile::NamedTempFile::new().unwrap();
@@ -257,7 +283,7 @@ async fn a_slow_call_has_a_line_that_says_where_its_time_went() {
     assert_eq!(line["span"]["index"], "line", "{line}");
     assert_eq!(line["span"]["trace"], TRACE, "{line}");
     assert_eq!(line["span"]["parent"], "00f067aa0ba902b7", "{line}");
-    assert!(line["fields"]["peer"].is_string(), "{line}");
+    assert!(line["span"]["peer"].is_string(), "{line}");
     let ms = |field: &str| line["fields"][field].as_u64().unwrap();
     let (total, waited) = (ms("total_ms"), ms("waiting_ms"));
     assert!(total >= 1_000, "{line}");

@@ -122,6 +122,34 @@ async fn a_call_waits_for_its_place_and_then_needs_room() {
     }
 }
 
+#[tokio::test]
+async fn unread_scrapes_leave_no_room_for_more_until_they_are_written() {
+    const ROOM: usize = 100_000;
+    let pages = pages(&service().await, Identities::default());
+    let api = Arc::new(Api::new(&pages, false));
+    // A flow that holds much has half of the bytes.
+    let others = api.scrapes.hold();
+    others.force_take(api.scrapes.max_bytes() / 2 - ROOM);
+    let scrape = || {
+        let (request, ()) = Request::get("/metrics").body(()).unwrap().into_parts();
+        metrics(Of(Arc::clone(&api)), request)
+    };
+    let mut unread = Vec::new();
+    let refused = loop {
+        let answer = scrape().await;
+        if answer.status() != StatusCode::OK {
+            break answer.status();
+        }
+        let frame = answer.into_body().frame().await.unwrap().unwrap();
+        unread.push(frame.into_data().unwrap());
+        let bytes: usize = unread.iter().map(Bytes::len).sum();
+        assert!(bytes <= 2 * ROOM, "{bytes}");
+    };
+    assert_eq!(refused, StatusCode::TOO_MANY_REQUESTS);
+    drop(unread);
+    assert_eq!(scrape().await.status(), StatusCode::OK);
+}
+
 /// A collector that waits until the sender of its channel is dropped, and counts its looks.
 #[derive(Debug)]
 struct Stopped {

@@ -183,7 +183,7 @@ async fn the_page_is_no_subscriber() {
         insert(&service, revision).await;
     }
     let listed = service.listed().into_iter();
-    let subscribers = listed.map(|(_, state)| state.hosted().unwrap().subscribers_and_lag());
+    let subscribers = listed.map(|(_, state)| state.hosted().unwrap().subscribers.count_and_lag(0));
     assert_eq!(subscribers.collect::<Vec<_>>(), [(0, 0)]);
 }
 

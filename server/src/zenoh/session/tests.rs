@@ -23,6 +23,24 @@ fn nothing_is_scouted_for_and_loopback_is_listened_on() {
 }
 
 #[test]
+fn strangers_take_few_places_for_a_short_time() {
+    let unicast = |config: &str, key: &str| {
+        let config = with(config).unwrap();
+        at(&config, &format!("transport/unicast/{key}"))
+    };
+    for (key, expected) in [
+        ("accept_timeout", 2_000),
+        ("accept_pending", 1_000),
+        ("max_sessions", 1_000),
+    ] {
+        assert_eq!(unicast("{}", key), json!(expected), "{key}");
+    }
+    let more = "{ transport: { unicast: { max_sessions: 5000 } } }";
+    assert_eq!(unicast(more, "max_sessions"), json!(5_000));
+    assert_eq!(unicast(more, "accept_timeout"), json!(2_000));
+}
+
+#[test]
 fn settings_of_zenoh_can_be_set() {
     let config = with(
         "{ mode: 'client', /* a robot's */ connect: { endpoints: ['tcp/127.0.0.1:7447'] },

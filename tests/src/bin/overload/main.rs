@@ -131,7 +131,7 @@ fn main() -> ExitCode {
 }
 
 fn measure(arguments: &Arguments) -> Report {
-    // The threads and processes that are started from here on inherit both.
+    // The threads and processes that are started from here on inherit both; the server has a limit of its own.
     pin::to_core(arguments.client_core);
     pin::raise_file_limit();
     let mut report = Report::default();

@@ -26,13 +26,21 @@ pub(crate) fn lower_priority() {
     let _ = rustix::process::setpriority_process(None, NICE);
 }
 
-/// Raises the limit of open files as far as this process may. The server inherits it.
+/// Raises the limit of open files as far as this process may.
 pub(crate) fn raise_file_limit() {
     #[cfg(target_os = "linux")]
-    {
-        use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
-        let maximum = getrlimit(Resource::Nofile).maximum;
-        let current = maximum;
-        let _ = setrlimit(Resource::Nofile, Rlimit { current, maximum });
-    }
+    set_file_limit(rustix::process::getrlimit(rustix::process::Resource::Nofile).maximum);
+}
+
+/// Gives this process the limit of open files that most systems set: a server raises it by itself.
+pub(crate) fn usual_file_limit() {
+    #[cfg(target_os = "linux")]
+    set_file_limit(Some(1024));
+}
+
+#[cfg(target_os = "linux")]
+fn set_file_limit(current: Option<u64>) {
+    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+    let maximum = getrlimit(Resource::Nofile).maximum;
+    let _ = setrlimit(Resource::Nofile, Rlimit { current, maximum });
 }

@@ -46,6 +46,7 @@ pub(crate) fn become_server() -> ExitCode {
     let mut arguments = std::env::args().skip(1);
     let core = arguments.next().and_then(|core| core.parse().ok());
     crate::pin::to_core(core.expect("a core"));
+    crate::pin::usual_file_limit();
     let program = arguments.next().expect("a program");
     let error = Command::new(&program)
         .env(measuring::ROLE, measuring::SERVER)
