@@ -248,15 +248,19 @@ impl Flow {
         self.all.max()
     }
 
-    /// The turns of a call.
+    /// The turns of a call. One of administration waits, and is not refused for it.
     pub(crate) fn turns(self: &Arc<Self>) -> CallTurns {
         self.calls.fetch_add(1, Relaxed);
-        CallTurns::new(Arc::clone(self))
+        let turns = CallTurns::new(Arc::clone(self));
+        match self.admin {
+            Some(_) => turns,
+            None => turns.unrefused(),
+        }
     }
 
     /// The turns of a request of a stream that has begun: it waits, and is not refused for it.
     pub(crate) fn turns_of_stream(self: &Arc<Self>) -> CallTurns {
-        self.turns().of_stream()
+        self.turns().unrefused()
     }
 }
 
@@ -335,6 +339,10 @@ impl Drop for HeldBytes {
 
 #[cfg(test)]
 mod tests {
+    use std::pin::pin;
+
+    use futures_util::poll;
+
     use super::*;
     use crate::config::Config;
 
@@ -345,5 +353,24 @@ mod tests {
         assert!(!flow.hold().take(usize::MAX));
         assert!(!flow.admin().hold().take(usize::MAX));
         assert_eq!(admission.refused(0)[1], ("TOO_MANY_BYTES", 2));
+    }
+
+    #[tokio::test]
+    async fn calls_of_administration_wait_as_long_as_they_must() {
+        let config = AdmissionConfig {
+            queue_target_ms: 0,
+            burst_ms: 0,
+            ..Config::default().admission
+        };
+        let admission = Admission::new(&config, 1, 0);
+        let flow = admission.open();
+        let mut busy = flow.turns();
+        busy.request().unwrap();
+        let (mut other, mut list) = (flow.turns(), flow.admin().turns());
+        let (mut other, mut list) = (pin!(other.run(async {})), pin!(list.run(async {})));
+        assert!(poll!(other.as_mut()).is_pending() && poll!(list.as_mut()).is_pending());
+        drop(busy);
+        assert!(other.await.is_err());
+        list.await.unwrap();
     }
 }

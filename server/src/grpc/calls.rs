@@ -1,9 +1,10 @@
 //! The layer around every call: its span, deadline, share of the server's time and memory, and the record of its end.
 //!
-//! A request arrives whole before its call waits for a turn, unless it is a stream. Health and reflection pass through:
+//! A request arrives whole before its call waits for a turn, unless it is a stream. Health and reflection take no turns:
 //! they must answer just when the server is busy.
 
 mod admitted;
+mod open;
 
 use std::{
     convert::Infallible,
@@ -14,6 +15,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use bytes::Bytes;
 use futures_util::{FutureExt, poll};
 use http::{HeaderMap, Request, Response, header};
 use tokio_util::task::TaskTracker;
@@ -26,9 +28,12 @@ use admitted::Admitted;
 use super::{
     body::{CallBody, CallResources},
     connections::Activity,
-    deadline, refusals,
+    deadline,
+    refusals::{self, MessageLimit},
     request_body::RequestLimits,
-    verbs::{has_stream_of_answers, has_stream_of_requests, is_lasting, our_rpc, verb},
+    verbs::{
+        has_stream_of_answers, has_stream_of_requests, is_lasting, is_of_indices, our_rpc, verb,
+    },
 };
 use crate::{
     admission::{CALL_BYTES, Flow},
@@ -48,6 +53,13 @@ pub(crate) fn call_of<T>(request: &tonic::Request<T>) -> Call {
         caller: Caller::Unknown(IdentificationError::NoCredential),
         ..Call::default()
     })
+}
+
+/// The bytes that a call holds at its begin. Its headers count as far as they are more than usual.
+fn call_bytes(headers: &HeaderMap) -> usize {
+    const USUAL_HEADERS: usize = 32;
+    const ENTRY_BYTES: usize = 128;
+    CALL_BYTES + headers.len().saturating_sub(USUAL_HEADERS) * ENTRY_BYTES
 }
 
 /// The place of a call in a trace.
@@ -131,7 +143,7 @@ impl CallsLayer {
             under_way,
             max_calls: callers.max_calls(config),
             requests: RequestLimits {
-                max_message_bytes: config.max_message_bytes,
+                message: MessageLimit::of_setting(config.max_message_bytes),
                 time: Duration::from_millis(config.receive_timeout_ms),
             },
             default_timeout: Duration::from_millis(config.default_timeout_ms),
@@ -178,7 +190,10 @@ where
 
     fn call(&mut self, request: Request<Body>) -> ResponseFuture {
         let Some(rpc) = our_rpc(request.uri().path()) else {
-            return Box::pin(self.inner.call(request));
+            return match open::is_open(request.uri().path()) {
+                true => Box::pin(open::answer(self.inner.clone(), request, &self.settings)),
+                false => Box::pin(self.inner.call(request)),
+            };
         };
         let activity = request.extensions().get::<Activity>().cloned();
         let active = match activity.as_ref().map(Activity::begin) {
@@ -227,7 +242,9 @@ where
                 settings.shared.admission.count_excess();
                 Err(refusals::too_many_streams(settings.max_calls))
             }
-            _ if !held.take(CALL_BYTES) => Err(status::too_many_bytes(flow.max_bytes())),
+            _ if !held.take(call_bytes(request.headers())) => {
+                Err(status::too_many_bytes(flow.max_bytes()))
+            }
             (_, Ok(None)) if !is_stream => {
                 call.has_default_deadline = true;
                 Ok(arrived.checked_add(settings.default_timeout))
@@ -252,11 +269,13 @@ where
         };
         let admitted = Admitted {
             inner: self.inner.clone(),
-            limits: settings.requests.clone(),
+            limits: settings.requests(rpc),
             held,
             arrived,
             call,
             is_stream: has_stream_of_requests(rpc),
+            service: settings.shared.service.clone(),
+            whole: Bytes::new(),
         };
         let is_answer_stream = has_stream_of_answers(rpc);
         let span = record.span().clone();
@@ -323,6 +342,15 @@ impl CallsLayer {
         }
     }
 
+    /// The limits of the request of a call.
+    fn requests(&self, rpc: &str) -> RequestLimits {
+        let mut limits = self.requests;
+        if is_of_indices(rpc) {
+            limits.message = limits.message.for_indices();
+        }
+        limits
+    }
+
     fn caller(&self, headers: &HeaderMap, activity: Option<&Activity>) -> Caller {
         let identities = &self.shared.identities;
         match self.callers {
@@ -339,9 +367,8 @@ impl CallsLayer {
     /// The flow of a call: that of its connection, or that of the connection's short calls of administration, which other load
     /// does not close.
     fn flow(&self, rpc: &str, activity: Option<&Activity>) -> Arc<Flow> {
-        let is_admin = rpc.starts_with("IndexService/")
-            && !has_stream_of_answers(rpc)
-            && !has_stream_of_requests(rpc);
+        let is_admin =
+            is_of_indices(rpc) && !has_stream_of_answers(rpc) && !has_stream_of_requests(rpc);
         let flow =
             activity.map_or_else(|| self.shared.admission.open(), |it| Arc::clone(it.flow()));
         match is_admin {

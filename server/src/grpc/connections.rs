@@ -3,11 +3,13 @@
 //! A client that only holds connections cannot lock others out: once all places are taken, a new connection gets the
 //! place of one without a call under way. Connections that never made a call go first, then those whose last call is
 //! the longest ago. If all others have calls, the one that has been silent for the longest time goes, such as one with an
-//! idle stream. A client reconnects at its next call. Health and reflection are no calls of this kind.
+//! idle stream. If none is silent either, one of the network that has the most connections goes after a while. A client
+//! reconnects at its next call. Health and reflection are no calls of this kind.
 
 use std::{
-    collections::BTreeMap,
-    net::SocketAddr,
+    cmp::Reverse,
+    collections::{BTreeMap, HashMap},
+    net::{IpAddr, SocketAddr},
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::SeqCst},
@@ -36,6 +38,12 @@ const MIN_IDLE: Duration = Duration::from_millis(100);
 /// A connection with calls keeps its place for this long after its last sign of life: the beginning or end of a call, a
 /// part of a request that arrived, a part of an answer that left.
 const MAX_SILENCE: Duration = Duration::from_secs(10);
+
+/// A new connection waits for this long for one of those above. Then it gets a place of the network that has the most.
+const MAX_WAIT: Duration = Duration::from_secs(1);
+
+/// The requests for health and reflection of a connection that may be on their way at a time.
+pub(super) const MAX_ARRIVING: usize = 4;
 
 /// The calls of a connection that was given up.
 const GIVEN_UP: usize = usize::MAX;
@@ -71,6 +79,8 @@ struct State {
     flow: Arc<Flow>,
     /// The free places of lasting streams.
     streams: Arc<Semaphore>,
+    /// Those of requests for health and reflection that have not arrived whole.
+    arriving: Arc<Semaphore>,
     unread: Mutex<UnreadFrames>,
 }
 
@@ -135,6 +145,7 @@ impl Connections {
             certificate: Client::default(),
             flow: self.admission.open(),
             streams: Arc::new(Semaphore::new(self.max_streams)),
+            arriving: Arc::new(Semaphore::new(MAX_ARRIVING)),
             unread: Mutex::new(UnreadFrames {
                 frames: 0,
                 since: Instant::now(),
@@ -150,11 +161,14 @@ impl Connections {
     }
 
     async fn place(&self) -> OwnedSemaphorePermit {
+        let mut began = Instant::now();
         loop {
             if let Ok(place) = Arc::clone(&self.places).try_acquire_owned() {
                 return place;
             }
-            self.give_one_up();
+            if self.give_one_up() || began.elapsed() >= MAX_WAIT && self.give_up_of_many() {
+                began = Instant::now();
+            }
             // The place of the connection that was given up, or of another that ends. If none ends in time, the next one
             // is given up.
             let free = Arc::clone(&self.places).acquire_owned();
@@ -165,8 +179,8 @@ impl Connections {
     }
 
     /// Gives up the first connection without calls or, if that was opened or called just now, the one with calls that is
-    /// silent for the longest time.
-    fn give_one_up(&self) {
+    /// silent for the longest time. False if there is none.
+    fn give_one_up(&self) -> bool {
         let open = self.open.lock();
         let idle = open
             .values()
@@ -188,6 +202,31 @@ impl Connections {
             debug!(peer = ?state.peer, "an idle or silent connection makes room for another");
             state.cut.cancel();
         }
+        given_up.is_some()
+    }
+
+    /// Gives up a connection of the network that has the most, two at least: the one whose last call is the longest ago.
+    fn give_up_of_many(&self) -> bool {
+        let open = self.open.lock();
+        let mut networks: HashMap<IpAddr, (usize, Reverse<u64>, &State)> = HashMap::new();
+        for state in open.values().filter(|state| !state.cut.is_cancelled()) {
+            let Some(peer) = state.peer else { continue };
+            let rank = Reverse(state.rank.load(SeqCst));
+            let (count, first, of) = networks.entry(network(peer)).or_insert((0, rank, state));
+            *count += 1;
+            if rank > *first {
+                (*first, *of) = (rank, state);
+            }
+        }
+        let most = networks
+            .into_values()
+            .max_by_key(|(count, first, _)| (*count, *first));
+        let Some((_, _, state)) = most.filter(|(count, ..)| *count > 1) else {
+            return false;
+        };
+        debug!(peer = ?state.peer, "a connection of the network that has the most makes room for another");
+        state.cut.cancel();
+        true
     }
 
     /// Cuts each connection whose client reads nothing of its answers for `most`.
@@ -203,6 +242,14 @@ impl Connections {
                 }
             }
         }
+    }
+}
+
+/// The network of a client: its address of IPv4, or the upper half of one of IPv6, since it may use all with that.
+fn network(peer: SocketAddr) -> IpAddr {
+    match peer.ip().to_canonical() {
+        IpAddr::V6(address) => IpAddr::V6((address.to_bits() >> 64 << 64).into()),
+        address => address,
     }
 }
 
@@ -287,6 +334,11 @@ impl Activity {
         Arc::clone(&self.state.streams).try_acquire_owned().ok()
     }
 
+    /// The place of a request for health or reflection that has not arrived whole; None if others have all.
+    pub(super) fn arriving(&self) -> Option<OwnedSemaphorePermit> {
+        Arc::clone(&self.state.arriving).try_acquire_owned().ok()
+    }
+
     /// A frame of an answer waits for the client to read it, until the result is dropped.
     pub(super) fn send(&self) -> Sending {
         let mut unread = self.state.unread.lock();
@@ -318,49 +370,4 @@ impl Drop for ActiveCall {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::pin::pin;
-
-    use futures_util::poll;
-    use tokio::time::advance;
-
-    use super::*;
-    use crate::config::Config;
-
-    /// Two connections fill the table. Each has a stream: one is silent, over the other an answer leaves now and then.
-    #[tokio::test(start_paused = true)]
-    async fn a_silent_stream_makes_room_only_after_its_time() {
-        let admission = Admission::new(&Config::default().admission, 1, 0);
-        let connections = Connections::new(2, 1, admission);
-        let cuts = [CancellationToken::new(), CancellationToken::new()];
-        let silent = connections.open(None, cuts[0].clone()).await;
-        let live = connections.open(None, cuts[1].clone()).await;
-        let _streams = [silent.activity().begin(), live.activity().begin()];
-        let mut third = pin!(connections.open(None, CancellationToken::new()));
-        let step = MAX_SILENCE / 10;
-        for _ in 0..9 {
-            assert!(poll!(third.as_mut()).is_pending());
-            assert!(!cuts[0].is_cancelled());
-            drop(live.activity().send());
-            advance(step).await;
-        }
-        advance(step).await;
-        assert!(poll!(third.as_mut()).is_pending());
-        assert!(cuts[0].is_cancelled() && !cuts[1].is_cancelled());
-        drop(silent);
-        third.await;
-        assert!(!cuts[1].is_cancelled());
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_cut_connection_that_does_not_end_is_not_the_only_one_cut() {
-        let admission = Admission::new(&Config::default().admission, 1, 0);
-        let connections = Connections::new(2, 1, admission);
-        let cuts = [CancellationToken::new(), CancellationToken::new()];
-        let _first = connections.open(None, cuts[0].clone()).await;
-        let _second = connections.open(None, cuts[1].clone()).await;
-        let third = connections.open(None, CancellationToken::new());
-        assert!(timeout(10 * MIN_IDLE, third).await.is_err());
-        assert!(cuts.iter().all(CancellationToken::is_cancelled));
-    }
-}
+mod tests;

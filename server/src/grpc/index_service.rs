@@ -5,7 +5,7 @@ use wayfold_proto::v1::{self, index_service_server::IndexService};
 
 use super::{
     calls::{call_of, open},
-    refusals,
+    refusals::{self, MessageLimit},
     status::{Answer, Messages, from_error, respond, respond_all},
 };
 use crate::{observe, service::Service, status};
@@ -81,7 +81,8 @@ impl IndexService for IndexFace {
         let (call, mut messages) = (call_of(&request), request.into_inner());
         let restoring = self.service.restore_index(&call);
         let mut restoring = restoring.map_err(|error| from_error(&error))?;
-        let restate = |status| refusals::restate(status, self.max_message_bytes, refusals::RAISE);
+        let limit = MessageLimit::of_setting(self.max_message_bytes);
+        let restate = |status| refusals::restate(status, limit, refusals::RAISE);
         while let Some(message) = messages.message().await.map_err(restate)? {
             observe::request(&message);
             let added = restoring.add(message).await;

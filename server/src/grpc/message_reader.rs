@@ -7,7 +7,10 @@ use bytes::{Buf, Bytes, BytesMut};
 use http_body_util::BodyExt;
 use tonic::{Code, Status, body::Body};
 
-use super::{refusals, request_body::HEADER_BYTES};
+use super::{
+    refusals::{self, MessageLimit},
+    request_body::HEADER_BYTES,
+};
 
 /// See the module.
 pub(super) struct MessageReader {
@@ -61,7 +64,8 @@ impl MessageReader {
         }
         let length = u32::from_be_bytes(*length) as usize;
         if length > self.max_message_bytes {
-            return Err(refusals::too_large(self.max_message_bytes, refusals::SPLIT).into());
+            let limit = MessageLimit::of_setting(self.max_message_bytes);
+            return Err(refusals::too_large(limit, refusals::SPLIT).into());
         }
         let end = HEADER_BYTES + length;
         if self.bytes.len() < end {

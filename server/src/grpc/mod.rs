@@ -66,6 +66,10 @@ pub enum GrpcError {
 /// The calls of a connection that may be cancelled before the server looks at them; one more cuts it.
 const MAX_PENDING_RESETS: usize = 2_048;
 
+/// The most bytes of a call's headers, as HTTP/2 counts them: stock clients send no more. Kept apart, short headers take
+/// several times as many.
+const MAX_HEADER_BYTES: u32 = 8 * 1024;
+
 /// The largest request for health or reflection. Strangers may send them, and no budget counts their bytes.
 const MAX_OPEN_REQUEST_BYTES: usize = 4 * 1024;
 
@@ -117,6 +121,7 @@ pub(crate) async fn serve(
     });
     Server::builder()
         .max_concurrent_streams(max_calls)
+        .http2_max_header_list_size(MAX_HEADER_BYTES)
         // A client that cancels many calls in a row keeps its connection.
         .http2_max_pending_accept_reset_streams(Some(MAX_PENDING_RESETS))
         .http2_keepalive_interval(keepalive)

@@ -12,11 +12,15 @@ use super::deadline::{self, MalformedTimeout};
 use crate::{
     service::{Error, Unavailability, Violation},
     status::{Status as Refusal, busy, from_error, limit},
+    verbs::MAX_INDEX_REQUEST_BYTES,
 };
 
 const MAX_MESSAGE_BYTES: &str = "grpc.max_message_bytes";
+const MAX_INDEX_REQUEST: &str = "index_request_bytes";
+const MAX_ARRIVING: &str = "arriving_requests";
 const MAX_CALLS: &str = "grpc.max_calls_per_connection";
 const RECEIVE_TIMEOUT_MS: &str = "grpc.receive_timeout_ms";
+
 /// The remedy for a message that is too large.
 pub(crate) const SPLIT: &str = "split it into several calls";
 
@@ -27,10 +31,36 @@ pub(crate) const RAISE: &str =
 /// Every status of this server has details: one without them is tonic's own.
 const DETAILS_HEADER: &str = "grpc-status-details-bin";
 
+/// The largest request message of a call.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MessageLimit {
+    name: &'static str,
+    pub(crate) bytes: usize,
+}
+
+impl MessageLimit {
+    /// The setting.
+    pub(crate) fn of_setting(bytes: usize) -> Self {
+        let name = MAX_MESSAGE_BYTES;
+        Self { name, bytes }
+    }
+
+    /// The same for a call on indices, except for the parts of a snapshot.
+    pub(crate) fn for_indices(self) -> Self {
+        match self.bytes > MAX_INDEX_REQUEST_BYTES {
+            true => Self {
+                name: MAX_INDEX_REQUEST,
+                bytes: MAX_INDEX_REQUEST_BYTES,
+            },
+            false => self,
+        }
+    }
+}
+
 /// Returns `response`, rewritten if it is a refusal of tonic's.
-pub(crate) fn rewrite(response: Response<Body>, max_message_bytes: usize) -> Response<Body> {
+pub(crate) fn rewrite(response: Response<Body>, limit: MessageLimit) -> Response<Body> {
     match tonics_own(response.headers()) {
-        Some(status) => restate(status, max_message_bytes, SPLIT).into_http(),
+        Some(status) => restate(status, limit, SPLIT).into_http(),
         None => response,
     }
 }
@@ -45,9 +75,9 @@ fn tonics_own(headers: &HeaderMap) -> Option<Status> {
 }
 
 /// The contract's status for one that tonic made while it read a request; `advice` is for one that is too large.
-pub(crate) fn restate(status: Status, max_message_bytes: usize, advice: &str) -> Status {
+pub(crate) fn restate(status: Status, limit: MessageLimit, advice: &str) -> Status {
     match status.code() {
-        Code::OutOfRange => too_large(max_message_bytes, advice).into(),
+        Code::OutOfRange => too_large(limit, advice).into(),
         Code::Internal => malformed(status.message()).into(),
         _ => status,
     }
@@ -60,15 +90,9 @@ pub(crate) fn headers(refusal: Refusal) -> HeaderMap {
 }
 
 /// The refusal of a request message above the limit.
-pub(crate) fn too_large(max_message_bytes: usize, advice: &str) -> Refusal {
-    limit(
-        "LIMIT_EXCEEDED",
-        format!(
-            "the request message exceeds the limit {MAX_MESSAGE_BYTES} = {max_message_bytes}: {advice}"
-        ),
-        MAX_MESSAGE_BYTES,
-        max_message_bytes,
-    )
+pub(crate) fn too_large(MessageLimit { name, bytes }: MessageLimit, advice: &str) -> Refusal {
+    let message = format!("the request message exceeds the limit {name} = {bytes}: {advice}");
+    limit("LIMIT_EXCEEDED", message, name, bytes)
 }
 
 /// The refusal of a request message that does not decode.
@@ -114,6 +138,14 @@ pub(crate) fn too_many_streams(max_calls: u32) -> Refusal {
     busy("TOO_MANY_CALLS", message, MAX_CALLS, max_calls as usize)
 }
 
+/// The refusal of a request for health or reflection while `most` of its connection are on their way.
+pub(crate) fn too_many_arriving(most: usize) -> Refusal {
+    let message = format!(
+        "{most} requests for health or reflection of this connection have not arrived whole: wait for them"
+    );
+    busy("TOO_MANY_CALLS", message, MAX_ARRIVING, most)
+}
+
 /// The answer to a call that made the server panic.
 pub(crate) fn panicked(rpc: &str) -> Refusal {
     from_error(&Error::Internal {
@@ -142,7 +174,7 @@ mod tests {
     use super::*;
 
     fn rewritten(status: Status) -> Status {
-        let response = rewrite(status.into_http(), 1000);
+        let response = rewrite(status.into_http(), MessageLimit::of_setting(1000));
         Status::from_header_map(response.headers()).unwrap()
     }
 
@@ -176,6 +208,7 @@ mod tests {
         let mut success = Response::new(Body::empty());
         let kept = http::HeaderValue::from_static("yes");
         success.headers_mut().insert("x-kept", kept);
-        assert!(rewrite(success, 1000).headers().contains_key("x-kept"));
+        let rewritten = rewrite(success, MessageLimit::of_setting(1000));
+        assert!(rewritten.headers().contains_key("x-kept"));
     }
 }

@@ -10,22 +10,25 @@ use std::{
     time::{Duration, Instant},
 };
 
-use bytes::{Buf, Bytes};
+use bytes::{Buf, Bytes, BytesMut};
 use http_body::{Body as HttpBody, Frame, SizeHint};
+use http_body_util::BodyExt;
 use tokio::time::Sleep;
 use tonic::{Status, body::Body};
 
-use super::{connections::Activity, refusals};
+use super::{
+    connections::Activity,
+    refusals::{self, MessageLimit},
+};
 use crate::{admission::HeldBytes, status};
 
 /// Bytes before each message: a flag and the length.
 pub(super) const HEADER_BYTES: usize = 5;
 
 /// The largest message, and the time in which each must arrive.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct RequestLimits {
-    /// The bytes of a message.
-    pub(super) max_message_bytes: usize,
+    pub(super) message: MessageLimit,
     /// The time of a request, and of each message of a stream.
     pub(super) time: Duration,
 }
@@ -48,7 +51,7 @@ impl RequestBody {
     /// The body of a call on the connection of `activity` that began at `began`, and whose bytes are `held`.
     pub(super) fn new(
         inner: Body,
-        limits: &RequestLimits,
+        limits: RequestLimits,
         held: Arc<HeldBytes>,
         activity: Option<Activity>,
         is_stream: bool,
@@ -56,7 +59,7 @@ impl RequestBody {
     ) -> Self {
         Self {
             inner,
-            limits: limits.clone(),
+            limits,
             held,
             activity,
             is_stream,
@@ -64,6 +67,18 @@ impl RequestBody {
             began,
             timer: None,
         }
+    }
+
+    /// The bytes of a request that is no stream, in a buffer of their own. A frame of one byte would keep the buffer that
+    /// it was read into.
+    pub(super) async fn whole(mut self) -> Result<Bytes, Status> {
+        let mut whole = BytesMut::new();
+        while let Some(frame) = self.frame().await {
+            if let Some(bytes) = frame?.data_ref() {
+                whole.extend_from_slice(bytes);
+            }
+        }
+        Ok(whole.freeze())
     }
 
     fn receive(&mut self, bytes: &Bytes) -> Result<(), Status> {
@@ -80,10 +95,11 @@ impl RequestBody {
                 self.held.release(before.0);
                 self.held.take(self.messages.unfinished)
             }
-            false if self.messages.length > self.limits.max_message_bytes => {
-                return Err(
-                    refusals::too_large(self.limits.max_message_bytes, refusals::SPLIT).into(),
-                );
+            false if self.messages.length > self.limits.message.bytes => {
+                return Err(refusals::too_large(self.limits.message, refusals::SPLIT).into());
+            }
+            false if self.messages.ended > u64::from(self.messages.are_whole()) => {
+                return Err(refusals::malformed("another one follows it").into());
             }
             false => self.held.take(bytes.len()),
         };
@@ -148,13 +164,13 @@ impl HttpBody for RequestBody {
 
 /// The progress within the length-prefixed messages of gRPC.
 #[derive(Debug, Default)]
-struct Messages {
+pub(super) struct Messages {
     /// The messages that are whole.
-    ended: u64,
+    pub(super) ended: u64,
     /// The bytes of the next one so far, its header included.
     unfinished: usize,
     /// Its length without the header, as far as it is known.
-    length: usize,
+    pub(super) length: usize,
 }
 
 impl Messages {
@@ -163,7 +179,7 @@ impl Messages {
         self.unfinished == 0
     }
 
-    fn advance(&mut self, mut bytes: &[u8]) {
+    pub(super) fn advance(&mut self, mut bytes: &[u8]) {
         while !bytes.is_empty() {
             if self.unfinished < HEADER_BYTES {
                 let byte = usize::from(bytes.get_u8());
@@ -190,9 +206,50 @@ impl Messages {
 #[cfg(test)]
 mod tests {
     use bytes::{BufMut, BytesMut};
+    use futures_util::stream;
+    use http_body_util::StreamBody;
     use proptest::prelude::*;
 
     use super::*;
+    use crate::{admission::Admission, config::Config};
+
+    async fn whole_of(frames: Vec<Bytes>) -> Result<Bytes, Status> {
+        let frames = frames
+            .into_iter()
+            .map(|bytes| Ok::<_, Status>(Frame::data(bytes)));
+        let inner = Body::new(StreamBody::new(stream::iter(frames)));
+        let limits = RequestLimits {
+            message: MessageLimit::of_setting(1000),
+            time: Duration::from_secs(60),
+        };
+        let admission = Admission::new(&Config::default().admission, 1, 0);
+        let held = Arc::new(admission.open().hold());
+        let body = RequestBody::new(inner, limits, held, None, false, Instant::now());
+        body.whole().await
+    }
+
+    /// Frames of one byte would hold more than thirty times what they count.
+    #[tokio::test]
+    async fn a_whole_request_holds_none_of_its_frames() {
+        let mut sent = BytesMut::new();
+        sent.put_slice(&[0, 0, 0, 0, 100]);
+        sent.put_bytes(7, 100);
+        let sent = sent.freeze();
+        let frames = (0..sent.len()).map(|at| sent.slice(at..at + 1));
+        let whole = whole_of(frames.collect()).await.unwrap();
+        assert_eq!(whole, sent);
+        assert!(sent.is_unique());
+    }
+
+    #[tokio::test]
+    async fn a_second_message_is_refused() {
+        let message = Bytes::from_static(&[0, 0, 0, 0, 1, 7]);
+        whole_of(vec![message.clone()]).await.unwrap();
+        for rest in [message.clone(), message.slice(..1)] {
+            let refused = whole_of(vec![message.clone(), rest]).await.unwrap_err();
+            assert_eq!(refused.code(), tonic::Code::InvalidArgument);
+        }
+    }
 
     proptest! {
         #![proptest_config(crate::testing::cases(200))]

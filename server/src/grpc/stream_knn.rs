@@ -24,7 +24,7 @@ use wayfold_proto::v1;
 use super::{
     calls::{call_of, flow_of},
     message_reader::MessageReader,
-    refusals,
+    refusals::{self, MessageLimit},
 };
 use crate::{
     admission::{Admission, Flow, HeldBytes},
@@ -244,7 +244,7 @@ impl<M: Stream<Item = Result<Incoming, Status>> + Unpin> Reader<M> {
                 self.ended = true;
                 ReadOutcome::End(Box::new(refusals::restate(
                     status,
-                    self.max_message_bytes,
+                    MessageLimit::of_setting(self.max_message_bytes),
                     refusals::SPLIT,
                 )))
             }

@@ -51,6 +51,11 @@ pub(super) fn has_stream_of_answers(rpc: &str) -> bool {
     ANSWER_STREAMS.contains(&rpc)
 }
 
+/// True if a call is one of `IndexService`.
+pub(super) fn is_of_indices(rpc: &str) -> bool {
+    rpc.starts_with("IndexService/")
+}
+
 /// True if a call is a stream that lasts for as long as its client likes.
 pub(super) fn is_lasting(rpc: &str) -> bool {
     LASTING.contains(&rpc)

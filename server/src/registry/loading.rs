@@ -100,7 +100,7 @@ impl Loader {
         if let Err(full) = fits {
             // The memory of the points is free for other indices.
             self.forest = self.host.options.forest(space);
-            self.full = Some(full.clone());
+            self.full = Some(full);
             return Err(LoadError::Full(full));
         }
         match self.forest.load(&points) {

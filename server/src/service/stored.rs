@@ -2,8 +2,13 @@
 //! A mutation reads before it takes the index's writer ([`ReadAhead`]), and with it only after [`MAX_READS_AHEAD`]
 //! reads.
 
-use std::{collections::HashMap, sync::Arc};
+use std::{
+    collections::HashMap,
+    sync::{Arc, LazyLock},
+    thread::available_parallelism,
+};
 
+use tokio::sync::Semaphore;
 use tokio_util::task::AbortOnDropHandle;
 
 use super::{Call, Error, error_map::log_error};
@@ -19,6 +24,15 @@ pub(super) const MAX_READS_AHEAD: usize = 3;
 /// Points read at once. A call can be cancelled between two batches.
 pub(super) const BATCH_ROWS: usize = 256;
 
+/// The reads at a time: two for each core, and at least [`MIN_READS`]. They take no turns, and each has a thread.
+static READS: LazyLock<Semaphore> = LazyLock::new(|| {
+    let cores = available_parallelism().map_or(1, usize::from);
+    Semaphore::new((2 * cores).max(MIN_READS))
+});
+
+/// A disk serves several reads at once.
+const MIN_READS: usize = 16;
+
 /// Reads from the store of the named index on a thread that may block. A queued read does not start once its caller has
 /// left. It is refused once the caller has lost its rights: a stream reads many times.
 pub(super) async fn read<T: Send + 'static>(
@@ -30,8 +44,16 @@ pub(super) async fn read<T: Send + 'static>(
 ) -> Result<T, Error> {
     call.check(doing)?;
     let view = Arc::clone(view);
-    let reading = tokio::task::spawn_blocking(move || read(&*view));
-    match call.bound(doing, AbortOnDropHandle::new(reading)).await? {
+    let reading = async {
+        let permit = READS.acquire().await;
+        // The read of a caller that has left keeps its permit until it ends.
+        let reading = tokio::task::spawn_blocking(move || {
+            let _permit = permit;
+            read(&*view)
+        });
+        AbortOnDropHandle::new(reading).await
+    };
+    match call.bound(doing, reading).await? {
         Ok(read) => read.map_err(|error| log_error(index, error)),
         // An awaited read fails to join only if it panicked.
         Err(_) => Err(Error::Internal {
@@ -143,5 +165,49 @@ impl<T: Send + 'static> ReadAhead<T> {
             }
         }
         true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::{runtime::Handle, sync::mpsc};
+    use tokio_util::sync::CancellationToken;
+
+    use super::*;
+    use crate::{
+        log::PointStore,
+        testing::{arm, log_with},
+    };
+
+    #[tokio::test]
+    async fn few_reads_are_under_way_at_a_time() {
+        let entry = arm();
+        let view: Arc<dyn View> = log_with(&entry, &[]).view(entry.uid).unwrap();
+        let most = available_parallelism().map_or(1, usize::from) * 2;
+        let most = most.max(MIN_READS);
+        let (start, mut started) = mpsc::unbounded_channel();
+        let gate = CancellationToken::new();
+        let reads: Vec<_> = (0..=most)
+            .map(|_| {
+                let (view, start, gate) = (Arc::clone(&view), start.clone(), gate.clone());
+                tokio::spawn(async move {
+                    let wait = move |_: &dyn View| {
+                        start.send(()).unwrap();
+                        Handle::current().block_on(gate.cancelled());
+                        Ok(())
+                    };
+                    read(&Call::default(), "reading", "arm", &view, wait).await
+                })
+            })
+            .collect();
+        for _ in 0..most {
+            started.recv().await.unwrap();
+        }
+        assert_eq!(READS.available_permits(), 0);
+        assert!(started.try_recv().is_err());
+        gate.cancel();
+        for read in reads {
+            read.await.unwrap().unwrap();
+        }
     }
 }

@@ -44,6 +44,7 @@ pub(crate) async fn dispatch(
             encoded(request, boxed(service.$verb(call, mutation)).await)
         }};
     }
+    request.check_growth(verb, service.limits())?;
     match verb {
         Verb::OfIndex(verb) => match verb {
             PointVerb::Knn => {

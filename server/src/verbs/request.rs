@@ -9,9 +9,13 @@ use prost::Name;
 
 use super::{
     codec::{Form, MAX_DYNAMIC_BYTES, invalid},
+    fields::{MAX_INDEX_REQUEST_BYTES, check_fields},
     verb::Verb,
 };
-use crate::{observe, service::Error};
+use crate::{
+    observe,
+    service::{Error, Limits},
+};
 
 /// The parameter for the time that the caller waits.
 const TIMEOUT: &str = "timeout_ms";
@@ -80,6 +84,24 @@ impl<'a> Request<'a> {
             return Err(invalid("payload", "TOO_LONG_WITH_PARAMETERS", text));
         }
         Ok(())
+    }
+
+    /// Refuses a payload that would grow too much by decoding.
+    pub(super) fn check_growth(&self, verb: Verb, limits: &Limits) -> Result<(), Error> {
+        match self.form {
+            _ if matches!(verb, Verb::OfServer(_))
+                && self.payload.len() > MAX_INDEX_REQUEST_BYTES =>
+            {
+                Err(Error::LimitExceeded {
+                    limit: "index_request_bytes",
+                    value: MAX_INDEX_REQUEST_BYTES as u64,
+                    requested: self.payload.len() as u64,
+                    advice: "a space has at most 256 coordinates, which need less",
+                })
+            }
+            Form::Protobuf => check_fields(&self.payload, limits),
+            Form::Json => Ok(()),
+        }
     }
 
     /// Decodes the request for the index that the key names.

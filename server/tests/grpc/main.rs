@@ -24,5 +24,6 @@ mod reflection;
 mod refusals;
 mod shutdown;
 mod starting;
+mod strangers;
 mod stream_knn;
 mod streams;

@@ -80,6 +80,36 @@ async fn the_refusal_of_a_large_message_names_the_limit() {
     server.stop().await.unwrap().unwrap();
 }
 
+/// A message without content takes two bytes as it is sent, and 32 to 50 once it is decoded.
+#[tokio::test]
+async fn requests_that_grow_by_decoding_are_refused_before_it() {
+    let server = TestServer::start(|config| {
+        config.limits.max_rows_per_call = 1000;
+        config.limits.max_ids_per_call = 1000;
+    });
+    let server = server.await;
+    for (rpc, payloads) in [
+        ("PointService/Insert", 5),
+        ("PointService/Update", 5),
+        ("PointService/Write", 9),
+    ] {
+        let empty = [payloads << 3 | 2, 0].repeat(5000);
+        let status = send(&server, rpc, &empty).await.unwrap_err();
+        let reason = reason(&status, Code::ResourceExhausted);
+        assert_eq!(reason, "LIMIT_EXCEEDED", "{rpc}");
+        let text = "max_rows_per_call = 1000";
+        assert!(status.message().contains(text), "{status}");
+    }
+    // As many spaces, one in the place of the other, as a megabyte has.
+    let spaces = [0x12, 0].repeat(600_000);
+    let status = send(&server, "IndexService/CreateIndex", &spaces).await;
+    let status = status.unwrap_err();
+    assert_eq!(reason(&status, Code::ResourceExhausted), "LIMIT_EXCEEDED");
+    let text = "index_request_bytes = 1048576";
+    assert!(status.message().contains(text), "{status}");
+    server.stop().await.unwrap().unwrap();
+}
+
 #[tokio::test]
 async fn stock_limits_let_an_answer_through_that_a_stock_client_takes() {
     let server = TestServer::start(|_| ()).await;
@@ -131,6 +161,11 @@ async fn a_call_that_waits_for_too_long_is_refused_and_health_and_administration
         assert!(retry.retry_delay.is_some_and(|delay| !delay.is_zero()));
         let check = server.health().check(HealthCheckRequest::default()).await;
         assert_eq!(check.unwrap().into_inner().status(), ServingStatus::Serving);
+        for _ in 0..20 {
+            let list = v1::ListIndexesRequest::default();
+            server.indices().list_indexes(list).await.unwrap();
+        }
+        server.create_line("other").await;
         refused.send(()).unwrap();
     };
     tokio::join!(heavy, light);

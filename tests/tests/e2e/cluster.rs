@@ -130,7 +130,7 @@ impl Run {
         let mut damaged = BTreeSet::new();
         for number in faults.clone().take_while(|_| stalled.get().is_none()) {
             let fault = Fault::of(number, &self.kinds, &mut random);
-            reach_more(random.random_range(20..100), Stall::BeforeFault).await;
+            reach_more(random.random_range(20..100), Stall::Before).await;
             if stalled.get().is_some() {
                 // The repair of a fault could end the stall, and a server without NATS does not start.
                 break;
@@ -141,7 +141,7 @@ impl Run {
             let began = Instant::now();
             let what = cluster
                 .suffer(fault, of, &mut random, async || {
-                    reach_more(20, Stall::UnderFault).await
+                    reach_more(20, Stall::Under).await
                 })
                 .await;
             let stall = stalled.get();
@@ -149,11 +149,11 @@ impl Run {
             if lacks_majority {
                 // All of them run again.
                 stalled.set(None);
-                reach_more(20, Stall::UnderFault).await;
+                reach_more(20, Stall::Under).await;
             }
             if !cluster.is_whole() {
                 // A server ends if NATS does not answer when it starts.
-                stalled.set(stalled.get().or(Some(Stall::UnderFault)));
+                stalled.set(stalled.get().or(Some(Stall::Under)));
             }
             if fault.takes_nats() && !lacks_majority {
                 // The others have caught up: writing went on with them.
@@ -172,7 +172,7 @@ impl Run {
                 let _silence = calling.write().await;
                 match judge.compare(&cluster.live_uris()).await {
                     Some(differing) => divergent += differing,
-                    None => stalled.set(Some(Stall::AfterFault)),
+                    None => stalled.set(Some(Stall::After)),
                 }
             }
         }

@@ -137,7 +137,7 @@ fn a_refusal_amid_an_insert_of_many_rows_loses_no_id_and_is_logged() {
     assert_eq!((source.reason(), ids.len()), (Some("QUOTA_EXCEEDED"), done));
     let stored = content(&Index::remote(&server.uri, "arm").open().unwrap());
     assert!(stored.keys().eq(&ids[..stored.len()]));
-    assert!(0 < stored.len() && stored.len() < done);
+    assert!(!stored.is_empty() && stored.len() < done);
     assert_eq!(index.pending(), 0);
     let (line, unsent) = (logged_by_drop(index), done - stored.len());
     assert!(

@@ -17,51 +17,138 @@ struct Outcomes {
     refused: usize,
 }
 
+/// A caller.
+#[derive(Debug)]
+struct Caller {
+    /// The work of each of its calls, and what is left of the one under way.
+    work: Duration,
+    left: Duration,
+    /// The time at which it asks next, and that at which it asked.
+    asks_at: Option<Duration>,
+    asked_at: Duration,
+    /// True if it asks again once it has an answer.
+    goes_on: bool,
+    /// The times until its calls ended.
+    times: Vec<Duration>,
+    refused: usize,
+}
+
+impl Caller {
+    fn new(work: Duration, asks_at: Duration, goes_on: bool) -> Self {
+        Self {
+            work,
+            left: work,
+            asks_at: Some(asks_at),
+            asked_at: Duration::ZERO,
+            goes_on,
+            times: Vec::new(),
+            refused: 0,
+        }
+    }
+
+    fn end(&mut self, at: Duration) {
+        self.times.push(at - self.asked_at);
+        self.left = self.work;
+        self.asks_at = self.goes_on.then_some(at);
+    }
+
+    fn refuse(&mut self, at: Duration) {
+        self.refused += 1;
+        self.asks_at = self.goes_on.then_some(at + TARGET);
+    }
+}
+
+/// Lets callers ask for a time, and polls their calls in slices. The next call goes over the next of `flows`, or each caller
+/// has a flow of its own if there are none.
+fn run(mut callers: Vec<Caller>, flows: u64, slice: Duration, time: Duration) -> Vec<Caller> {
+    let turns = Turns::new(1, TARGET, BURST);
+    let own: Vec<FlowNumber> = callers.iter().map(|_| turns.open()).collect();
+    let shared: Vec<FlowNumber> = (0..flows).map(|_| turns.open()).collect();
+    let mut next_flow = shared.iter().cycle();
+    let (began, mut at) = (Instant::now(), Duration::ZERO);
+    let mut computing: VecDeque<(usize, Turn)> = VecDeque::new();
+    let mut waiting: Vec<(usize, oneshot::Receiver<Granted>)> = Vec::new();
+    while at < time {
+        let next = computing.pop_front();
+        let asking = callers.iter().enumerate();
+        let asking = asking.filter_map(|(number, caller)| Some((caller.asks_at?, number)));
+        let mut asking: Vec<_> = asking.collect();
+        asking.sort();
+        at = match (&next, asking.first()) {
+            (Some((number, _)), _) => at + callers[*number].left.min(slice),
+            (None, Some((asks_at, _))) => at.max(*asks_at),
+            (None, None) => break,
+        };
+        // Calls that come during the slice come before its end.
+        for (asks_at, number) in asking.into_iter().take_while(|(asks_at, _)| *asks_at <= at) {
+            let caller = &mut callers[number];
+            (caller.asked_at, caller.asks_at) = (asks_at, None);
+            let flow = next_flow.next().copied().unwrap_or(own[number]);
+            match turns.request(flow, Stage::New, Duration::ZERO, began + asks_at) {
+                Ok(TurnRequest::Granted(turn)) => computing.push_back((number, turn)),
+                Ok(TurnRequest::Waits(granted)) => waiting.push((number, granted)),
+                Err(Overloaded(_)) => caller.refuse(asks_at),
+            }
+        }
+        if let Some((number, mut turn)) = next {
+            let caller = &mut callers[number];
+            let took = caller.left.min(slice);
+            caller.left -= took;
+            if caller.left.is_zero() {
+                turn.turns = None;
+                turns.release(turn.flow, turn.size, took, began + at);
+                caller.end(at);
+            } else {
+                let stage = match caller.work - caller.left < MAX_WHOLE {
+                    true => Stage::Begun,
+                    false => Stage::Resumed,
+                };
+                match turns.yield_turn(turn, took, stage, began + at) {
+                    TurnRequest::Granted(turn) => computing.push_back((number, turn)),
+                    TurnRequest::Waits(granted) => waiting.push((number, granted)),
+                }
+            }
+        }
+        waiting.retain_mut(|(number, granted)| match granted.try_recv() {
+            Ok(Ok(turn)) => {
+                computing.push_back((*number, turn));
+                false
+            }
+            Ok(Err(Overloaded(_))) => {
+                callers[*number].refuse(at);
+                false
+            }
+            Err(_) => true,
+        });
+    }
+    callers
+}
+
 /// The outcomes of calls that take `work` each and come at `arrivals` after the begin, over [`FLOWS`] flows in turn.
 fn simulate(work: Duration, mut arrivals: Vec<Duration>) -> Outcomes {
     arrivals.sort();
-    let turns = Turns::new(1, TARGET, BURST);
-    let flows: Vec<FlowNumber> = (0..FLOWS).map(|_| turns.open()).collect();
-    let began = Instant::now();
-    let mut outcomes = Outcomes::default();
-    let mut coming = arrivals.iter().zip(flows.iter().cycle()).peekable();
-    let mut waiting: Vec<(Duration, oneshot::Receiver<Granted>)> = Vec::new();
-    let mut computing: Option<(Turn, Duration)> = None;
-    loop {
-        let end = computing.as_ref().map(|(_, end)| *end);
-        let next = coming.next_if(|(at, _)| end.is_none_or(|end| **at < end));
-        if let Some((&at, &flow)) = next {
-            match turns.request(flow, Stage::New, Duration::ZERO, began + at) {
-                Ok(TurnRequest::Granted(turn)) => {
-                    outcomes.waits.push(Duration::ZERO);
-                    computing = Some((turn, at + work));
-                }
-                Ok(TurnRequest::Waits(granted)) => waiting.push((at, granted)),
-                Err(Overloaded(_)) => outcomes.refused += 1,
-            }
-        } else if let Some((mut turn, at)) = computing.take() {
-            let turns = turn.turns.take().unwrap();
-            turns.release(turn.flow, turn.size, work, began + at);
-            waiting.retain_mut(|(since, granted)| match granted.try_recv() {
-                Ok(Ok(turn)) => {
-                    outcomes.waits.push(at - *since);
-                    computing = Some((turn, at + work));
-                    false
-                }
-                Ok(Err(Overloaded(_))) => {
-                    outcomes.refused += 1;
-                    false
-                }
-                Err(_) => true,
-            });
-        } else {
-            break;
-        }
-    }
-    assert!(waiting.is_empty());
+    let caller = |at: &Duration| Caller::new(work, *at, false);
+    let callers = arrivals.iter().map(caller).collect();
+    let callers = run(callers, FLOWS, work, Duration::MAX);
+    let ended = callers.iter().flat_map(|caller| &caller.times);
+    let mut outcomes = Outcomes {
+        waits: ended.map(|time| *time - work).collect(),
+        refused: callers.iter().map(|caller| caller.refused).sum(),
+    };
     assert_eq!(outcomes.waits.len() + outcomes.refused, arrivals.len());
     outcomes.waits.sort();
     outcomes
+}
+
+/// Callers that always ask for these times of work, in slices.
+fn closed_loop(works: &[Duration], flows: u64, time: Duration) -> Vec<Caller> {
+    let caller = |work: &Duration| Caller::new(*work, Duration::ZERO, true);
+    run(
+        works.iter().map(caller).collect(),
+        flows,
+        Duration::from_micros(500),
+        time,
+    )
 }
 
 /// The arrivals of calls at equal distances for a time.
@@ -121,99 +208,6 @@ fn load_that_ends_is_forgotten() {
     assert!(overload.refused > 0);
     let both = simulate(9 * MS, arrivals);
     assert_eq!(both.refused, overload.refused);
-}
-
-/// A caller that asks again as soon as it has an answer.
-#[derive(Debug)]
-struct Caller {
-    flow: FlowNumber,
-    /// The work of each of its calls, and what is left of the one under way.
-    work: Duration,
-    left: Duration,
-    /// The time at which it asks next, and that at which it asked.
-    asks_at: Option<Duration>,
-    asked_at: Duration,
-    /// The times until its calls ended.
-    times: Vec<Duration>,
-    refused: usize,
-}
-
-/// Callers in a closed loop, whose calls take these times, in slices. The next call goes over the next flow, or each caller
-/// has a flow of its own if there are none given.
-fn closed_loop(works: &[Duration], flows: usize, time: Duration) -> Vec<Caller> {
-    const SLICE: Duration = Duration::from_micros(500);
-    let turns = Turns::new(1, TARGET, BURST);
-    let shared: Vec<FlowNumber> = (0..flows).map(|_| turns.open()).collect();
-    let mut next_flow = shared.iter().cycle();
-    let caller = |&work| Caller {
-        flow: turns.open(),
-        work,
-        left: work,
-        asks_at: Some(Duration::ZERO),
-        asked_at: Duration::ZERO,
-        times: Vec::new(),
-        refused: 0,
-    };
-    let mut callers: Vec<Caller> = works.iter().map(caller).collect();
-    let (began, mut at) = (Instant::now(), Duration::ZERO);
-    let mut computing: VecDeque<(usize, Turn)> = VecDeque::new();
-    let mut waiting: Vec<(usize, oneshot::Receiver<Granted>)> = Vec::new();
-    while at < time {
-        for (number, caller) in callers.iter_mut().enumerate() {
-            let Some(asks_at) = caller.asks_at.take_if(|asks_at| *asks_at <= at) else {
-                continue;
-            };
-            caller.asked_at = asks_at;
-            caller.flow = next_flow.next().copied().unwrap_or(caller.flow);
-            match turns.request(caller.flow, Stage::New, Duration::ZERO, began + asks_at) {
-                Ok(TurnRequest::Granted(turn)) => computing.push_back((number, turn)),
-                Ok(TurnRequest::Waits(granted)) => waiting.push((number, granted)),
-                Err(Overloaded(_)) => caller.refuse(at),
-            }
-        }
-        if let Some((number, mut turn)) = computing.pop_front() {
-            let caller = &mut callers[number];
-            let took = caller.left.min(SLICE);
-            at += took;
-            caller.left -= took;
-            if caller.left.is_zero() {
-                turn.turns = None;
-                turns.release(turn.flow, turn.size, took, began + at);
-                caller.times.push(at - caller.asked_at);
-                (caller.left, caller.asks_at) = (caller.work, Some(at));
-            } else {
-                let stage = match caller.work - caller.left < MAX_WHOLE {
-                    true => Stage::Begun,
-                    false => Stage::Resumed,
-                };
-                match turns.yield_turn(turn, took, stage, began + at) {
-                    TurnRequest::Granted(turn) => computing.push_back((number, turn)),
-                    TurnRequest::Waits(granted) => waiting.push((number, granted)),
-                }
-            }
-        } else {
-            at += SLICE;
-        }
-        waiting.retain_mut(|(number, granted)| match granted.try_recv() {
-            Ok(Ok(turn)) => {
-                computing.push_back((*number, turn));
-                false
-            }
-            Ok(Err(Overloaded(_))) => {
-                callers[*number].refuse(at);
-                false
-            }
-            Err(_) => true,
-        });
-    }
-    callers
-}
-
-impl Caller {
-    fn refuse(&mut self, at: Duration) {
-        self.refused += 1;
-        self.asks_at = Some(at + TARGET);
-    }
 }
 
 #[test]

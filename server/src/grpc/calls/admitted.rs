@@ -1,12 +1,14 @@
 //! A call that may wait for its turns: its request arrives, and then it is answered.
 
-use std::{convert::Infallible, future::poll_fn, pin::Pin, sync::Arc, task::Poll, time::Instant};
+use std::{
+    convert::Infallible, future::poll_fn, mem, pin::Pin, sync::Arc, task::Poll, time::Instant,
+};
 
+use bytes::Bytes;
 use http::{Request, Response};
 use http_body::Body as HttpBody;
-use http_body_util::BodyExt;
+use http_body_util::Full;
 use tonic::{Status, body::Body};
-use tower::Service;
 
 use crate::{
     admission::HeldBytes,
@@ -14,10 +16,10 @@ use crate::{
         body::AnswerFrame,
         connections::Activity,
         refusals,
-        request_body::{RequestBody, RequestLimits},
+        request_body::{HEADER_BYTES, RequestBody, RequestLimits},
     },
-    service::Call,
-    status,
+    service::{Call, Service},
+    status, verbs,
 };
 
 /// A call that may wait for its turns.
@@ -29,15 +31,18 @@ pub(super) struct Admitted<S> {
     pub(super) call: Call,
     /// True if its request is a stream.
     pub(super) is_stream: bool,
+    pub(super) service: Service,
+    /// The request, unless it is a stream.
+    pub(super) whole: Bytes,
 }
 
 impl<S> Admitted<S>
 where
-    S: Service<Request<Body>, Response = Response<Body>, Error = Infallible>,
+    S: tower::Service<Request<Body>, Response = Response<Body>, Error = Infallible>,
 {
     /// Receives the request.
     pub(super) async fn receive(
-        self,
+        mut self,
         mut request: Request<Body>,
     ) -> Result<(Self, Request<Body>), Status> {
         request.extensions_mut().insert(self.call.clone());
@@ -48,10 +53,13 @@ where
         let (parts, body) = request.into_parts();
         let held = Arc::clone(&self.held);
         let (is_stream, arrived) = (self.is_stream, self.arrived);
-        let body = RequestBody::new(body, &self.limits, held, activity, is_stream, arrived);
+        let body = RequestBody::new(body, self.limits, held, activity, is_stream, arrived);
         let body = match self.is_stream {
             true => Body::new(body),
-            false => Body::new(body.collect().await.map_err(unless_left)?),
+            false => {
+                self.whole = body.whole().await.map_err(unless_left)?;
+                Body::new(Full::new(self.whole.clone()))
+            }
         };
         Ok((self, Request::from_parts(parts, body)))
     }
@@ -64,11 +72,17 @@ where
         if !self.held.has_room() {
             return Err(status::too_many_bytes(self.held.flow().max_bytes()).into());
         }
+        let whole = mem::take(&mut self.whole);
+        let message = whole.get(HEADER_BYTES..).unwrap_or_default();
+        if let Err(error) = verbs::check_fields(message, self.service.limits()) {
+            return Err(status::from_error(&error).into());
+        }
+        drop(whole);
         let response = match self.inner.call(request).await {
             Ok(response) => response,
             Err(never) => match never {},
         };
-        let mut response = refusals::rewrite(response, self.limits.max_message_bytes);
+        let mut response = refusals::rewrite(response, self.limits.message);
         let body = response.body_mut();
         let first = poll_fn(|context| Poll::Ready(Pin::new(&mut *body).poll_frame(context)));
         let made = match first.await {

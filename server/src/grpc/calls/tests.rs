@@ -50,6 +50,16 @@ async fn call(
     answer.unwrap()
 }
 
+#[test]
+fn more_headers_than_usual_count() {
+    let headers = |count| {
+        let names = (0..count).map(|number| format!("h{number}").parse().unwrap());
+        names.map(|name: header::HeaderName| (name, "".parse().unwrap()))
+    };
+    assert_eq!(call_bytes(&headers(10).collect()), CALL_BYTES);
+    assert!(call_bytes(&headers(240).collect()) > CALL_BYTES + 20_000);
+}
+
 #[tokio::test]
 async fn a_call_that_panics_is_a_bug_and_frees_its_place_and_turn() {
     let (shared, under_way) = (shared(), TaskTracker::new());

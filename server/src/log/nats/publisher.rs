@@ -20,7 +20,7 @@ use bytes::Bytes;
 use tokio::{
     runtime::Handle,
     sync::{mpsc, oneshot},
-    time::{Instant, interval, sleep, timeout, timeout_at},
+    time::{Instant, interval, sleep_until, timeout, timeout_at},
 };
 use tracing::debug;
 use uuid::Uuid;
@@ -216,7 +216,7 @@ impl Task {
                     if connection::code(&error)
                         == Some(ErrorCode::STREAM_WRONG_LAST_SEQUENCE_CONSTANT) =>
                 {
-                    sleep(Duration::from_millis(repeat)).await;
+                    sleep_until(Instant::now() + Duration::from_millis(repeat)).await;
                 }
                 _ => {
                     debug!(uid = %self.uid, %error, "no acknowledgement from NATS");

@@ -172,6 +172,22 @@ async fn every_verb_answers_a_good_request() {
     }
 }
 
+/// Empty payloads of an insert, and empty spaces of a new index.
+#[tokio::test]
+async fn requests_that_grow_by_decoding_are_refused_before_it() {
+    let (service, _) = two_points().await;
+    for (key, field, count) in [("arm/insert", 0x2a, 401_000), ("create", 0x12, 600_000)] {
+        let request = Request {
+            form: Form::Protobuf,
+            index: "arm",
+            parameters: Vec::new(),
+            payload: [field, 0].repeat(count).into(),
+        };
+        let refused = answer(&service, key, &request).await.unwrap_err();
+        assert!(matches!(refused, Error::LimitExceeded { .. }), "{refused}");
+    }
+}
+
 #[test]
 fn a_long_timeout_counts_as_a_minute() {
     let now = Instant::now();

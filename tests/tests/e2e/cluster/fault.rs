@@ -64,9 +64,9 @@ pub(super) enum Needs {
 /// The part of a round in which writing stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stall {
-    BeforeFault,
-    UnderFault,
-    AfterFault,
+    Before,
+    Under,
+    After,
 }
 
 impl Fault {
@@ -141,7 +141,7 @@ impl Fault {
     pub(super) fn excuses(self, stall: Stall, of: usize, damaged: &BTreeSet<usize>) -> bool {
         // A cut chooses its server of NATS itself.
         let is_other = |it: &usize| *it != of || self.needs() == Needs::Network;
-        stall == Stall::UnderFault && self.takes_nats() && damaged.iter().any(is_other)
+        stall == Stall::Under && self.takes_nats() && damaged.iter().any(is_other)
     }
 
     /// The faults of a list of their names, or of one of the words `plain` (without root), `disks`, `partitions`, `all`.
@@ -179,13 +179,13 @@ pub(super) fn jump(random: &mut impl Rng) -> i64 {
 fn only_a_stall_under_a_fault_that_takes_a_majority_is_excused() {
     let damaged = BTreeSet::from([1]);
     for fault in Fault::ALL {
-        for stall in [Stall::BeforeFault, Stall::AfterFault] {
+        for stall in [Stall::Before, Stall::After] {
             assert!(!fault.excuses(stall, 0, &damaged), "{fault:?}");
         }
-        assert!(!fault.excuses(Stall::UnderFault, 0, &BTreeSet::new()));
+        assert!(!fault.excuses(Stall::Under, 0, &BTreeSet::new()));
         let takes_nats = fault.takes_nats();
-        assert_eq!(fault.excuses(Stall::UnderFault, 0, &damaged), takes_nats);
+        assert_eq!(fault.excuses(Stall::Under, 0, &damaged), takes_nats);
     }
-    assert!(!Fault::KillNats.excuses(Stall::UnderFault, 1, &damaged));
-    assert!(Fault::CutNats.excuses(Stall::UnderFault, 1, &damaged));
+    assert!(!Fault::KillNats.excuses(Stall::Under, 1, &damaged));
+    assert!(Fault::CutNats.excuses(Stall::Under, 1, &damaged));
 }

@@ -1,0 +1,86 @@
+//! The connections that make room for others.
+
+use std::pin::pin;
+
+use futures_util::poll;
+use tokio::time::advance;
+
+use super::*;
+use crate::config::Config;
+
+/// Two connections fill the table. Each has a stream: one is silent, over the other an answer leaves now and then.
+#[tokio::test(start_paused = true)]
+async fn a_silent_stream_makes_room_only_after_its_time() {
+    let admission = Admission::new(&Config::default().admission, 1, 0);
+    let connections = Connections::new(2, 1, admission);
+    let cuts = [CancellationToken::new(), CancellationToken::new()];
+    let silent = connections.open(None, cuts[0].clone()).await;
+    let live = connections.open(None, cuts[1].clone()).await;
+    let _streams = [silent.activity().begin(), live.activity().begin()];
+    let mut third = pin!(connections.open(None, CancellationToken::new()));
+    let step = MAX_SILENCE / 10;
+    for _ in 0..9 {
+        assert!(poll!(third.as_mut()).is_pending());
+        assert!(!cuts[0].is_cancelled());
+        drop(live.activity().send());
+        advance(step).await;
+    }
+    advance(step).await;
+    assert!(poll!(third.as_mut()).is_pending());
+    assert!(cuts[0].is_cancelled() && !cuts[1].is_cancelled());
+    drop(silent);
+    third.await;
+    assert!(!cuts[1].is_cancelled());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_cut_connection_that_does_not_end_is_not_the_only_one_cut() {
+    let admission = Admission::new(&Config::default().admission, 1, 0);
+    let connections = Connections::new(2, 1, admission);
+    let cuts = [CancellationToken::new(), CancellationToken::new()];
+    let _first = connections.open(None, cuts[0].clone()).await;
+    let _second = connections.open(None, cuts[1].clone()).await;
+    let third = connections.open(None, CancellationToken::new());
+    assert!(timeout(10 * MIN_IDLE, third).await.is_err());
+    assert!(cuts.iter().all(CancellationToken::is_cancelled));
+}
+
+/// Two networks fill the table with calls that are never silent.
+#[tokio::test(start_paused = true)]
+async fn the_network_with_the_most_connections_makes_room() {
+    let admission = Admission::new(&Config::default().admission, 1, 0);
+    let connections = Connections::new(5, 1, admission);
+    let peers = [
+        "192.0.2.1:1",
+        "192.0.2.1:2",
+        "[2001:db8::1]:1",
+        "[2001:db8::2]:1",
+        "[2001:db8::3]:1",
+    ];
+    let mut open = Vec::new();
+    for peer in peers {
+        let cut = CancellationToken::new();
+        let place = connections.open(peer.parse().ok(), cut.clone()).await;
+        let call = place.activity().begin();
+        open.push((place, call, cut));
+    }
+    // The first of the three has called last.
+    drop(open[2].0.activity().begin());
+    let mut newcomer = pin!(connections.open(None, CancellationToken::new()));
+    let is_cut = |open: &[(Open, _, CancellationToken)]| {
+        let cut = open.iter().map(|(.., cut)| cut.is_cancelled());
+        cut.collect::<Vec<_>>()
+    };
+    for _ in 0..10 {
+        assert!(poll!(newcomer.as_mut()).is_pending());
+        assert_eq!(is_cut(&open), [false; 5]);
+        for (place, ..) in &open {
+            place.activity().note_arrival();
+        }
+        advance(MIN_IDLE).await;
+    }
+    assert!(poll!(newcomer.as_mut()).is_pending());
+    assert_eq!(is_cut(&open), [false, false, false, true, false]);
+    drop(open.remove(3));
+    newcomer.await;
+}

@@ -1,0 +1,77 @@
+//! Bounds on requests before they are decoded: a message without content takes two bytes as it is sent, and up to a hundred
+//! once it is decoded.
+
+use prost::encoding::{DecodeContext, decode_key, skip_field};
+
+use crate::service::{Error, Limits};
+
+/// The most bytes of a request on indices, except for the parts of a snapshot: a space may have any number of terms.
+pub(crate) const MAX_INDEX_REQUEST_BYTES: usize = 1024 * 1024;
+
+/// The most columns of a request: a client may send each of their values as a field.
+const COLUMNS: usize = 4;
+
+/// The most fields beside these.
+const OTHER_FIELDS: usize = 64;
+
+/// Refuses an encoded message that has more fields than the columns of a call with as many rows as it may have.
+pub(crate) fn check_fields(mut message: &[u8], limits: &Limits) -> Result<(), Error> {
+    let (limit, value) = match limits.max_ids_per_call > limits.max_rows_per_call {
+        true => ("max_ids_per_call", limits.max_ids_per_call),
+        false => ("max_rows_per_call", limits.max_rows_per_call),
+    };
+    let most = value.saturating_mul(COLUMNS).saturating_add(OTHER_FIELDS);
+    let mut fields = 0;
+    // The decoder refuses what is malformed, and reads nothing behind it.
+    while let Ok((number, wire_type)) = decode_key(&mut message)
+        && skip_field(wire_type, number, &mut message, DecodeContext::default()).is_ok()
+    {
+        fields += 1;
+        if fields > most {
+            return Err(Error::LimitExceeded {
+                limit,
+                value: value as u64,
+                requested: (fields / COLUMNS) as u64,
+                advice: "split the rows over several calls",
+            });
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use bytes::Bytes;
+    use prost::Message;
+    use wayfold_proto::v1;
+
+    use super::*;
+
+    #[test]
+    fn empty_payloads_are_counted_before_they_are_decoded() {
+        let limits = Limits {
+            max_rows_per_call: 10,
+            max_ids_per_call: 10,
+            ..Limits::default()
+        };
+        let insert = |payloads| v1::InsertRequest {
+            payloads: vec![Bytes::new(); payloads],
+            ..Default::default()
+        };
+        let check = |message: &[u8]| check_fields(message, &limits);
+        let most = 10 * COLUMNS + OTHER_FIELDS;
+        check(&insert(most).encode_to_vec()).unwrap();
+        let refused = check(&insert(most + 1).encode_to_vec());
+        assert!(matches!(
+            refused,
+            Err(Error::LimitExceeded { value: 10, .. })
+        ));
+        // They count behind other fields too.
+        let write = v1::WriteRequest {
+            index_name: "line".into(),
+            payloads: insert(most + 1).payloads,
+            ..Default::default()
+        };
+        assert!(check(&write.encode_to_vec()).is_err());
+    }
+}
