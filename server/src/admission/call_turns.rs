@@ -65,8 +65,8 @@ impl CallTurns {
         }
     }
 
-    /// The same for a call that is not refused: it waits as one that has begun.
-    pub(super) fn unrefused(self) -> Self {
+    /// The same for a request of a stream that has begun.
+    pub(super) fn of_stream(self) -> Self {
         Self {
             stage: Stage::Resumed,
             ..self

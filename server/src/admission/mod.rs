@@ -178,7 +178,10 @@ impl Flow {
     fn new(admission: &Admission, all: &Arc<ByteBudget>, admin: Option<Arc<Flow>>) -> Self {
         Self {
             others: Arc::clone(&admission.others),
-            number: admission.turns.open(),
+            number: match admin {
+                Some(_) => admission.turns.open(),
+                None => admission.turns.open_patient(),
+            },
             turns: Arc::clone(&admission.turns),
             all: Arc::clone(all),
             own: ByteBudget::new(admission.share),
@@ -251,16 +254,12 @@ impl Flow {
     /// The turns of a call. One of administration waits, and is not refused for it.
     pub(crate) fn turns(self: &Arc<Self>) -> CallTurns {
         self.calls.fetch_add(1, Relaxed);
-        let turns = CallTurns::new(Arc::clone(self));
-        match self.admin {
-            Some(_) => turns,
-            None => turns.unrefused(),
-        }
+        CallTurns::new(Arc::clone(self))
     }
 
     /// The turns of a request of a stream that has begun: it waits, and is not refused for it.
     pub(crate) fn turns_of_stream(self: &Arc<Self>) -> CallTurns {
-        self.turns().unrefused()
+        self.turns().of_stream()
     }
 }
 
@@ -366,11 +365,17 @@ mod tests {
         let flow = admission.open();
         let mut busy = flow.turns();
         busy.request().unwrap();
-        let (mut other, mut list) = (flow.turns(), flow.admin().turns());
-        let (mut other, mut list) = (pin!(other.run(async {})), pin!(list.run(async {})));
-        assert!(poll!(other.as_mut()).is_pending() && poll!(list.as_mut()).is_pending());
+        let admin = flow.admin();
+        let (mut other, mut list, mut create) = (flow.turns(), admin.turns(), admin.turns());
+        let mut other = pin!(other.run(async {}));
+        let (mut list, mut create) = (pin!(list.run(async {})), pin!(create.run(async {})));
+        assert!(poll!(other.as_mut()).is_pending());
+        assert!(poll!(list.as_mut()).is_pending() && poll!(create.as_mut()).is_pending());
         drop(busy);
         assert!(other.await.is_err());
+        // The first that came goes first.
+        assert!(poll!(create.as_mut()).is_pending());
         list.await.unwrap();
+        create.await.unwrap();
     }
 }

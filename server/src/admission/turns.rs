@@ -115,11 +115,12 @@ impl Turns {
 
     /// Adds a flow, which is to be [closed](Self::close).
     pub(super) fn open(&self) -> FlowNumber {
-        let mut state = self.state.lock();
-        let number = state.next_flow;
-        state.next_flow += 1;
-        state.flows.insert(number, Flow::default());
-        number
+        self.state.lock().open(false)
+    }
+
+    /// The same for calls that are not refused for their wait.
+    pub(super) fn open_patient(&self) -> FlowNumber {
+        self.state.lock().open(true)
     }
 
     /// Removes a flow whose calls have ended.
@@ -148,7 +149,8 @@ impl Turns {
             // The flow's calls already wait for too long; one more is refused now instead of later.
             let wait = state.flows.get(&flow).map_or(Duration::ZERO, Flow::wait);
             let (limit, stands) = self.limit(&mut state, behind, now);
-            if stands && (behind > limit || 2 * wait > limit) {
+            let is_late = behind > limit || 2 * wait > limit;
+            if stands && is_late && !state.is_patient(flow) {
                 self.refuse(&mut state, now);
                 return Err(self.overloaded());
             }
@@ -234,7 +236,7 @@ impl Turns {
                 }
                 _ => self.burst,
             };
-            let is_late = next.stage == Stage::New && wait > limit;
+            let is_late = next.stage == Stage::New && wait > limit && !state.is_patient(flow);
             if is_late {
                 self.refuse(&mut state, now);
             }

@@ -63,11 +63,15 @@ pub(crate) fn incoming(
     stream::unfold(
         (listener, connections, tls, cut),
         async |(listener, connections, tls, cut)| {
-            let socket = accept(&listener, &cut).await;
-            // A child token: all connections would contend for the lock of a shared one.
-            let own_cut = cut.child_token();
-            let open = connections.open(socket.peer_addr().ok(), own_cut.clone());
-            let open = open.await;
+            let (socket, own_cut, open) = loop {
+                let socket = accept(&listener, &cut).await;
+                // A child token: all connections would contend for the lock of a shared one.
+                let own_cut = cut.child_token();
+                let open = connections.open(socket.peer_addr().ok(), own_cut.clone());
+                if let Some(open) = open.await {
+                    break (socket, own_cut, open);
+                }
+            };
             let connection = Connection {
                 socket: Tls::accept(tls.as_ref(), socket, Some(open.activity().client())),
                 open,

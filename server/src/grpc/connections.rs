@@ -3,8 +3,8 @@
 //! A client that only holds connections cannot lock others out: once all places are taken, a new connection gets the
 //! place of one without a call under way. Connections that never made a call go first, then those whose last call is
 //! the longest ago. If all others have calls, the one that has been silent for the longest time goes, such as one with an
-//! idle stream. If none is silent either, one of the network that has the most connections goes after a while. A client
-//! reconnects at its next call. Health and reflection are no calls of this kind.
+//! idle stream. If none is silent either, one of the network that has the most connections goes after a while, or the new
+//! one if it is of that network. A client reconnects at its next call. Health and reflection are no calls of this kind.
 
 use std::{
     cmp::Reverse,
@@ -127,13 +127,14 @@ impl Connections {
         })
     }
 
-    /// Waits for a place, which an idle connection gives up if there is no other. `cut` ends the connection.
+    /// Waits for a place, which an idle connection gives up if there is no other. None if its network has the most
+    /// connections, and none of them can be given up. `cut` ends the connection.
     pub(super) async fn open(
         self: &Arc<Self>,
         peer: Option<SocketAddr>,
         cut: CancellationToken,
-    ) -> Open {
-        let place = self.place().await;
+    ) -> Option<Open> {
+        let place = self.place(peer).await?;
         let number = self.events.fetch_add(1, SeqCst);
         let state = Arc::new(State {
             calls: AtomicUsize::new(0),
@@ -153,27 +154,30 @@ impl Connections {
         });
         self.open.lock().insert(number, Arc::clone(&state));
         let connections = Arc::clone(self);
-        Open {
+        Some(Open {
             number,
             activity: Activity { connections, state },
             _place: place,
-        }
+        })
     }
 
-    async fn place(&self) -> OwnedSemaphorePermit {
+    async fn place(&self, peer: Option<SocketAddr>) -> Option<OwnedSemaphorePermit> {
         let mut began = Instant::now();
         loop {
             if let Ok(place) = Arc::clone(&self.places).try_acquire_owned() {
-                return place;
+                return Some(place);
             }
-            if self.give_one_up() || began.elapsed() >= MAX_WAIT && self.give_up_of_many() {
+            if self.give_one_up() {
+                began = Instant::now();
+            } else if began.elapsed() >= MAX_WAIT {
+                self.give_up_of_many(peer.map(network))?;
                 began = Instant::now();
             }
             // The place of the connection that was given up, or of another that ends. If none ends in time, the next one
             // is given up.
             let free = Arc::clone(&self.places).acquire_owned();
             if let Ok(Ok(place)) = timeout(MIN_IDLE, free).await {
-                return place;
+                return Some(place);
             }
         }
     }
@@ -206,7 +210,8 @@ impl Connections {
     }
 
     /// Gives up a connection of the network that has the most, two at least: the one whose last call is the longest ago.
-    fn give_up_of_many(&self) -> bool {
+    /// None if that is the network of the `newcomer`.
+    fn give_up_of_many(&self, newcomer: Option<IpAddr>) -> Option<()> {
         let open = self.open.lock();
         let mut networks: HashMap<IpAddr, (usize, Reverse<u64>, &State)> = HashMap::new();
         for state in open.values().filter(|state| !state.cut.is_cancelled()) {
@@ -219,14 +224,17 @@ impl Connections {
             }
         }
         let most = networks
-            .into_values()
-            .max_by_key(|(count, first, _)| (*count, *first));
-        let Some((_, _, state)) = most.filter(|(count, ..)| *count > 1) else {
-            return false;
-        };
-        debug!(peer = ?state.peer, "a connection of the network that has the most makes room for another");
-        state.cut.cancel();
-        true
+            .into_iter()
+            .max_by_key(|(_, (count, first, _))| (*count, *first));
+        if let Some((network, (_, _, state))) = most.filter(|(_, (count, ..))| *count > 1) {
+            if newcomer == Some(network) {
+                debug!(%network, "a connection of the network that has the most is refused");
+                return None;
+            }
+            debug!(peer = ?state.peer, "a connection of the network that has the most makes room for another");
+            state.cut.cancel();
+        }
+        Some(())
     }
 
     /// Cuts each connection whose client reads nothing of its answers for `most`.

@@ -66,9 +66,9 @@ pub enum GrpcError {
 /// The calls of a connection that may be cancelled before the server looks at them; one more cuts it.
 const MAX_PENDING_RESETS: usize = 2_048;
 
-/// The most bytes of a call's headers, as HTTP/2 counts them: stock clients send no more. Kept apart, short headers take
-/// several times as many.
-const MAX_HEADER_BYTES: u32 = 8 * 1024;
+/// The most bytes of a call's headers, as HTTP/2 counts them: the 8 KiB that W3C allows for baggage, and as many for a token.
+/// Kept apart, short headers take several times as many.
+const MAX_HEADER_BYTES: u32 = 16 * 1024;
 
 /// The largest request for health or reflection. Strangers may send them, and no budget counts their bytes.
 const MAX_OPEN_REQUEST_BYTES: usize = 4 * 1024;

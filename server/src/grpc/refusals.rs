@@ -12,7 +12,7 @@ use super::deadline::{self, MalformedTimeout};
 use crate::{
     service::{Error, Unavailability, Violation},
     status::{Status as Refusal, busy, from_error, limit},
-    verbs::MAX_INDEX_REQUEST_BYTES,
+    verbs::{MAX_INDEX_REQUEST_BYTES, SMALL_SPACE},
 };
 
 const MAX_MESSAGE_BYTES: &str = "grpc.max_message_bytes";
@@ -91,6 +91,10 @@ pub(crate) fn headers(refusal: Refusal) -> HeaderMap {
 
 /// The refusal of a request message above the limit.
 pub(crate) fn too_large(MessageLimit { name, bytes }: MessageLimit, advice: &str) -> Refusal {
+    let advice = match name {
+        MAX_INDEX_REQUEST => SMALL_SPACE,
+        _ => advice,
+    };
     let message = format!("the request message exceeds the limit {name} = {bytes}: {advice}");
     limit("LIMIT_EXCEEDED", message, name, bytes)
 }

@@ -164,13 +164,13 @@ impl HttpBody for RequestBody {
 
 /// The progress within the length-prefixed messages of gRPC.
 #[derive(Debug, Default)]
-pub(super) struct Messages {
+struct Messages {
     /// The messages that are whole.
-    pub(super) ended: u64,
+    ended: u64,
     /// The bytes of the next one so far, its header included.
     unfinished: usize,
     /// Its length without the header, as far as it is known.
-    pub(super) length: usize,
+    length: usize,
 }
 
 impl Messages {
@@ -179,7 +179,7 @@ impl Messages {
         self.unfinished == 0
     }
 
-    pub(super) fn advance(&mut self, mut bytes: &[u8]) {
+    fn advance(&mut self, mut bytes: &[u8]) {
         while !bytes.is_empty() {
             if self.unfinished < HEADER_BYTES {
                 let byte = usize::from(bytes.get_u8());

@@ -13,7 +13,10 @@ use super::{
 };
 use crate::service::{Call, Code, MAX_NAME_BYTES};
 
-/// The lines of calls that failed by a fault of the server: one damaged index fails all its calls.
+/// The lines of calls that found damage: a damaged index fails all its calls.
+static DAMAGE: SparseLines = SparseLines::new();
+
+/// The lines of calls that failed by another fault of the server.
 static FAULTS: SparseLines = SparseLines::new();
 
 /// The end of a call.
@@ -149,7 +152,11 @@ impl Drop for CallRecord {
             queued: self.times.as_ref().map(|(_, times)| times.queued),
         });
         let duration_us = u64::try_from(whole.as_micros()).unwrap_or(u64::MAX);
-        match code.is_fault().then(|| FAULTS.next()).flatten() {
+        let lines = match code {
+            Ending::Failed(Code::DataLoss) => &DAMAGE,
+            _ => &FAULTS,
+        };
+        match code.is_fault().then(|| lines.next()).flatten() {
             Some(left_out) => {
                 warn!(parent: &self.span, ?code, duration_us, left_out, "call failed");
             }

@@ -337,8 +337,7 @@ impl Hosted {
 
     /// Settles a record whose receipt was lost: an empty record is submitted in its place. If the journal takes that
     /// one, the lost record can never be there; if it refuses, a record is there, or the record before it is not. In both
-    /// cases the records that come from the journal decide, up to the returned revision. A refusal from the past of NATS
-    /// tells nothing.
+    /// cases the records that come from the journal decide, up to the returned revision. NATS may refuse from the past.
     async fn settle(
         self: &Arc<Self>,
         record: &Record,
@@ -373,13 +372,14 @@ impl Hosted {
                 Err(LogError::Fenced { head, .. }) if self.is_settled(previous, head).await => {
                     return Ok(head);
                 }
-                Err(LogError::Fenced { .. } | LogError::Unconfirmed { .. })
-                    if Instant::now() < until => {}
                 Err(LogError::Fenced { head, .. }) => {
                     self.journal_has(RecordPosition::START, head).await?;
-                    return Err(error.into());
                 }
+                Err(LogError::Unconfirmed { .. }) => {}
                 Err(error) => return Err(error.into()),
+            }
+            if Instant::now() >= until {
+                return Err(error.into());
             }
         }
         Ok(record.revision())

@@ -40,14 +40,16 @@ pub enum CommitOutcome {
 
 impl Hosted {
     /// Commits a mutation that was evaluated under `writer`: submits the `effects`, and returns once they are
-    /// published. Above a watermark a mutation that stores points is refused. From the first poll on the commit
-    /// completes, even if the caller drops the future.
+    /// published. Above a watermark a mutation that stores points is refused, and one that remembers a large answer.
+    /// From the first poll on the commit completes, even if the caller drops the future.
     pub async fn commit(
         self: &Arc<Self>,
         writer: WriteGuard,
         effects: Effects,
     ) -> Result<CommitOutcome, RegistryError> {
-        if !effects.stored().is_empty() {
+        // A record without effect may remember a large answer.
+        let is_large_answer = effects.is_empty() && effects.bytes() > MAX_INLINE_BYTES;
+        if !effects.stored().is_empty() || is_large_answer {
             self.host
                 .watermarks
                 .admit(STORED_COPIES * effects.bytes() as u64)?;

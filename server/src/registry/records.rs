@@ -55,9 +55,7 @@ impl Hosted {
         let mut records = match self.read(after, max_bytes).await {
             Ok(records) => records,
             // The journal has a gap that this server has passed with a copy of another one.
-            Err(RegistryError::Log(
-                LogError::JournalDamaged { uid, .. } | LogError::Damaged { uid, .. },
-            )) if !self.is_closed() => {
+            Err(RegistryError::Log(LogError::JournalDamaged { uid, .. })) if !self.is_closed() => {
                 return Err(RegistryError::Log(LogError::Trimmed {
                     uid,
                     after,

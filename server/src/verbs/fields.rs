@@ -14,13 +14,13 @@ const COLUMNS: usize = 4;
 /// The most fields beside these.
 const OTHER_FIELDS: usize = 64;
 
+/// The advice for a request above it.
+pub(crate) const SMALL_SPACE: &str = "a space has at most 256 coordinates, which need less";
+
 /// Refuses an encoded message that has more fields than the columns of a call with as many rows as it may have.
 pub(crate) fn check_fields(mut message: &[u8], limits: &Limits) -> Result<(), Error> {
-    let (limit, value) = match limits.max_ids_per_call > limits.max_rows_per_call {
-        true => ("max_ids_per_call", limits.max_ids_per_call),
-        false => ("max_rows_per_call", limits.max_rows_per_call),
-    };
-    let most = value.saturating_mul(COLUMNS).saturating_add(OTHER_FIELDS);
+    let rows = limits.max_ids_per_call.max(limits.max_rows_per_call);
+    let most = rows.saturating_mul(COLUMNS).saturating_add(OTHER_FIELDS);
     let mut fields = 0;
     // The decoder refuses what is malformed, and reads nothing behind it.
     while let Ok((number, wire_type)) = decode_key(&mut message)
@@ -29,10 +29,10 @@ pub(crate) fn check_fields(mut message: &[u8], limits: &Limits) -> Result<(), Er
         fields += 1;
         if fields > most {
             return Err(Error::LimitExceeded {
-                limit,
-                value: value as u64,
-                requested: (fields / COLUMNS) as u64,
-                advice: "split the rows over several calls",
+                limit: "message_fields",
+                value: most as u64,
+                requested: fields as u64,
+                advice: "send columns packed, or split the rows over several calls",
             });
         }
     }
@@ -64,7 +64,7 @@ mod tests {
         let refused = check(&insert(most + 1).encode_to_vec());
         assert!(matches!(
             refused,
-            Err(Error::LimitExceeded { value: 10, .. })
+            Err(Error::LimitExceeded { value: 104, .. })
         ));
         // They count behind other fields too.
         let write = v1::WriteRequest {

@@ -9,7 +9,7 @@ use prost::Name;
 
 use super::{
     codec::{Form, MAX_DYNAMIC_BYTES, invalid},
-    fields::{MAX_INDEX_REQUEST_BYTES, check_fields},
+    fields::{MAX_INDEX_REQUEST_BYTES, SMALL_SPACE, check_fields},
     verb::Verb,
 };
 use crate::{
@@ -96,7 +96,7 @@ impl<'a> Request<'a> {
                     limit: "index_request_bytes",
                     value: MAX_INDEX_REQUEST_BYTES as u64,
                     requested: self.payload.len() as u64,
-                    advice: "a space has at most 256 coordinates, which need less",
+                    advice: SMALL_SPACE,
                 })
             }
             Form::Protobuf => check_fields(&self.payload, limits),

@@ -13,13 +13,10 @@ use std::{
 use mimalloc as _;
 use tracing::{debug, warn};
 
-use super::{Resource, Usage, Watermark};
+use super::{MERGE_PARTS, Resource, Usage, Watermark};
 
 /// The root of the mounted control groups.
 const CGROUPS: &str = "/sys/fs/cgroup";
-
-/// Merges have this part of the limit at least, above the high watermark.
-const MERGE_PARTS: u64 = 16;
 
 /// The most that the use of memory grows before freed memory is given back.
 const MAX_UNRELEASED: u64 = 16 * 1024 * 1024;

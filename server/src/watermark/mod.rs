@@ -27,6 +27,9 @@ pub(crate) use memory::{limit as memory_limit, release_if_grown, release_to_os};
 /// The time between two measurements.
 const INTERVAL: Duration = Duration::from_millis(100);
 
+/// Merges have this part of the limit at least. Above the high watermark of memory there is room for it.
+const MERGE_PARTS: u64 = 16;
+
 /// The use is measured again after this many bytes were taken in.
 const MAX_UNMEASURED_BYTES: u64 = 1024 * 1024;
 
@@ -183,13 +186,14 @@ impl Watermark {
         }
     }
 
-    /// The bytes for merges: up to the limit, above the watermarks too, without those that are kept for calls. None if the
-    /// resource cannot be measured.
+    /// The bytes for merges: up to the limit, above the watermarks too, without those that are kept for calls, or their own
+    /// part if that is more: what calls hold is in the use too. None if the resource cannot be measured.
     pub fn remaining(&self) -> Option<u64> {
         let state = self.measured();
         let (_, level) = state.measured?;
-        let taken = level.used + state.added + self.reserved;
-        Some(level.limit.saturating_sub(taken))
+        let free = level.limit.saturating_sub(level.used + state.added);
+        let own = free.min(level.limit / MERGE_PARTS);
+        Some(free.saturating_sub(self.reserved).max(own))
     }
 
     /// The resource now; None if it cannot be measured.

@@ -97,7 +97,7 @@ async fn requests_that_grow_by_decoding_are_refused_before_it() {
         let status = send(&server, rpc, &empty).await.unwrap_err();
         let reason = reason(&status, Code::ResourceExhausted);
         assert_eq!(reason, "LIMIT_EXCEEDED", "{rpc}");
-        let text = "max_rows_per_call = 1000";
+        let text = "message_fields = 4064";
         assert!(status.message().contains(text), "{status}");
     }
     // As many spaces, one in the place of the other, as a megabyte has.

@@ -23,17 +23,18 @@ async fn many_headers_are_refused_and_a_long_token_is_not() {
     let mut connection = Connection::open(server.address).await;
     for method in [CHECK, "wayfold.v1.IndexService/GetServer"] {
         let mut request = connection.request_of(method);
-        for number in 0..300 {
+        for number in 0..600 {
             request = request.header(format!("h{number}"), "");
         }
         let (answer, _body) = connection.begin(request).await.unwrap();
         let refused = answer.await.unwrap().status();
         assert_eq!(refused, StatusCode::REQUEST_HEADER_FIELDS_TOO_LARGE);
     }
-    let request = connection.request("IndexService/GetServer").header(
-        header::AUTHORIZATION,
-        format!("Bearer {}", "x".repeat(6000)),
-    );
+    let token = format!("Bearer {}", "x".repeat(6000));
+    let request = connection
+        .request("IndexService/GetServer")
+        .header(header::AUTHORIZATION, token)
+        .header("baggage", "x".repeat(8192));
     let (answer, mut body) = connection.begin(request).await.unwrap();
     body.send_data(frame(&v1::GetServerRequest {}), true)
         .unwrap();
@@ -67,28 +68,37 @@ async fn few_requests_for_health_of_a_connection_are_on_their_way() {
 }
 
 #[tokio::test]
-async fn a_request_for_health_or_reflection_arrives_in_time() {
+async fn a_request_for_health_arrives_in_time() {
     let server = TestServer::start(|config| config.grpc.receive_timeout_ms = 200).await;
     let header = Bytes::from_static(&[0, 0, 0, 0, 9]);
     let whole = frame(&HealthCheckRequest::default());
-    for (method, sent) in [
-        (CHECK, Bytes::new()),
-        (CHECK, header.clone()),
-        (CHECK, whole),
-        (REFLECTION, Bytes::new()),
-        (REFLECTION, header),
-    ] {
+    for sent in [Bytes::new(), header, whole] {
         let mut connection = Connection::open(server.address).await;
-        let request = connection.request_of(method);
+        let request = connection.request_of(CHECK);
         let (answer, mut body) = connection.begin(request).await.unwrap();
         body.send_data(sent, false).unwrap();
         let late = status(answer).await.unwrap();
-        assert_eq!(
-            reason(&late, Code::ResourceExhausted),
-            "TOO_SLOW",
-            "{method}"
-        );
+        assert_eq!(reason(&late, Code::ResourceExhausted), "TOO_SLOW");
     }
+    server.stop().await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn few_streams_for_reflection_of_a_connection_are_open() {
+    let server = TestServer::start(|_| ()).await;
+    let mut connection = Connection::open(server.address).await;
+    let mut open = Vec::new();
+    for _ in 0..4 {
+        let request = connection.request_of(REFLECTION);
+        let (answer, body) = connection.begin(request).await.unwrap();
+        // Its headers come before the first request.
+        open.push((answer.await.unwrap().into_body(), body));
+    }
+    let request = connection.request_of(REFLECTION);
+    let (answer, _body) = connection.begin(request).await.unwrap();
+    let refused = status(answer).await.unwrap();
+    assert_eq!(reason(&refused, Code::ResourceExhausted), "TOO_MANY_CALLS");
+    drop(open);
     server.stop().await.unwrap().unwrap();
 }
 

@@ -4,10 +4,11 @@ use std::{
     env, fs,
     io::{BufRead, BufReader},
     process::{Child, Command, Stdio},
+    time::Duration,
 };
 
 use tempfile::TempDir;
-use tokio::runtime::Runtime;
+use tokio::{runtime::Runtime, time::timeout};
 use wayfold_server::log::{Catalogue, NatsOptions};
 
 /// A server of NATS with JetStream, on a port of its own of the loopback interface. It is killed when it is dropped.
@@ -89,6 +90,7 @@ impl Drop for NatsServer {
 pub(crate) fn until(runtime: &Runtime, catalogue: &dyn Catalogue, is_known: impl Fn() -> bool) {
     let mut changes = catalogue.changes().unwrap();
     while !is_known() {
-        runtime.block_on(changes.changed()).unwrap();
+        let change = async { timeout(Duration::from_secs(60), changes.changed()).await };
+        runtime.block_on(change).unwrap().unwrap();
     }
 }

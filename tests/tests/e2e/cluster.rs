@@ -194,7 +194,7 @@ impl Run {
             cluster.kill(server);
         }
         // A server that refuses calls because NATS has lost something says so in its log.
-        let is_noticed = verdict.data_losses == 0 || !cluster.notices.lines.is_empty();
+        let is_noticed = verdict.data_losses == 0 || cluster.notices.tell_of_loss();
         let is_good = verdict.is_good() && is_noticed && cluster.notices.panics() == 0;
         self.record.append(&json!({
             "seed": self.seed, "kinds": self.list, "round": round, "faults": suffered, "trims": trims,

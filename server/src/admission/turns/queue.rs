@@ -64,6 +64,8 @@ pub(super) type Place = (u64, bool, u64);
 
 #[derive(Debug, Default)]
 pub(super) struct Flow {
+    /// True if its calls are not refused for their wait.
+    is_patient: bool,
     /// The time that its turns have taken, and what others took while it was idle.
     pub(super) used_ns: u64,
     /// Its place in the order, if a call waits.
@@ -186,6 +188,21 @@ impl Order {
 }
 
 impl State {
+    pub(super) fn open(&mut self, is_patient: bool) -> FlowNumber {
+        let number = self.next_flow;
+        self.next_flow += 1;
+        let flow = Flow {
+            is_patient,
+            ..Flow::default()
+        };
+        self.flows.insert(number, flow);
+        number
+    }
+
+    pub(super) fn is_patient(&self, number: FlowNumber) -> bool {
+        self.flows.get(&number).is_some_and(|flow| flow.is_patient)
+    }
+
     /// Notes the time, if no call waits that has not begun.
     pub(super) fn note_empty(&mut self, now: Instant) {
         if self.new == 0 {

@@ -58,7 +58,7 @@ where
             true => Body::new(body),
             false => {
                 self.whole = body.whole().await.map_err(unless_left)?;
-                Body::new(Full::new(self.whole.clone()))
+                Body::empty()
             }
         };
         Ok((self, Request::from_parts(parts, body)))
@@ -67,17 +67,18 @@ where
     /// Answers the request, and makes the first frame of the answer if that can be done at once.
     pub(super) async fn answer(
         mut self,
-        request: Request<Body>,
+        mut request: Request<Body>,
     ) -> Result<(Response<Body>, Option<AnswerFrame>), Status> {
         if !self.held.has_room() {
             return Err(status::too_many_bytes(self.held.flow().max_bytes()).into());
         }
-        let whole = mem::take(&mut self.whole);
-        let message = whole.get(HEADER_BYTES..).unwrap_or_default();
-        if let Err(error) = verbs::check_fields(message, self.service.limits()) {
-            return Err(status::from_error(&error).into());
+        if !self.is_stream {
+            let message = self.whole.get(HEADER_BYTES..).unwrap_or_default();
+            if let Err(error) = verbs::check_fields(message, self.service.limits()) {
+                return Err(status::from_error(&error).into());
+            }
+            *request.body_mut() = Body::new(Full::new(mem::take(&mut self.whole)));
         }
-        drop(whole);
         let response = match self.inner.call(request).await {
             Ok(response) => response,
             Err(never) => match never {},

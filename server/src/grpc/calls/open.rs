@@ -1,13 +1,13 @@
 //! Health and reflection, which strangers may call and no load closes. No budget counts their requests, so few of those of a
-//! connection may be on their way, and not for long.
+//! connection may be on their way: a request for health until it is whole, and not for long, and a stream for reflection
+//! for as long as its client likes.
 
-use std::{convert::Infallible, future::ready, pin::pin, task::Poll};
+use std::{convert::Infallible, pin::pin, task::Poll};
 
-use bytes::BytesMut;
-use futures_util::{StreamExt, poll, stream};
+use bytes::{Buf, BytesMut};
+use futures_util::poll;
 use http::{Request, Response};
-use http_body::Frame;
-use http_body_util::{BodyExt, BodyStream, StreamBody};
+use http_body_util::{BodyExt, Full};
 use tokio::time::timeout;
 use tonic::{Status, body::Body};
 use tower::Service;
@@ -17,7 +17,7 @@ use crate::grpc::{
     MAX_OPEN_REQUEST_BYTES,
     connections::{Activity, MAX_ARRIVING},
     refusals,
-    request_body::{HEADER_BYTES, Messages},
+    request_body::HEADER_BYTES,
 };
 
 const REFLECTION: &str = "/grpc.reflection.";
@@ -27,7 +27,7 @@ pub(super) fn is_open(path: &str) -> bool {
     path.starts_with("/grpc.health.") || path.starts_with(REFLECTION)
 }
 
-/// Answers a request once it has arrived.
+/// Answers a request: one for health once it has arrived.
 pub(super) fn answer<S>(
     mut inner: S,
     request: Request<Body>,
@@ -39,48 +39,66 @@ where
     let (time, admission) = (settings.requests.time, settings.shared.admission.clone());
     let activity = request.extensions().get::<Activity>().cloned();
     async move {
-        let received = {
-            let mut receiving = pin!(receive(request));
-            match poll!(receiving.as_mut()) {
-                Poll::Ready(received) => received,
-                Poll::Pending => match activity.as_ref().map(Activity::arriving) {
-                    Some(None) => {
-                        admission.count_excess();
-                        Err(refusals::too_many_arriving(MAX_ARRIVING).into())
-                    }
-                    _place => {
-                        let received = timeout(time, receiving).await;
-                        received.unwrap_or_else(|_| Err(refusals::too_slow(time).into()))
-                    }
-                },
+        let is_stream = request.uri().path().starts_with(REFLECTION);
+        let mut receiving = pin!(receive(request, is_stream));
+        let mut received = poll!(receiving.as_mut());
+        let mut place = None;
+        if is_stream || received.is_pending() {
+            match activity.as_ref().map(Activity::arriving) {
+                Some(None) => {
+                    admission.count_excess();
+                    received = Poll::Ready(Err(refusals::too_many_arriving(MAX_ARRIVING).into()));
+                }
+                held => place = held.flatten(),
             }
-        };
-        match received {
-            Ok(request) => inner.call(request).await,
-            Err(status) => Ok(status.into_http()),
         }
+        let received = match received {
+            Poll::Ready(received) => received,
+            Poll::Pending => timeout(time, receiving).await.unwrap_or_else(|_| {
+                if let Some(activity) = &activity {
+                    activity.flow().count_slow();
+                }
+                Err(refusals::too_slow(time).into())
+            }),
+        };
+        let request = match received {
+            Ok(request) => request,
+            Err(status) => return Ok(status.into_http()),
+        };
+        let request = match is_stream {
+            false => request,
+            // Its place is free once its body is dropped.
+            true => request.map(|body| {
+                Body::new(body.map_frame(move |frame| {
+                    let _held = &place;
+                    frame
+                }))
+            }),
+        };
+        inner.call(request).await
     }
 }
 
-/// Receives a request: whole, or up to its first message if it is a stream.
-async fn receive(request: Request<Body>) -> Result<Request<Body>, Status> {
-    let is_stream = request.uri().path().starts_with(REFLECTION);
+/// Receives a request whole, unless it is a stream.
+async fn receive(request: Request<Body>, is_stream: bool) -> Result<Request<Body>, Status> {
+    if is_stream {
+        return Ok(request);
+    }
     let (parts, mut body) = request.into_parts();
-    let (mut messages, mut received) = (Messages::default(), BytesMut::new());
+    let mut whole = BytesMut::new();
     while let Some(frame) = body.frame().await {
         if let Some(bytes) = frame?.data_ref() {
-            messages.advance(bytes);
-            received.extend_from_slice(bytes);
+            whole.extend_from_slice(bytes);
         }
         // The service refuses a message that is too large at its header.
-        if messages.length > MAX_OPEN_REQUEST_BYTES || is_stream && messages.ended > 0 {
+        let length = whole.get(1..HEADER_BYTES).map(|mut it| it.get_u32());
+        let length = length.map_or(whole.len(), |length| whole.len().max(length as usize));
+        if length > MAX_OPEN_REQUEST_BYTES {
             break;
         }
-        if received.len() > HEADER_BYTES + MAX_OPEN_REQUEST_BYTES {
-            return Err(refusals::malformed("another one follows it").into());
-        }
     }
-    let received = stream::once(ready(Ok(Frame::data(received.freeze()))));
-    let body = StreamBody::new(received.chain(BodyStream::new(body)));
-    Ok(Request::from_parts(parts, Body::new(body)))
+    Ok(Request::from_parts(
+        parts,
+        Body::new(Full::new(whole.freeze())),
+    ))
 }

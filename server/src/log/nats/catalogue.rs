@@ -16,7 +16,7 @@ use std::{
 use parking_lot::Mutex;
 use tokio::{runtime::Handle, sync::watch};
 use tokio_util::task::AbortOnDropHandle;
-use tracing::{debug, warn};
+use tracing::warn;
 
 use self::{
     bucket::Bucket,
@@ -117,12 +117,25 @@ impl NatsCatalogue {
                 drop(unanswered);
                 for uid in void.into_iter().filter(|uid| *uid != entry.uid) {
                     // The point store has only those of restores.
-                    if let Err(error) = self.delete(uid) {
-                        debug!(index = entry.name, %uid, %error, "nothing is left of an index without a name");
+                    if let Err(error) = self.delete(uid)
+                        && !matches!(error, LogError::UnknownIndex { .. })
+                    {
+                        warn!(index = entry.name, %uid, %error, "cannot remove an index without a name yet");
+                        let mut unanswered = self.unanswered.lock();
+                        unanswered.entry(entry.name.clone()).or_default().push(uid);
                     }
                 }
             }
-            Err(LogError::NameTaken { .. }) => {}
+            Err(LogError::NameTaken { .. }) => {
+                // NATS may have taken one of the claims: that index is in use.
+                let known = self.bucket.known();
+                let taken = known
+                    .get(&entry.name)
+                    .and_then(|(named, _)| named.index.as_ref());
+                if let Some((taken, uids)) = taken.zip(unanswered.get_mut(&entry.name)) {
+                    uids.retain(|uid| uid.to_string() != taken.0);
+                }
+            }
             Err(_) => {
                 let uids = unanswered.entry(entry.name.clone()).or_default();
                 uids.push(entry.uid);

@@ -52,6 +52,12 @@ impl Notices {
         self.counts.get("panics").copied().unwrap_or_default()
     }
 
+    /// True if a server has said that the journal lacks or contradicts what it has applied.
+    pub(super) fn tell_of_loss(&self) -> bool {
+        let notices = ["contradictions", "stopped"].map(|name| self.counts.get(name));
+        notices.iter().flatten().any(|count| **count > 0)
+    }
+
     pub(super) fn counts(&self) -> &BTreeMap<&'static str, usize> {
         &self.counts
     }
