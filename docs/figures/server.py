@@ -122,7 +122,9 @@ def acknowledged():
     rows = []
     for with_k, neighbors in (("", "no neighbours"), (", k = 10", "the ten neighbours of each")):
         for key, what, bare in (
-            ("service layer{}", "without the network", "bare fjall"), ("gRPC, 4 connections{}", "over gRPC, 4 connections", "bare fjall"),
+            ("service layer{}", "without the network", "bare fjall"),
+            ("to bare fjall synced beside{}", "without the network", "bare fjall, synced beside its writers"),
+            ("gRPC, 4 connections{}", "over gRPC, 4 connections", "bare fjall"),
             ("to a bare echo of the same messages, 4 connections{}", "over gRPC, 4 connections", "bare gRPC"),
         ):
             one = got[key.format(with_k)]
