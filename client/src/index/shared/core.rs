@@ -30,7 +30,6 @@ use crate::{
 pub(super) const ID_BLOCK: u64 = 1 << 16;
 
 /// The order of locks: `writer`, `points`, `published`, `connection`.
-#[derive(Debug)]
 pub(in crate::index) struct Core {
     pub(super) space: Space,
     pub(super) link: Link,
@@ -344,11 +343,12 @@ impl Core {
         *lost = Some((since, Arc::new(error)));
     }
 
-    /// The index is gone: nothing will be read or written any more.
+    /// The index is gone: nothing will be read or written any more, and no search gets a further answer.
     pub(super) fn end(&self, error: Error) {
-        let why = Arc::new(error);
-        let _first_counts = self.ended.set(Arc::clone(&why));
-        self.refuse(&mut self.writer.lock(), Error::Ended { why });
+        let why = Arc::clone(self.ended.get_or_init(|| Arc::new(error)));
+        let mut writer = self.writer.lock();
+        self.refuse(&mut writer, Error::Ended { why });
+        writer.open_searches.close(usize::MAX);
     }
 
     pub(super) fn has_ended(&self) -> bool {

@@ -43,6 +43,7 @@ use batch::{Batch, Step};
 const MAX_ROWS_AT_ONCE: usize = 4_096;
 
 /// A shared index. Its tasks end with it.
+#[derive(Debug)]
 pub(super) struct SharedIndex {
     pub(super) core: Arc<Core>,
     tasks: [AbortHandle; 2],
@@ -50,7 +51,15 @@ pub(super) struct SharedIndex {
 
 impl SharedIndex {
     /// Stores rows under new ids, which readers see at once.
-    fn insert_rows(&self, rows: &[f64], tag: u64, ids: &mut Vec<u64>) -> Result<(), Error> {
+    /// Stores new points, and returns the number of refusals before. Fails if that is not `before`: the rows before these
+    /// were given back.
+    fn insert_rows(
+        &self,
+        rows: &[f64],
+        tag: u64,
+        ids: &mut Vec<u64>,
+        before: Option<u64>,
+    ) -> Result<u64, Error> {
         let width = self.core.space.coordinates();
         let step = |row| Step::Put {
             tag,
@@ -60,6 +69,12 @@ impl SharedIndex {
         let count = rows.len() / width;
         let bytes = count * Batch::step_bytes(&step(&rows[..width]));
         let mut writer = self.core.room(bytes, count as u64)?;
+        let refusals = writer.refusals;
+        if before.is_some_and(|before| before != refusals) {
+            // The caller that has taken them back knows the cause.
+            let why = Arc::new(Error::Closed);
+            return Err(Error::WritesRefused { why });
+        }
         let mut points = self.core.points.write();
         for row in rows.chunks_exact(width) {
             let id = writer.ids.next().ok_or(Error::Closed)?;
@@ -67,7 +82,7 @@ impl SharedIndex {
             ids.push(id);
         }
         self.core.written(&mut writer, &mut points);
-        Ok(())
+        Ok(refusals)
     }
 
     /// Refuses a payload that the server would not take.
@@ -185,20 +200,21 @@ impl NearestNeighbors for SharedIndex {
     fn insert_many(&self, rows: &[f64], tag: u64) -> Result<Vec<u64>, Error> {
         let width = self.core.space.coordinates();
         let count = rows.len() / width;
-        let mut ids = Vec::with_capacity(count);
+        let (mut ids, mut refusals) = (Vec::with_capacity(count), None);
         for part in rows.chunks(MAX_ROWS_AT_ONCE * width) {
             let done = ids.len();
-            if let Err(error) = self.insert_rows(part, tag, &mut ids) {
-                ids.truncate(done);
-                return Err(match (done, error) {
-                    (0, error) => error,
-                    (done, error) => Error::Partial {
+            match self.insert_rows(part, tag, &mut ids, refusals) {
+                Ok(before) => refusals = Some(before),
+                Err(error) if done == 0 => return Err(error),
+                Err(error) => {
+                    ids.truncate(done);
+                    return Err(Error::Partial {
                         done,
                         rows: count,
                         ids,
                         source: Box::new(error),
-                    },
-                });
+                    });
+                }
             }
         }
         Ok(ids)
@@ -297,10 +313,10 @@ impl Drop for SharedIndex {
     }
 }
 
-impl fmt::Debug for SharedIndex {
+impl fmt::Debug for Core {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("SharedIndex")
-            .field("status", &self.core.status())
+        f.debug_struct("Core")
+            .field("status", &self.status())
             .finish_non_exhaustive()
     }
 }

@@ -1,6 +1,6 @@
 //! Opening a shared index.
 
-use std::{io, panic::AssertUnwindSafe, sync::Arc, time::Duration};
+use std::{panic::AssertUnwindSafe, sync::Arc, time::Duration};
 
 use futures_util::FutureExt;
 use wayfold_index::Space;
@@ -163,7 +163,7 @@ impl OpenShared {
 /// without end.
 async fn supervised(core: Arc<Core>, task: impl Future<Output = ()>) {
     if AssertUnwindSafe(task).catch_unwind().await.is_err() {
-        let source = Arc::new(io::Error::other("a task of the index panicked"));
-        core.end(Error::Thread { source });
+        let why = Error::protocol("shared index", "one of its tasks panicked, which is a bug");
+        core.end(why);
     }
 }

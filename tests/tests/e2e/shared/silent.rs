@@ -42,7 +42,7 @@ fn pending_writes_are_bounded_while_the_server_is_silent() {
     assert!(matches!(error, Error::Timeout { .. }), "{error}");
     assert_eq!(index.pending(), inserted.len() as u64);
     assert!(inserted.len() * MIN_STEP_BYTES <= MAX_PENDING_BYTES);
-    // Nothing but new writes waits, and no write without effect.
+    // Nothing else waits, nor does the removal of a point that is not there.
     assert!(!index.remove(u64::MAX >> 1).unwrap());
     assert_eq!(index.len().unwrap(), inserted.len() + 1);
     let last = inserted.len() - 1;
