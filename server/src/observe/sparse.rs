@@ -1,4 +1,4 @@
-//! Log lines of which a flood of calls writes few.
+//! Log lines that a flood of calls could cause: at most one a second is written.
 
 use std::time::{Duration, Instant};
 

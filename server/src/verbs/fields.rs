@@ -11,7 +11,7 @@ pub(crate) const MAX_INDEX_REQUEST_BYTES: usize = 1024 * 1024;
 /// The most columns of a request: a client may send each of their values as a field.
 const COLUMNS: usize = 4;
 
-/// The most fields beside these.
+/// A request may have this many fields that are no values of columns.
 const OTHER_FIELDS: usize = 64;
 
 /// The advice for a request above it.

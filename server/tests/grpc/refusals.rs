@@ -100,7 +100,7 @@ async fn requests_that_grow_by_decoding_are_refused_before_it() {
         let text = "message_fields = 4064";
         assert!(status.message().contains(text), "{status}");
     }
-    // As many spaces, one in the place of the other, as a megabyte has.
+    // The message sets its space 600,000 times. It exceeds a mebibyte.
     let spaces = [0x12, 0].repeat(600_000);
     let status = send(&server, "IndexService/CreateIndex", &spaces).await;
     let status = status.unwrap_err();

@@ -118,7 +118,7 @@ fn blocks_of_ids_keep_to_the_limit_of_the_server() {
     assert_eq!(index.len().unwrap(), ids.len());
 }
 
-/// The server has taken the first rows, and refuses the next ones, which nobody takes back.
+/// The server takes the first rows and refuses the next ones. The index is dropped before anybody takes these back.
 #[test]
 fn a_refusal_amid_an_insert_of_many_rows_loses_no_id_and_is_logged() {
     let server = Server::with(|config| config.limits.max_points_per_index = 5_000);

@@ -143,7 +143,7 @@ impl Judge {
         verdict
     }
 
-    /// The number of servers that differ while nobody calls, as in [`Verdict::divergent`]; None if the first one does not answer
+    /// Counts the servers that differ while nobody calls, as in [`Verdict::divergent`]. None if the first one does not answer
     /// a read with `latest`.
     pub(super) async fn compare(&self, uris: &[String]) -> Option<u64> {
         let mut first = Stubs::connect(&uris[0]).await;
