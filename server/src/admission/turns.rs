@@ -11,8 +11,9 @@
 //!   work, and these and the others of the flow take turns: a short call does not wait for all long ones.
 //! - *Measured:* a call that has not begun is refused once it has waited for too long: for the time of a burst, or for
 //!   the target while the queue stands. It stands once all calls are late and it gets no [shorter](trend), or once it was
-//!   not empty for the time of a burst; until no call has waited for half of the target for that time. Bytes that a
-//!   connection has not read yet wait too. B. Maurer, *Fail at Scale*, ACM Queue 13(8), 2015, after CoDel.
+//!   not empty for the time of a burst; until no call has waited for half of the target for that time. If the calls
+//!   of one flow wait and no others do, only the queue of that flow stands: fair turns keep it from delaying others.
+//!   Bytes that a connection has not read yet wait too. B. Maurer, *Fail at Scale*, ACM Queue 13(8), 2015, after CoDel.
 //!
 //! The target is for long calls only: to refuse a short one costs as much as to answer it.
 //!
@@ -94,7 +95,7 @@ impl Turns {
                 new: 0,
                 was_empty: Instant::now(),
                 trend: Trend::new(Instant::now()),
-                stands_until: Instant::now(),
+                stands_until: None,
                 next_flow: 0,
                 refused: 0,
             }),
@@ -142,16 +143,21 @@ impl Turns {
         now: Instant,
     ) -> Result<TurnRequest, Overloaded> {
         let mut state = self.state.lock();
+        // A patient call waits like one that has computed for long: it is not refused, and its wait refuses no others.
+        let stage = match state.is_patient(flow) && stage == Stage::New {
+            true => Stage::Demoted,
+            false => stage,
+        };
         let size = state.size(flow, stage);
         let is_free = state.order.is_empty() && state.free >= size;
-        state.note_empty(now);
+        state.note_empty(flow, now);
         if stage == Stage::New && size == SHORT_TURNS {
             // The flow's calls already wait for too long; one more is refused now instead of later.
             let wait = state.flows.get(&flow).map_or(Duration::ZERO, Flow::wait);
-            let (limit, stands) = self.limit(&mut state, behind, now);
-            let is_late = behind > limit || 2 * wait > limit;
-            if stands && is_late && !state.is_patient(flow) {
-                self.refuse(&mut state, now);
+            let stands = self.stands(&mut state, flow, behind, now);
+            let is_late = behind.max(2 * wait) > self.target;
+            if stands && is_late {
+                self.refuse(&mut state, flow, now);
                 return Err(self.overloaded());
             }
         }
@@ -173,7 +179,7 @@ impl Turns {
     ) -> TurnRequest {
         let mut state = self.state.lock();
         state.charge(turn.flow, took);
-        state.note_empty(now);
+        state.note_empty(turn.flow, now);
         // A turn that goes on is a long one.
         let more = SHORT_TURNS - turn.size;
         let goes_on = match stage {
@@ -191,22 +197,18 @@ impl Turns {
         TurnRequest::Waits(granted)
     }
 
-    /// The longest wait for a first turn where some call has waited for `wait`, and whether the queue stands.
-    fn limit(&self, state: &mut State, wait: Duration, now: Instant) -> (Duration, bool) {
-        let standing = now.saturating_duration_since(state.was_empty).max(wait);
-        let is_late = now < state.stands_until && 2 * wait > self.target;
-        if standing > self.burst || is_late {
-            state.stands_until = now + self.burst;
+    /// True if the queue stands, where a call of `flow` has waited for `wait`. Then the target bounds the waits.
+    fn stands(&self, state: &mut State, flow: FlowNumber, wait: Duration, now: Instant) -> bool {
+        let stands = state.stands(flow, self.burst, now);
+        if wait > self.burst || (stands && 2 * wait > self.target) {
+            state.stand(flow, self.burst, now);
         }
-        match now < state.stands_until {
-            true => (self.target, true),
-            false => (self.burst, false),
-        }
+        stands || wait > self.burst
     }
 
-    fn refuse(&self, state: &mut State, now: Instant) {
+    fn refuse(&self, state: &mut State, flow: FlowNumber, now: Instant) {
         state.refused += 1;
-        state.stands_until = now + self.burst;
+        state.stand(flow, self.burst, now);
     }
 
     fn turn(self: &Arc<Self>, flow: FlowNumber, size: usize) -> Turn {
@@ -225,20 +227,18 @@ impl Turns {
         state.free += size;
         while let Some((flow, size, next)) = state.next(now) {
             let wait = now.saturating_duration_since(next.since);
-            let limit = match size {
-                SHORT_TURNS => {
-                    let waiting = state.new;
-                    let is_new = next.stage == Stage::New;
-                    if is_new && state.trend.begins(wait > self.target, waiting, now) {
-                        state.stands_until = now + self.burst;
-                    }
-                    self.limit(&mut state, wait, now).0
+            let is_new = next.stage == Stage::New;
+            let stands = size == SHORT_TURNS && !state.is_patient(flow) && {
+                let waiting = state.new;
+                if is_new && state.trend.begins(wait > self.target, waiting, now) {
+                    state.stand(flow, self.burst, now);
                 }
-                _ => self.burst,
+                self.stands(&mut state, flow, wait, now)
             };
-            let is_late = next.stage == Stage::New && wait > limit && !state.is_patient(flow);
+            let limit = if stands { self.target } else { self.burst };
+            let is_late = is_new && wait > limit;
             if is_late {
-                self.refuse(&mut state, now);
+                self.refuse(&mut state, flow, now);
             }
             let granted = match is_late {
                 true => Err(self.overloaded()),
@@ -255,7 +255,7 @@ impl Turns {
             }
             state.free += size;
         }
-        state.note_empty(now);
+        state.note_empty(flow, now);
     }
 }
 

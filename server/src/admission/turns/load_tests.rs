@@ -28,6 +28,8 @@ struct Caller {
     asked_at: Duration,
     /// True if it asks again once it has an answer.
     goes_on: bool,
+    /// The caller whose flow it uses too, if it has none of its own.
+    shares: Option<usize>,
     /// The times until its calls ended.
     times: Vec<Duration>,
     refused: usize,
@@ -41,6 +43,7 @@ impl Caller {
             asks_at: Some(asks_at),
             asked_at: Duration::ZERO,
             goes_on,
+            shares: None,
             times: Vec::new(),
             refused: 0,
         }
@@ -83,7 +86,8 @@ fn run(mut callers: Vec<Caller>, flows: u64, slice: Duration, time: Duration) ->
         for (asks_at, number) in asking.into_iter().take_while(|(asks_at, _)| *asks_at <= at) {
             let caller = &mut callers[number];
             (caller.asked_at, caller.asks_at) = (asks_at, None);
-            let flow = next_flow.next().copied().unwrap_or(own[number]);
+            let flow = next_flow.next().copied();
+            let flow = flow.unwrap_or(own[caller.shares.unwrap_or(number)]);
             match turns.request(flow, Stage::New, Duration::ZERO, began + asks_at) {
                 Ok(TurnRequest::Granted(turn)) => computing.push_back((number, turn)),
                 Ok(TurnRequest::Waits(granted)) => waiting.push((number, granted)),
@@ -177,6 +181,33 @@ fn workers_that_all_ask_at_once_are_all_answered() {
     let mut arrivals = bursts(64, 5 * MS, 10);
     arrivals.extend(steady(50 * MS, 10 * BURST));
     assert_eq!(simulate(9 * MS, arrivals).refused, 0);
+}
+
+/// The calls of 32 callers of one flow wait for each other. The workers beside them take 0.45 of each second together.
+#[test]
+fn workers_are_answered_beside_a_flow_whose_own_calls_always_wait() {
+    const HEAVY: usize = 32;
+    let sharing = |first, work, at, goes_on| Caller {
+        shares: Some(first),
+        ..Caller::new(work, at, goes_on)
+    };
+    // Calls are polled in slices, or whole.
+    let whole = BURST;
+    for (work, slice) in [(3, MS / 2), (3, whole), (30, MS / 2), (30, whole)] {
+        let heavy = (0..HEAVY).map(|_| sharing(0, work * MS, Duration::ZERO, true));
+        let burst = bursts(64, Duration::ZERO, 8).into_iter().enumerate();
+        let burst = burst.map(|(n, at)| sharing(HEAVY + n % 64, 7 * MS, at, false));
+        let callers = run(heavy.chain(burst).collect(), 0, slice, 9 * BURST);
+        let (heavy, burst) = callers.split_at(HEAVY);
+        let refused: usize = burst.iter().map(|caller| caller.refused).sum();
+        assert_eq!(refused, 0, "{work} ms in {slice:?}");
+        assert!(burst.iter().all(|caller| caller.times.len() == 1));
+        // The 32 have most of the other time, and their own queue stands.
+        let answered: usize = heavy.iter().map(|caller| caller.times.len()).sum();
+        assert!(answered as u32 * (work * MS) >= 3 * BURST, "{answered}");
+        let refused: usize = heavy.iter().map(|caller| caller.refused).sum();
+        assert!(refused > 0, "{work} ms in {slice:?}");
+    }
 }
 
 /// The first calls wait for longer: until then the load may be a burst.

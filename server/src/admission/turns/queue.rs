@@ -38,11 +38,11 @@ pub(super) struct State {
     pub(super) many_ns: u64,
     /// The waiting calls that have not begun.
     pub(super) new: usize,
-    /// The last time that there were none.
+    /// The last time that there were none, or only those of one flow.
     pub(super) was_empty: Instant,
     pub(super) trend: Trend,
     /// The queue stands until then.
-    pub(super) stands_until: Instant,
+    pub(super) stands_until: Option<Instant>,
     pub(super) next_flow: FlowNumber,
     /// The calls that were refused.
     pub(super) refused: u64,
@@ -74,6 +74,10 @@ pub(super) struct Flow {
     pub(super) mean_ns: Option<u64>,
     /// The wait of the last of its calls that has begun.
     pub(super) last_wait: Duration,
+    /// The begin of the time in which some call of it always waited that had not begun.
+    since: Option<Instant>,
+    /// Its own queue stands until then. Its late calls do not refuse those of other flows.
+    stands_until: Option<Instant>,
     /// Those that have not begun, after one that goes on.
     pub(super) waiting: VecDeque<Waiter>,
     /// Those that have computed for long.
@@ -203,11 +207,41 @@ impl State {
         self.flows.get(&number).is_some_and(|flow| flow.is_patient)
     }
 
-    /// Notes the time, if no call waits that has not begun.
-    pub(super) fn note_empty(&mut self, now: Instant) {
-        if self.new == 0 {
+    /// Notes the time, if no call waits that has not begun, or only those of this flow.
+    pub(super) fn note_empty(&mut self, number: FlowNumber, now: Instant) {
+        if self.is_alone(number) {
             self.was_empty = now;
+        }
+        if self.new == 0 {
             self.trend = Trend::new(now);
+        }
+    }
+
+    /// True if no call of another flow waits that has not begun. Calls of this flow that go on may hide as many.
+    fn is_alone(&self, number: FlowNumber) -> bool {
+        self.new <= self.flows.get(&number).map_or(0, |flow| flow.waiting.len())
+    }
+
+    /// True if the queue of this flow or that of all stands. Each does once it was not empty for the time of a burst.
+    pub(super) fn stands(&mut self, number: FlowNumber, burst: Duration, now: Instant) -> bool {
+        let lasts = |since: Instant| now.saturating_duration_since(since) > burst;
+        if lasts(self.was_empty) {
+            self.stands_until = Some(now + burst);
+        }
+        let flow = self.flows.entry(number).or_default();
+        if flow.since.is_some_and(lasts) {
+            flow.stands_until = Some(now + burst);
+        }
+        self.stands_until.max(flow.stands_until) > Some(now)
+    }
+
+    /// Lets the queue of this flow stand if it stands already or no other flow waits, and that of all otherwise.
+    pub(super) fn stand(&mut self, number: FlowNumber, burst: Duration, now: Instant) {
+        let is_own = self.is_alone(number) && self.stands_until <= Some(now);
+        let until = Some(now + burst);
+        match self.flows.get_mut(&number) {
+            Some(flow) if is_own || flow.stands_until > Some(now) => flow.stands_until = until,
+            _ => self.stands_until = until,
         }
     }
 
@@ -243,6 +277,7 @@ impl State {
             Stage::Begun | Stage::Resumed => flow.waiting.push_front(waiting),
             Stage::New => {
                 self.new += 1;
+                flow.since.get_or_insert(since);
                 flow.waiting.push_back(waiting);
             }
             Stage::Demoted => flow.behind.push_back(waiting),
@@ -261,6 +296,9 @@ impl State {
         if stage == Stage::New {
             self.new -= 1;
             flow.last_wait = now.saturating_duration_since(next.since);
+            let is_new = |last: &Waiter| last.stage == Stage::New;
+            let more_wait = flow.waiting.back().is_some_and(is_new);
+            flow.since = flow.since.filter(|_| more_wait);
         }
         if flow.is_idle() {
             self.order.remove(flow);

@@ -199,6 +199,19 @@ fn a_call_of_a_burst_waits() {
 }
 
 #[test]
+fn calls_that_are_never_refused_refuse_no_others() {
+    let turns = Turns::new(1, TARGET, BURST);
+    let (flow, patient) = (turns.open(), turns.open_patient());
+    let turn = take(&turns, flow);
+    let mut listing = wait(&turns, patient, New, 2 * BURST);
+    let mut late = wait(&turns, flow, New, 2 * TARGET);
+    turn.end(MS);
+    listing.try_recv().unwrap().unwrap().end(MS);
+    late.try_recv().unwrap().unwrap().end(MS);
+    assert_eq!(turns.refused(), 0);
+}
+
+#[test]
 fn one_long_call_alone_is_no_queue() {
     let turns = Turns::new(1, MS, TARGET);
     let flow = turns.open();
