@@ -9,14 +9,15 @@ mod turns;
 
 use std::{
     sync::{
-        Arc,
+        Arc, LazyLock,
         atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed},
     },
+    thread::available_parallelism,
     time::{Duration, Instant},
 };
 
 use serde::Deserialize;
-use tokio::time::interval;
+use tokio::{sync::Semaphore, time::interval};
 use tracing::warn;
 
 use self::{
@@ -34,6 +35,13 @@ pub(crate) const QUEUE_TARGET_MS: &str = "admission.queue_target_ms";
 
 /// The bytes that a call holds beside its request and its answer, about.
 pub(crate) const CALL_BYTES: usize = 8 * 1024;
+
+/// The reads of stored points at a time: two for each core, and at least 16, as a disk serves several at once. They take
+/// no turns, and each has a thread.
+pub(crate) static MAX_STORED_READS: LazyLock<usize> = LazyLock::new(|| {
+    let cores = available_parallelism().map_or(1, usize::from);
+    (2 * cores).max(16)
+});
 
 /// The interval of the lines about refused calls.
 const REPORT_INTERVAL: Duration = Duration::from_secs(10);
@@ -84,6 +92,7 @@ pub(crate) struct Flow {
     number: FlowNumber,
     all: Arc<ByteBudget>,
     own: ByteBudget,
+    stored_reads: Arc<Semaphore>,
     /// The flow of the same client's calls of administration; None if this is it.
     admin: Option<Arc<Flow>>,
     /// The calls that have come.
@@ -185,6 +194,7 @@ impl Flow {
             turns: Arc::clone(&admission.turns),
             all: Arc::clone(all),
             own: ByteBudget::new(admission.share),
+            stored_reads: Arc::new(Semaphore::new(*MAX_STORED_READS / 2)),
             admin,
             calls: AtomicU64::new(0),
             under_way: AtomicUsize::new(0),
@@ -249,6 +259,11 @@ impl Flow {
     /// The most bytes that all flows hold.
     pub(crate) fn max_bytes(&self) -> usize {
         self.all.max()
+    }
+
+    /// The permits of its calls for reads of stored points: half of all, so that others do not wait behind one flow.
+    pub(crate) fn stored_reads(&self) -> Arc<Semaphore> {
+        Arc::clone(&self.stored_reads)
     }
 
     /// The turns of a call. One of administration waits, and is not refused for it.

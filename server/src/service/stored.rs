@@ -5,7 +5,6 @@
 use std::{
     collections::HashMap,
     sync::{Arc, LazyLock},
-    thread::available_parallelism,
 };
 
 use tokio::sync::Semaphore;
@@ -13,6 +12,7 @@ use tokio_util::task::AbortOnDropHandle;
 
 use super::{Call, Error, error_map::log_error};
 use crate::{
+    admission::MAX_STORED_READS,
     log::{LogError, StoredPoint, View},
     registry::{Hosted, Published, Writer},
 };
@@ -24,14 +24,8 @@ pub(super) const MAX_READS_AHEAD: usize = 3;
 /// Points read at once. A call can be cancelled between two batches.
 pub(super) const BATCH_ROWS: usize = 256;
 
-/// The reads at a time: two for each core, and at least [`MIN_READS`]. They take no turns, and each has a thread.
-static READS: LazyLock<Semaphore> = LazyLock::new(|| {
-    let cores = available_parallelism().map_or(1, usize::from);
-    Semaphore::new((2 * cores).max(MIN_READS))
-});
-
-/// A disk serves several reads at once.
-const MIN_READS: usize = 16;
+/// The permits of all connections.
+static READS: LazyLock<Semaphore> = LazyLock::new(|| Semaphore::new(*MAX_STORED_READS));
 
 /// Reads from the store of the named index on a thread that may block. A queued read does not start once its caller has
 /// left. It is refused once the caller has lost its rights: a stream reads many times.
@@ -45,10 +39,15 @@ pub(super) async fn read<T: Send + 'static>(
     call.check(doing)?;
     let view = Arc::clone(view);
     let reading = async {
-        let permit = READS.acquire().await;
-        // The read of a caller that has left keeps its permit until it ends.
+        // The reads of a connection that has its share wait here, not in the queue of all.
+        let share = match &call.stored_reads {
+            Some(share) => Some(Arc::clone(share).acquire_owned().await),
+            None => None,
+        };
+        let permits = (share, READS.acquire().await);
+        // The read of a caller that has left keeps its permits until it ends.
         let reading = tokio::task::spawn_blocking(move || {
-            let _permit = permit;
+            let _permits = permits;
             read(&*view)
         });
         AbortOnDropHandle::new(reading).await
@@ -170,21 +169,34 @@ impl<T: Send + 'static> ReadAhead<T> {
 
 #[cfg(test)]
 mod tests {
-    use tokio::{runtime::Handle, sync::mpsc};
+    use std::time::Duration;
+
+    use futures_util::poll;
+    use tokio::{
+        runtime::Handle,
+        sync::{Mutex, mpsc},
+        task::unconstrained,
+        time::timeout,
+    };
     use tokio_util::sync::CancellationToken;
 
     use super::*;
     use crate::{
+        admission::Admission,
+        config::Config,
         log::PointStore,
         testing::{arm, log_with},
     };
 
+    /// Two tests that hold permits at a time could wait for each other.
+    static HOLDS_PERMITS: Mutex<()> = Mutex::const_new(());
+
     #[tokio::test]
     async fn few_reads_are_under_way_at_a_time() {
+        let _alone = HOLDS_PERMITS.lock().await;
         let entry = arm();
         let view: Arc<dyn View> = log_with(&entry, &[]).view(entry.uid).unwrap();
-        let most = available_parallelism().map_or(1, usize::from) * 2;
-        let most = most.max(MIN_READS);
+        let most = *MAX_STORED_READS;
         let (start, mut started) = mpsc::unbounded_channel();
         let gate = CancellationToken::new();
         let reads: Vec<_> = (0..=most)
@@ -208,6 +220,39 @@ mod tests {
         gate.cancel();
         for read in reads {
             read.await.unwrap().unwrap();
+        }
+    }
+
+    #[tokio::test]
+    async fn a_read_does_not_wait_behind_those_of_another_connection() {
+        let _alone = HOLDS_PERMITS.lock().await;
+        let entry = arm();
+        let view: Arc<dyn View> = log_with(&entry, &[]).view(entry.uid).unwrap();
+        let admission = Admission::new(&Config::default().admission, 1, 0);
+        let [heavy, other] = [(); 2].map(|()| Call {
+            stored_reads: Some(admission.open().stored_reads()),
+            ..Call::default()
+        });
+        let gate = CancellationToken::new();
+        let held = || {
+            let gate = gate.clone();
+            let wait = move |_: &dyn View| {
+                Handle::current().block_on(gate.cancelled());
+                Ok(())
+            };
+            Box::pin(unconstrained(read(&heavy, "reading", "arm", &view, wait)))
+        };
+        let mut reads: Vec<_> = (0..2 * *MAX_STORED_READS).map(|_| held()).collect();
+        for read in &mut reads {
+            assert!(poll!(read).is_pending());
+        }
+        let read = read(&other, "reading", "arm", &view, |_| Ok(()));
+        let read = timeout(Duration::from_secs(10), read).await;
+        // Threads that wait would keep a failed test from its end.
+        gate.cancel();
+        read.expect("it waited for the other connection").unwrap();
+        for read in reads {
+            read.await.unwrap();
         }
     }
 }
