@@ -17,7 +17,7 @@ use std::{
 
 use bytes::Bytes;
 use futures_util::{FutureExt, poll};
-use http::{HeaderMap, Request, Response, header};
+use http::{HeaderMap, Request, Response, Uri, header};
 use tokio_util::task::TaskTracker;
 use tonic::{Status, body::Body};
 use tower::{Layer, Service};
@@ -55,11 +55,18 @@ pub(crate) fn call_of<T>(request: &tonic::Request<T>) -> Call {
     })
 }
 
-/// The bytes that a call holds at its begin. Its headers count as far as they are more than usual.
-fn call_bytes(headers: &HeaderMap) -> usize {
+/// The bytes that a call holds at its begin. Its path and headers count as far as they are more than usual.
+fn call_bytes(uri: &Uri, headers: &HeaderMap) -> usize {
     const USUAL_HEADERS: usize = 32;
     const ENTRY_BYTES: usize = 128;
-    CALL_BYTES + headers.len().saturating_sub(USUAL_HEADERS) * ENTRY_BYTES
+    const USUAL_TEXT: usize = 1024;
+    let path = uri.path_and_query().map_or(0, |path| path.as_str().len());
+    let texts = headers
+        .iter()
+        .map(|(name, value)| name.as_str().len() + value.len());
+    CALL_BYTES
+        + headers.len().saturating_sub(USUAL_HEADERS) * ENTRY_BYTES
+        + (path + texts.sum::<usize>()).saturating_sub(USUAL_TEXT)
 }
 
 /// The place of a call in a trace.
@@ -220,6 +227,7 @@ where
             peer: peer.map(Peer::Address),
             trace: traceparent(request.headers()).map(Arc::from),
             is_forwarded: settings.callers == Callers::Members,
+            stored_reads: Some(flow.stored_reads()),
             ..Call::default()
         };
         let verb = (settings.face(), verb(rpc));
@@ -242,7 +250,7 @@ where
                 settings.shared.admission.count_excess();
                 Err(refusals::too_many_streams(settings.max_calls))
             }
-            _ if !held.take(call_bytes(request.headers())) => {
+            _ if !held.take(call_bytes(request.uri(), request.headers())) => {
                 Err(status::too_many_bytes(flow.max_bytes()))
             }
             (_, Ok(None)) if !is_stream => {

@@ -61,6 +61,8 @@ pub(super) struct Connections {
     /// The most lasting streams of each.
     max_streams: usize,
     admission: Admission,
+    /// The time since which new connections have found no room.
+    full_since: Mutex<Option<Instant>>,
 }
 
 #[derive(Debug)]
@@ -124,6 +126,7 @@ impl Connections {
             events: AtomicU64::new(0),
             max_streams,
             admission,
+            full_since: Mutex::default(),
         })
     }
 
@@ -135,6 +138,7 @@ impl Connections {
         cut: CancellationToken,
     ) -> Option<Open> {
         let place = self.place(peer).await?;
+        *self.full_since.lock() = None;
         let number = self.events.fetch_add(1, SeqCst);
         let state = Arc::new(State {
             calls: AtomicUsize::new(0),
@@ -162,16 +166,16 @@ impl Connections {
     }
 
     async fn place(&self, peer: Option<SocketAddr>) -> Option<OwnedSemaphorePermit> {
-        let mut began = Instant::now();
         loop {
             if let Ok(place) = Arc::clone(&self.places).try_acquire_owned() {
                 return Some(place);
             }
+            let full_since = self.full_since();
             if self.give_one_up() {
-                began = Instant::now();
-            } else if began.elapsed() >= MAX_WAIT {
+                *self.full_since.lock() = None;
+            } else if full_since.elapsed() >= MAX_WAIT {
                 self.give_up_of_many(peer.map(network))?;
-                began = Instant::now();
+                *self.full_since.lock() = None;
             }
             // The place of the connection that was given up, or of another that ends. If none ends in time, the next one
             // is given up.
@@ -180,6 +184,14 @@ impl Connections {
                 return Some(place);
             }
         }
+    }
+
+    /// The time since which there was no room. The listener takes one connection after another, so the wait of the first
+    /// one counts for those behind it, for as long again.
+    fn full_since(&self) -> Instant {
+        let mut since = self.full_since.lock();
+        since.take_if(|since| since.elapsed() >= 2 * MAX_WAIT);
+        *since.get_or_insert_with(Instant::now)
     }
 
     /// Gives up the first connection without calls or, if that was opened or called just now, the one with calls that is

@@ -10,7 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use bytes::{Buf, Bytes, BytesMut};
+use bytes::{Buf, Bytes};
 use http_body::{Body as HttpBody, Frame, SizeHint};
 use http_body_util::BodyExt;
 use tokio::time::Sleep;
@@ -24,6 +24,9 @@ use crate::{admission::HeldBytes, status};
 
 /// Bytes before each message: a flag and the length.
 pub(super) const HEADER_BYTES: usize = 5;
+
+/// The most bytes that a request keeps ready for its next frames.
+const MAX_SPARE_BYTES: usize = 64 * 1024;
 
 /// The largest message, and the time in which each must arrive.
 #[derive(Clone, Copy, Debug)]
@@ -72,13 +75,13 @@ impl RequestBody {
     /// The bytes of a request that is no stream, in a buffer of their own. A frame of one byte would keep the buffer that
     /// it was read into.
     pub(super) async fn whole(mut self) -> Result<Bytes, Status> {
-        let mut whole = BytesMut::new();
+        let mut arrived = Arrived::default();
         while let Some(frame) = self.frame().await {
             if let Some(bytes) = frame?.data_ref() {
-                whole.extend_from_slice(bytes);
+                arrived.push(bytes);
             }
         }
-        Ok(whole.freeze())
+        Ok(arrived.join())
     }
 
     fn receive(&mut self, bytes: &Bytes) -> Result<(), Status> {
@@ -159,6 +162,43 @@ impl HttpBody for RequestBody {
 
     fn size_hint(&self) -> SizeHint {
         self.inner.size_hint()
+    }
+}
+
+/// The bytes of a request so far. One buffer would move as it grows, and leave its old places behind: unfinished requests
+/// would take more than twice the bytes that they count.
+#[derive(Debug, Default)]
+struct Arrived {
+    /// The last one may have room.
+    parts: Vec<Vec<u8>>,
+    length: usize,
+}
+
+impl Arrived {
+    fn push(&mut self, bytes: &[u8]) {
+        let room = self.parts.last().map_or(0, |it| it.capacity() - it.len());
+        let (fitting, rest) = bytes.split_at(room.min(bytes.len()));
+        if let Some(last) = self.parts.last_mut() {
+            last.extend_from_slice(fitting);
+        }
+        if !rest.is_empty() {
+            let capacity = rest.len().max(self.length.min(MAX_SPARE_BYTES));
+            let mut part = Vec::with_capacity(capacity);
+            part.extend_from_slice(rest);
+            self.parts.push(part);
+        }
+        self.length += bytes.len();
+    }
+
+    fn join(mut self) -> Bytes {
+        if self.parts.len() <= 1 {
+            return self.parts.pop().unwrap_or_default().into();
+        }
+        let mut whole = Vec::with_capacity(self.length);
+        for part in self.parts {
+            whole.extend_from_slice(&part);
+        }
+        whole.into()
     }
 }
 
@@ -253,6 +293,20 @@ mod tests {
 
     proptest! {
         #![proptest_config(crate::testing::cases(200))]
+
+        #[test]
+        fn what_has_arrived_is_kept_in_order_and_with_few_spare_bytes(
+            frames in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..3_000), 1..200),
+        ) {
+            let mut arrived = Arrived::default();
+            for (at, frame) in frames.iter().enumerate() {
+                arrived.push(frame);
+                let length: usize = frames[..=at].iter().map(Vec::len).sum();
+                let kept: usize = arrived.parts.iter().map(Vec::capacity).sum();
+                prop_assert!(kept <= length + length.min(MAX_SPARE_BYTES), "{} of {}", kept, length);
+            }
+            prop_assert_eq!(arrived.join(), frames.concat());
+        }
 
         #[test]
         fn messages_are_whole_at_their_ends_only(

@@ -10,7 +10,7 @@ use prost::Name;
 use super::{
     codec::{Form, MAX_DYNAMIC_BYTES, invalid},
     fields::{MAX_INDEX_REQUEST_BYTES, SMALL_SPACE, check_fields},
-    verb::Verb,
+    verb::{PointVerb, Verb},
 };
 use crate::{
     observe,
@@ -99,7 +99,10 @@ impl<'a> Request<'a> {
                     advice: SMALL_SPACE,
                 })
             }
-            Form::Protobuf => check_fields(&self.payload, limits),
+            Form::Protobuf => {
+                let is_write = matches!(verb, Verb::OfIndex(PointVerb::Write));
+                check_fields(&self.payload, is_write, limits)
+            }
             Form::Json => Ok(()),
         }
     }

@@ -22,6 +22,8 @@ use crate::{
     status, verbs,
 };
 
+const WRITE: &str = "/wayfold.v1.PointService/Write";
+
 /// A call that may wait for its turns.
 pub(super) struct Admitted<S> {
     pub(super) inner: S,
@@ -74,7 +76,9 @@ where
         }
         if !self.is_stream {
             let message = self.whole.get(HEADER_BYTES..).unwrap_or_default();
-            if let Err(error) = verbs::check_fields(message, self.service.limits()) {
+            let is_write = request.uri().path() == WRITE;
+            let limits = self.service.limits();
+            if let Err(error) = verbs::check_fields(message, is_write, limits) {
                 return Err(status::from_error(&error).into());
             }
             *request.body_mut() = Body::new(Full::new(mem::take(&mut self.whole)));

@@ -56,8 +56,23 @@ fn more_headers_than_usual_count() {
         let names = (0..count).map(|number| format!("h{number}").parse().unwrap());
         names.map(|name: header::HeaderName| (name, "".parse().unwrap()))
     };
-    assert_eq!(call_bytes(&headers(10).collect()), CALL_BYTES);
-    assert!(call_bytes(&headers(240).collect()) > CALL_BYTES + 20_000);
+    let usual = Uri::from_static("/wayfold.v1.PointService/Scan");
+    assert_eq!(call_bytes(&usual, &headers(10).collect()), CALL_BYTES);
+    assert!(call_bytes(&usual, &headers(240).collect()) > CALL_BYTES + 20_000);
+}
+
+#[test]
+fn long_headers_and_paths_count() {
+    let long = "x".repeat(8_000);
+    let headers = ["baggage", "authorization"].map(|name| {
+        let name = header::HeaderName::from_static(name);
+        (name, long.parse().unwrap())
+    });
+    let usual = Uri::from_static("/wayfold.v1.PointService/Scan");
+    let bytes = call_bytes(&usual, &HeaderMap::from_iter(headers));
+    assert!(bytes > CALL_BYTES + 14_000);
+    let path = format!("/wayfold.v1.{long}?{long}").parse().unwrap();
+    assert!(call_bytes(&path, &HeaderMap::new()) > CALL_BYTES + 14_000);
 }
 
 #[tokio::test]

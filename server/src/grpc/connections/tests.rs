@@ -91,3 +91,33 @@ async fn the_network_with_the_most_connections_makes_room() {
     drop(open.remove(3));
     assert!(newcomer.await.is_some());
 }
+
+/// The listener takes new connections one after another.
+#[tokio::test(start_paused = true)]
+async fn many_that_are_refused_do_not_keep_others_out() {
+    let admission = Admission::new(&Config::default().admission, 1, 0);
+    let connections = Connections::new(3, 1, admission);
+    let open_one = |peer: &str| connections.open(peer.parse().ok(), CancellationToken::new());
+    let mut open = Vec::new();
+    for peer in ["192.0.2.1:1", "192.0.2.1:2", "192.0.2.1:3"] {
+        let place = open_one(peer).await.unwrap();
+        let call = place.activity().begin();
+        open.push((place, call));
+    }
+    let refusals = async {
+        for _ in 0..20 {
+            assert!(open_one("192.0.2.1:4").await.is_none());
+        }
+    };
+    timeout(2 * MAX_WAIT, refusals).await.expect("one wait");
+    let mut newcomer = pin!(open_one("192.0.2.2:1"));
+    assert!(poll!(newcomer.as_mut()).is_pending());
+    let cut = |(place, _): &(Open, _)| place.activity.state.cut.is_cancelled();
+    drop(open.remove(open.iter().position(cut).expect("one that is cut")));
+    let newcomer = newcomer.await.unwrap();
+    let _call = newcomer.activity().begin();
+    // One that comes long after the last refusal waits again.
+    assert!(open_one("192.0.2.1:4").await.is_none());
+    advance(MAX_WAIT).await;
+    assert!(poll!(pin!(open_one("192.0.2.1:4"))).is_pending());
+}
