@@ -1,13 +1,18 @@
 //! Arriving queries: their number is bounded, and each gets one answer or a refusal with its reason.
 
 use std::{
+    borrow::Cow,
     panic::AssertUnwindSafe,
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use futures_util::FutureExt;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::{
+    sync::{OwnedSemaphorePermit, Semaphore},
+    task::block_in_place,
+    time::timeout_at,
+};
 use tokio_util::{
     sync::CancellationToken,
     task::{TaskTracker, task_tracker::TaskTrackerToken},
@@ -93,12 +98,14 @@ impl Queries {
         }
         let target = Target::of(&self.prefix, query.key_expr().as_str());
         let verb = target.ok().map(|target| target.verb);
-        let mut flow = self.flows.of_reader();
-        if verb.is_some_and(|verb| matches!(verb, Verb::OfServer(_))) {
-            flow = Arc::clone(flow.admin());
-        }
+        let link = self.flows.of_reader();
+        let flow = match verb {
+            Some(Verb::OfServer(_)) => link.admin(),
+            _ => &link,
+        };
         // A link has no more places than it leaves to the others.
-        let is_greedy = flow.under_way() > self.places.available_permits();
+        let calls = link.under_way() + link.admin().under_way();
+        let is_greedy = calls > self.places.available_permits();
         let place = Arc::clone(&self.places).try_acquire_owned();
         let Some(place) = place.ok().filter(|_| !is_greedy) else {
             self.shared.admission.count_excess();
@@ -171,8 +178,9 @@ impl Queries {
                 ..refused
             }]);
         } else {
-            // Blocks the link of a caller that does not read its refusals.
-            refused.send();
+            // Blocks the link of a caller that does not read its refusals. Other links are read on another thread
+            // meanwhile: Zenoh has 50 for this.
+            block_in_place(|| refused.send());
         }
     }
 
@@ -193,10 +201,18 @@ impl Queries {
             Err(_) => "other",
         };
         let attached = attached(query.attachment());
+        // It bounds the wait for a turn too. A wrong one is refused in the turn.
+        let named = query.parameters().iter();
+        let read = Request::of(answer_in, "", named, Cow::default(), arrived);
+        let given = read.ok().and_then(|(_, deadline)| deadline);
+        let deadline = given.unwrap_or(arrived + self.default_timeout.min(MAX_TIMEOUT));
         let call = Call {
             caller: caller(&self.shared.identities, &attached),
             peer: source(&query),
             trace: attached.get("traceparent").map(Arc::from),
+            deadline: Some(deadline),
+            has_default_deadline: given.is_none(),
+            stored_reads: Some(held.flow().stored_reads()),
             ..Call::default()
         };
         let mut record = CallRecord::begin(
@@ -214,11 +230,15 @@ impl Queries {
             self.ask(&query, form, target, (arrived, call)).await
         };
         let answering = AssertUnwindSafe(turns.run(evaluation)).catch_unwind();
-        let result = match answering.instrument(span).await {
-            Ok(Ok(answer)) => answer,
-            Ok(Err(late)) => Err(status::overloaded(late)),
-            Err(_panic) => Err(status::from_error(&Error::Internal {
+        let answered = timeout_at(deadline.into(), answering.instrument(span)).await;
+        let result = match answered {
+            Ok(Ok(Ok(answer))) => answer,
+            Ok(Ok(Err(late))) => Err(status::overloaded(late)),
+            Ok(Err(_panic)) => Err(status::from_error(&Error::Internal {
                 what: format!("Zenoh/{rpc} panicked"),
+            })),
+            Err(_elapsed) => Err(status::from_error(&Error::DeadlineExceeded {
+                doing: "before the call was done",
             })),
         };
         let (queued, computed) = turns.times();
@@ -268,7 +288,7 @@ impl Queries {
         query: &Query,
         form: Result<Form, Error>,
         target: Result<Target<'_>, Error>,
-        (arrived, mut call): (Instant, Call),
+        (arrived, call): (Instant, Call),
     ) -> Result<Replies, Error> {
         // The service checks the caller too; here a stranger is refused before its request is parsed.
         call.caller.check().map_err(|why| Error::Denied {
@@ -279,27 +299,16 @@ impl Queries {
         let index = target.as_ref().map_or("", |target| target.index);
         let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
         let named = query.parameters().iter();
-        let (request, deadline) = Request::of(form, index, named, payload, arrived)?;
-        call.has_default_deadline = deadline.is_none();
-        let default = arrived + self.default_timeout.min(MAX_TIMEOUT);
-        let deadline = deadline.unwrap_or(default);
-        call.deadline = Some(deadline);
-        let answered = async {
-            if key.is_wild() {
-                let replies =
-                    wildcard::answer(&self.shared.service, &call, &self.prefix, key, form);
-                return Box::pin(replies).await;
-            }
-            let verb = target?.verb;
-            request.check(verb)?;
-            let limit = self.max_message_bytes;
-            let payload = dispatch(&self.shared.service, &call, verb, &request, limit).await?;
-            Ok(vec![(query.key_expr().clone().into_owned(), payload)])
-        };
-        let answered = tokio::time::timeout_at(deadline.into(), answered).await;
-        answered.unwrap_or(Err(Error::DeadlineExceeded {
-            doing: "before the call was done",
-        }))
+        let (request, _) = Request::of(form, index, named, payload, arrived)?;
+        if key.is_wild() {
+            let replies = wildcard::answer(&self.shared.service, &call, &self.prefix, key, form);
+            return Box::pin(replies).await;
+        }
+        let verb = target?.verb;
+        request.check(verb)?;
+        let limit = self.max_message_bytes;
+        let payload = dispatch(&self.shared.service, &call, verb, &request, limit).await?;
+        Ok(vec![(query.key_expr().clone().into_owned(), payload)])
     }
 
     fn too_large(&self, bytes: usize) -> Status {

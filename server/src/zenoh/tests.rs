@@ -1,4 +1,4 @@
-//! The order of a stop, the count of dropped messages, and the check of tokens.
+//! The order of a stop, the count of dropped messages, the check of tokens, and the places and waits of calls.
 
 use std::{
     fs,
@@ -6,6 +6,7 @@ use std::{
     time::Duration,
 };
 
+use futures_util::{StreamExt, stream::FuturesUnordered};
 use sha2::{Digest, Sha256};
 use tokio::{net::TcpStream, sync::oneshot};
 use wayfold_proto::v1;
@@ -13,6 +14,7 @@ use zenoh::{Config, Wait, bytes::Encoding, qos::CongestionControl, query::ReplyE
 
 use super::*;
 use crate::{
+    admission::CallTurns,
     identity::Identities,
     log::MemoryLog,
     observe::Metrics,
@@ -44,7 +46,14 @@ async fn refusal(robot: &Session) -> String {
 
 /// A face, a client that is linked with it, and the metrics of the face.
 async fn face_and_robot(service: Service, identities: Identities) -> (ZenohFace, Session, Metrics) {
-    let mut settings = crate::config::Config::default();
+    face_and_robot_with(Default::default(), service, identities).await
+}
+
+async fn face_and_robot_with(
+    mut settings: crate::config::Config,
+    service: Service,
+    identities: Identities,
+) -> (ZenohFace, Session, Metrics) {
     settings.zenoh.listen = "tcp/127.0.0.1:0".into();
     let shared = Shared::new(&settings, service, identities);
     let metrics = shared.metrics.clone();
@@ -285,6 +294,50 @@ async fn the_bytes_of_a_query_are_those_of_its_selector_and_attachment_too() {
     let refused = waiting.recv_async().await.unwrap().into_result();
     let refused = text(&refused.unwrap_err());
     assert!(refused.contains("DEADLINE_EXCEEDED"), "{refused}");
+    robot.close().await.unwrap();
+    face.stop().await;
+}
+
+/// The turns of both threads: queries wait for them.
+fn all_turns(face: &ZenohFace) -> [CallTurns; 2] {
+    let flow = face.queries.shared.admission.open();
+    [(); 2].map(|()| {
+        let mut turns = flow.turns();
+        turns.request().unwrap();
+        turns
+    })
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn calls_of_administration_of_one_link_leave_places_to_another() {
+    let mut settings = crate::config::Config::default();
+    settings.zenoh.max_calls = 4;
+    let (service, _) = service_with_index().await;
+    let (face, robot, _) = face_and_robot_with(settings, service, Identities::default()).await;
+    let busy = all_turns(&face);
+    let lists = (0..4).map(|_| ask(&robot, "wayfold/v1/list", None));
+    let mut lists: FuturesUnordered<_> = lists.collect();
+    let refused = text(&lists.next().await.unwrap().unwrap_err());
+    assert!(refused.contains("TOO_MANY_CALLS"), "{refused}");
+    assert!(refused.contains("this link"), "{refused}");
+    assert_eq!(face.queries.places.available_permits(), 1);
+    drop(busy);
+    while let Some(listed) = lists.next().await {
+        listed.unwrap();
+    }
+    robot.close().await.unwrap();
+    face.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_call_of_administration_that_waits_for_a_turn_ends_at_its_deadline() {
+    let (service, _) = service_with_index().await;
+    let (face, robot, _) = face_and_robot(service, Identities::default()).await;
+    let busy = all_turns(&face);
+    let refused = ask(&robot, "wayfold/v1/list?timeout_ms=50", None).await;
+    let refused = text(&refused.unwrap_err());
+    assert!(refused.contains("DEADLINE_EXCEEDED"), "{refused}");
+    drop(busy);
     robot.close().await.unwrap();
     face.stop().await;
 }

@@ -190,3 +190,16 @@ async fn peers_that_read_no_refusals_are_disconnected() {
         assert_eq!(reason(&refusal).1, "TOO_MANY_CALLS");
     }
 }
+
+/// Their links are not read meanwhile, and those of others are: Zenoh has fewer threads for links than there are peers.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn peers_that_read_no_refusals_delay_nobody() {
+    // The wait lasts longer than this test.
+    let (_server, locator) = server(3_600_000_000, "4");
+    let (robot, _relays) = beside_mutes(&locator, REFUSED).await;
+    for _ in 0..REFUSED {
+        if let Err(refusal) = robot.json("arm/info", Value::Null).await {
+            assert_eq!(reason(&refusal).1, "TOO_MANY_CALLS");
+        }
+    }
+}
