@@ -65,7 +65,8 @@ impl Registry {
 /// The first mutation of an index at a server: before it the server compares its records with those of the others.
 #[derive(Default)]
 pub(crate) struct FirstWrite {
-    /// The count of changes at the last comparison; 0 before the first. Live servers and the connection to NATS change.
+    /// The count of changes at the last comparison; 0 before it and once the index has resumed. Live servers and the
+    /// connection to NATS change.
     pub(crate) compared: AtomicU64,
     /// Held while they are compared. It has the last failure.
     pub(crate) turn: Mutex<Option<ComparisonFailure>>,

@@ -1,8 +1,8 @@
 //! Before its first mutation of an index a server asks the live members of its cluster what they have applied. NATS may have
 //! lost records that another member still has, and a record of this server would take their place for good.
 //!
-//! The members are asked again once they change, and once NATS is connected again: the owner of an index may have changed, a
-//! member that joins may have other records, and a server of NATS that restarts may have lost some. Later mutations compare
+//! The members are asked again once they change, once NATS is connected again, and once the index resumes: the owner of an
+//! index may have changed, a member that joins may have other records, and NATS may have lost some. Later mutations compare
 //! two numbers. A contradiction stands in the catalogue, so that it outlives every server, until an operator chooses.
 
 use std::{
@@ -59,8 +59,8 @@ impl Service {
         })
     }
 
-    /// True if the members have not changed since their records were compared with those of this server, and no server has found
-    /// a contradiction.
+    /// True if neither the members have changed nor the index has resumed since their records were compared with those of this
+    /// server, and no server has found a contradiction.
     pub(super) fn is_compared(&self, hosted: &Hosted) -> bool {
         let cluster = self.inner.owners.get().zip(self.inner.peers.get());
         cluster.is_none_or(|(owners, _)| {

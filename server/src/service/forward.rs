@@ -55,7 +55,7 @@ pub enum NotForwarded {
 }
 
 /// The reasons of refusals that lie with the owner and not with the call. None of them changed anything.
-const REASONS_OF_OWNER: [&str; 10] = [
+const REASONS_OF_OWNER: [&str; 14] = [
     // Others may have room.
     "MEMORY_FULL",
     "DISK_FULL",
@@ -65,10 +65,15 @@ const REASONS_OF_OWNER: [&str; 10] = [
     "INDEX_NOT_FOUND",
     "UID_MISMATCH",
     "NOT_LOADED",
-    // It has other identities, or reads them later.
+    // It has other identities, or reads them later. This server has accepted the caller.
     "NO_CREDENTIAL",
     "WRONG_CREDENTIAL",
     "IDENTITY_REVOKED",
+    "IDENTITY_EXPIRED",
+    "ROLE_TOO_LOW",
+    "INDEX_NOT_ALLOWED",
+    // It counts the calls of other servers too.
+    "TOO_MANY_CALLS",
 ];
 
 /// The reasons of failures of the owner, after which the outcome is unknown.
@@ -200,5 +205,37 @@ impl Service {
         };
         let answer = self.forward(call, hosted, &request).await.transpose()?;
         Ok(answer.and_then(|answer| Some(answer.revision?.number)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identity::{Denial, IdentificationError, Role};
+
+    /// This server has accepted the caller: the files of identities change at one server after the other, and each server
+    /// counts calls for itself.
+    #[test]
+    fn a_denial_by_the_owner_lies_with_the_owner() {
+        let identity = "cell".to_owned();
+        let denials = [
+            Denial::Unknown(IdentificationError::NoCredential),
+            Denial::Unknown(IdentificationError::WrongCredential),
+            Denial::Unknown(IdentificationError::Expired),
+            Denial::Unknown(IdentificationError::Revoked),
+            Denial::Unknown(IdentificationError::TooManyCalls(1)),
+            Denial::Role {
+                identity: identity.clone(),
+                needed: Role::Write,
+            },
+            Denial::Index {
+                identity,
+                index: "arm".into(),
+            },
+        ];
+        for why in denials {
+            let denied = Error::Denied { why };
+            assert!(REASONS_OF_OWNER.contains(&denied.reason()), "{denied}");
+        }
     }
 }

@@ -3,10 +3,12 @@
 use std::{slice::from_ref, sync::Arc};
 
 use tokio::runtime::Builder;
-use wayfold_server::log::{LogError, MemoryLog, NatsOptions, connect_nats};
+use wayfold_server::log::{
+    Catalogue, Entry, LogError, MemoryLog, NatsOptions, Record, RecordPosition, connect_nats,
+};
 
 use crate::{
-    entry,
+    effects, entry,
     nats::{NatsServer, until},
 };
 
@@ -52,5 +54,40 @@ fn a_repeated_claim_leaves_an_index_whose_claim_was_taken_late() {
     assert_eq!(log.catalogue.create(second), Err(taken));
     for log in [&log, &other] {
         assert_eq!(log.catalogue.indexes().unwrap(), from_ref(&first));
+    }
+}
+
+/// A purge may take seconds, and creates may get no answer any number of times.
+#[ignore = "needs nats-server"]
+#[test]
+fn only_a_restored_index_is_removed_after_a_claim_without_an_answer_in_nats() {
+    let server = NatsServer::start();
+    let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
+    // NATS takes no message of so many bytes.
+    let factors: Vec<_> = (1..=200).map(|weight| format!("SO2:{weight}.5")).collect();
+    for is_restored in [false, true] {
+        let name = format!("restored {is_restored}");
+        let (claimed, local) = (entry(&name), Arc::new(MemoryLog::new()));
+        let unanswered = Entry {
+            space: factors.join("*").parse().unwrap(),
+            ..entry(&name)
+        };
+        if is_restored {
+            local.create(unanswered.clone()).unwrap();
+        }
+        let log = {
+            let _entered = runtime.enter();
+            let connected = connect_nats(&server.options(), Arc::clone(&local));
+            connected.unwrap().0
+        };
+        let record = Record::after(RecordPosition::START, effects(1, &[1], &[]));
+        log.journal.begin(unanswered.uid, Arc::new(record)).unwrap();
+        let failed = log.catalogue.claim(&unanswered, None).unwrap_err();
+        assert!(matches!(failed, LogError::Unreachable { .. }), "{failed}");
+        log.catalogue.claim(&claimed, None).unwrap();
+        // A purge takes its record too.
+        let kept = u64::from(!is_restored);
+        assert_eq!(log.journal.newest(unanswered.uid), Ok(kept));
+        assert!(local.indexes().unwrap().is_empty());
     }
 }

@@ -22,6 +22,7 @@ mod journal_loss;
 mod little_memory;
 mod load;
 mod metrics;
+mod nats_access;
 mod no_missed_edge;
 mod origins;
 mod planners;

@@ -35,8 +35,8 @@ pub(super) struct NatsCatalogue {
     runtime: Handle,
     /// The indices of this server's point store.
     local: Arc<dyn Catalogue>,
-    /// The uids of claims without an answer, by name: NATS may have taken such a claim, and may take it until it has taken
-    /// another one of the name.
+    /// The uids of restored indices whose claims got no answer, by name: NATS may have taken such a claim, and may take it
+    /// until it has taken another one of the name.
     unanswered: Mutex<BTreeMap<String, Vec<Uid>>>,
     _watching: AbortOnDropHandle<()>,
 }
@@ -116,7 +116,7 @@ impl NatsCatalogue {
                 let void = unanswered.remove(&entry.name).unwrap_or_default();
                 drop(unanswered);
                 for uid in void.into_iter().filter(|uid| *uid != entry.uid) {
-                    // The point store has only those of restores.
+                    // It may have been removed meanwhile.
                     if let Err(error) = self.delete(uid)
                         && !matches!(error, LogError::UnknownIndex { .. })
                     {
@@ -137,8 +137,12 @@ impl NatsCatalogue {
                 }
             }
             Err(_) => {
-                let uids = unanswered.entry(entry.name.clone()).or_default();
-                uids.push(entry.uid);
+                // A plain create stores its index after the claim, so it leaves nothing to be removed.
+                let is_absent = |stored: Vec<Entry>| stored.iter().all(|it| it.uid != entry.uid);
+                if !self.local.indexes().is_ok_and(is_absent) {
+                    let uids = unanswered.entry(entry.name.clone()).or_default();
+                    uids.push(entry.uid);
+                }
             }
         }
         claimed

@@ -1,15 +1,16 @@
 //! The connection to NATS: the streams, and the places of messages in them.
 
-use std::time::Duration;
+use std::{error::Error as _, io, time::Duration};
 
 use async_nats::{
-    ConnectOptions, ServerAddr,
+    ConnectError, ConnectErrorKind, ConnectOptions, ServerAddr,
     jetstream::{
         self, Context, ErrorCode,
         context::ContextBuilder,
         message::StreamMessage,
         stream::{Config, DiscardPolicy, LastRawMessageError, LastRawMessageErrorKind, Stream},
     },
+    rustls,
 };
 use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 use tracing::warn;
@@ -89,9 +90,13 @@ impl Connection {
         if let Some((user, password)) = users.next() {
             connecting = connecting.user_and_password(user.to_owned(), password.to_owned());
         }
-        let connect = || connecting.clone().connect(servers.clone());
+        let connect = || async {
+            let attempt = connecting.clone().connect(servers.clone()).await;
+            let rejection = attempt.as_ref().err().and_then(|it| rejection(options, it));
+            rejection.map_or_else(|| attempt.map(Ok), |rejection| Ok(Err(rejection)))
+        };
         let client = patiently("connection", connect).await;
-        let client = client.map_err(|error| unreachable(&error))?;
+        let client = client.map_err(|error| unreachable(&error))??;
         let (major, minor) = MIN_VERSION;
         if !client.is_server_compatible(major, minor, 0) {
             warn!(
@@ -199,6 +204,26 @@ impl Connection {
     pub(super) async fn purge(&self, uid: Uid) -> Result<(), LogError> {
         let purge = self.stream(uid).purge().filter(self.subject(uid));
         within(async { purge.await.map(drop).map_err(unreachable) }).await
+    }
+}
+
+/// The error of a start that ends with this attempt to connect; None if another attempt may succeed.
+fn rejection(options: &NatsOptions, error: &ConnectError) -> Option<NatsError> {
+    let (servers, what) = (without_passwords(&options.servers), error.to_string());
+    // The library reports a failed handshake as an error of the socket.
+    let cause = error.source().and_then(|it| it.downcast_ref::<io::Error>());
+    let cause = cause.and_then(io::Error::get_ref);
+    match error.kind() {
+        ConnectErrorKind::AuthorizationViolation | ConnectErrorKind::Authentication => {
+            Some(NatsError::Unauthorized { servers, what })
+        }
+        ConnectErrorKind::Io if !cause.is_some_and(|it| it.is::<rustls::Error>()) => None,
+        ConnectErrorKind::Io | ConnectErrorKind::Tls => {
+            let ca = options.ca.as_ref();
+            let ca = ca.map_or_else(|| "off".into(), |file| file.display().to_string());
+            Some(NatsError::Tls { servers, what, ca })
+        }
+        _ => None,
     }
 }
 

@@ -76,6 +76,30 @@ pub enum NatsError {
         /// The problem.
         what: String,
     },
+    /// NATS knows no such user.
+    #[error(
+        "NATS at {servers} does not let this server in: {what}; set cluster.credentials to the file of a user of NATS, or \
+         write the user and the password into the URL of cluster.nats"
+    )]
+    Unauthorized {
+        /// The URLs.
+        servers: String,
+        /// NATS's answer.
+        what: String,
+    },
+    /// The connection cannot be encrypted.
+    #[error(
+        "no TLS connection to NATS at {servers}: {what}; set cluster.ca (now {ca}) to the file in PEM of the authorities \
+         that certify NATS, or to \"off\" if it has no TLS"
+    )]
+    Tls {
+        /// The URLs.
+        servers: String,
+        /// The problem.
+        what: String,
+        /// The setting.
+        ca: String,
+    },
     /// NATS has no stream or bucket for the records.
     #[error(
         "NATS cannot keep the {what}: {why}; it needs version 2.15 or newer, JetStream, and as many servers as \

@@ -54,6 +54,8 @@ impl Hosted {
             if self.is_contradicted() {
                 return false;
             }
+            // NATS may have lost records that another server still has.
+            self.first_write.compared.store(0, Relaxed);
             let next = apply_loop.number + 1;
             *apply_loop = ApplyLoop::start(next, hosted, &self.host, (self.uid, stored));
             self.state.send_modify(|state| state.closed = None);

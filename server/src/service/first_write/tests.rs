@@ -4,9 +4,9 @@ use std::{
 };
 
 use bytes::Bytes;
-use futures_util::{FutureExt, future::BoxFuture};
+use futures_util::{FutureExt, StreamExt, future::BoxFuture, stream};
 use parking_lot::Mutex;
-use tokio::sync::watch;
+use tokio::sync::{Notify, watch};
 use wayfold_proto::v1;
 
 use super::*;
@@ -115,15 +115,27 @@ impl Peers for OtherMembers {
 }
 
 /// A journal that other servers share.
-struct Shared(Arc<MemoryLog>);
+struct Shared {
+    log: Arc<MemoryLog>,
+    /// The follower is told that the journal ends before what it has applied.
+    is_set_back: Arc<Notify>,
+}
 
 impl Journal for Shared {
     fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
-        self.0.submit(uid, record)
+        self.log.submit(uid, record)
     }
 
     fn follow(&self, uid: Uid, after: u64) -> RecordStream {
-        self.0.follow(uid, after)
+        let is_set_back = Arc::clone(&self.is_set_back);
+        let behind = LogError::JournalBehind {
+            uid,
+            head: after,
+            applied: after + 1,
+        };
+        let records = self.log.follow(uid, after);
+        let records = records.take_until(async move { is_set_back.notified().await });
+        records.chain(stream::iter([Err(behind)])).boxed()
     }
 
     fn read(
@@ -132,11 +144,11 @@ impl Journal for Shared {
         after: Option<u64>,
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError> {
-        self.0.read(uid, after, max_bytes)
+        self.log.read(uid, after, max_bytes)
     }
 
     fn newest(&self, uid: Uid) -> Result<u64, LogError> {
-        self.0.newest(uid)
+        self.log.newest(uid)
     }
 
     fn is_shared(&self) -> bool {
@@ -163,14 +175,20 @@ fn more(records: &[Arc<Record>], run: u8, count: u64) -> Vec<Arc<Record>> {
 struct Server {
     service: Service,
     own: Arc<MemoryLog>,
+    is_set_back: Arc<Notify>,
     others: Arc<OtherMembers>,
 }
 
 impl Server {
     fn new(entry: &Entry, records: &[Arc<Record>]) -> Self {
         let own = log_with(entry, records);
+        let is_set_back = Arc::<Notify>::default();
+        let journal = Shared {
+            log: Arc::clone(&own),
+            is_set_back: Arc::clone(&is_set_back),
+        };
         let log = Log {
-            journal: Arc::new(Shared(Arc::clone(&own))),
+            journal: Arc::new(journal),
             points: Arc::clone(&own) as Arc<dyn PointStore>,
             catalogue: Arc::clone(&own) as Arc<dyn Catalogue>,
         };
@@ -189,6 +207,7 @@ impl Server {
         Self {
             service,
             own,
+            is_set_back,
             others,
         }
     }
@@ -308,6 +327,29 @@ async fn a_mutation_waits_for_the_records_of_a_member_that_is_ahead() {
     };
     let (inserted, ()) = tokio::join!(server.insert(), repaired);
     assert_eq!(inserted.unwrap(), RECORDS + 2);
+}
+
+/// The member may have records that NATS has lost, and this server has none of them.
+#[tokio::test(start_paused = true)]
+async fn an_index_that_resumes_after_a_loss_is_compared_again() {
+    let (entry, records) = (arm(), more(&[], 1, RECORDS));
+    let server = Server::new(&entry, &records);
+    let written = server.insert().await.unwrap();
+    let registry = Arc::clone(server.service.registry().unwrap());
+    let hosted = registry.get("arm").unwrap();
+    server.is_set_back.notify_one();
+    assert!(hosted.reached(written + 1).await.is_err());
+    let recovering = tokio::task::spawn_blocking(move || registry.recover());
+    recovering.await.unwrap().unwrap();
+    assert!(hosted.follows());
+
+    // The members do not change.
+    let own = server.own.read(entry.uid, None, usize::MAX).unwrap();
+    let ahead = log_with(&entry, &more(&own, 1, 1));
+    *server.others.members.lock() = vec![Some(ahead)];
+    let refused = server.insert().await.unwrap_err();
+    assert_eq!(refused.code(), Code::Unavailable, "{refused}");
+    assert_eq!(server.own.newest(entry.uid), Ok(written));
 }
 
 /// It makes a record too.
