@@ -7,7 +7,7 @@
 mod draft;
 
 use std::{
-    collections::{HashMap, HashSet},
+    collections::{HashMap, HashSet, VecDeque},
     sync::Arc,
     time::Duration,
 };
@@ -72,6 +72,8 @@ impl Attempts {
 enum Failure {
     /// It has applied another record of this revision.
     Contradicts(u64),
+    /// It does not know the newest record of this server.
+    NotCompared,
     /// Another reason.
     Other(String),
 }
@@ -155,7 +157,7 @@ async fn heal_index(
         match newest {
             Ok(newest) => min_revision = min_revision.max(newest),
             Err(Failure::Other(why)) => return Err(why),
-            Err(Failure::Contradicts(_)) => {}
+            Err(Failure::Contradicts(_) | Failure::NotCompared) => {}
         }
     }
     let request = CopyRequest {
@@ -164,14 +166,12 @@ async fn heal_index(
         min_revision,
     };
     let mut failures = Vec::new();
-    let members = peers.peers(index.uid);
-    // A member that knows the newest record of this server speaks before one that does not: it may contradict.
-    let compared = members.iter().map(|member| (member, true));
-    let others = members.iter().map(|member| (member, false));
     let is_comparable = index.position.is_some();
-    for (member, must_compare) in compared.filter(|_| is_comparable).chain(others) {
+    let members = peers.peers(index.uid).into_iter();
+    let mut members: VecDeque<_> = members.map(|member| (member, is_comparable)).collect();
+    while let Some((member, must_compare)) = members.pop_front() {
         let copy = (index, &request, must_compare);
-        let copied = copy_from(registry, service, (peers, member), copy).await;
+        let copied = copy_from(registry, service, (peers, &member), copy).await;
         match copied {
             Ok((revision, compared)) => {
                 warn!(
@@ -196,7 +196,8 @@ async fn heal_index(
                     "{member} has another record of revision {revision}"
                 ));
             }
-            Err(Failure::Other(_)) if must_compare => {}
+            // The others speak first: they may contradict.
+            Err(Failure::NotCompared) => members.push_back((member, false)),
             Err(Failure::Other(why)) => failures.push(format!("{member}: {why}")),
         }
     }
@@ -232,8 +233,7 @@ async fn copy_from(
         )));
     }
     if must_compare && !start.is_compared {
-        let why = "it does not know the newest record of this server";
-        return Err(Failure::Other(why.into()));
+        return Err(Failure::NotCompared);
     }
     let in_journal = move |registry: &Registry, uid| registry.is_in_journal(uid, position);
     if !blocking(registry, in_journal, index.uid).await? {

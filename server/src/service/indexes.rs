@@ -112,16 +112,22 @@ impl Service {
                 what: "a request that was refused without a reason".into(),
             });
         };
-        let (name, limits) = (request.name.clone(), self.index_limits(&call.caller));
-        let may_create = refused.is_none();
-        let created = self.blocking(move |registry| match may_create {
-            true => registry.create(&name, space, payload_encoding, &limits),
-            false => match registry.find(&name, &space, payload_encoding)? {
-                Some(hosted) => Ok((hosted, false)),
-                None => Err(RegistryError::Deleted),
-            },
-        });
-        let (hosted, created) = created.await?.map_err(|error| match (error, refused) {
+        // An index that exists is found at once: creating one may wait long for NATS, and holds up other changes.
+        let found = self
+            .registry()?
+            .find(&request.name, &space, payload_encoding);
+        let created = match found {
+            Ok(None) if refused.is_none() => {
+                let (name, limits) = (request.name.clone(), self.index_limits(&call.caller));
+                let create = move |registry: &Registry| {
+                    registry.create(&name, space, payload_encoding, &limits)
+                };
+                self.blocking(create).await?
+            }
+            Ok(found) => found.map(|it| (it, false)).ok_or(RegistryError::Deleted),
+            Err(error) => Err(error),
+        };
+        let (hosted, created) = created.map_err(|error| match (error, refused) {
             (RegistryError::Deleted, Some(refused)) => refused,
             (
                 RegistryError::Exists {
@@ -333,31 +339,4 @@ fn read_token(token: &str, violations: &mut Violations) -> Option<String> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names() {
-        let longest = "a".repeat(63);
-        for name in ["a", "0", "arm-7_left", &longest] {
-            assert!(is_name(name), "{name}");
-        }
-        let too_long = "a".repeat(64);
-        for name in ["", "-a", "_a", "A", "a b", "a/b", "ä", &too_long] {
-            assert!(!is_name(name), "{name}");
-        }
-    }
-
-    #[test]
-    fn tokens_round_trip_and_others_are_refused() {
-        let mut violations = Violations::default();
-        let read = read_token(&hex::encode("arm-7"), &mut violations);
-        assert_eq!(read.as_deref(), Some("arm-7"));
-        assert!(violations.finish().is_ok());
-        for token in ["a", "zz", "00", "ff", "é"] {
-            let mut violations = Violations::default();
-            assert_eq!(read_token(token, &mut violations), None);
-            assert!(violations.finish().is_err(), "{token}");
-        }
-    }
-}
+mod tests;

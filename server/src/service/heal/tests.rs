@@ -59,6 +59,8 @@ async fn stopped(journal: &Arc<MemoryLog>, points: &Arc<MemoryLog>) -> (Service,
 struct Peer {
     service: Service,
     most_parts: AtomicUsize,
+    /// The number of times that it was asked for a copy.
+    asked: AtomicUsize,
 }
 
 impl Peer {
@@ -66,6 +68,7 @@ impl Peer {
         Self {
             service,
             most_parts: AtomicUsize::new(usize::MAX),
+            asked: AtomicUsize::new(0),
         }
     }
 }
@@ -97,6 +100,7 @@ impl Peers for Peer {
         _: &'a str,
         request: CopyRequest,
     ) -> BoxFuture<'a, Result<CopyParts, Unanswered>> {
+        self.asked.fetch_add(1, SeqCst);
         let most = self.most_parts.load(SeqCst);
         async move {
             let parts = match self.service.copy_index(request).await.unwrap() {
@@ -141,7 +145,10 @@ async fn a_copy_that_is_cut_short_changes_nothing() {
     let mut whole = None;
     for parts in 0..100 {
         peer.most_parts.store(parts, SeqCst);
-        if heal(&service, &peer, &index).await.is_ok() {
+        let healed = heal(&service, &peer, &index).await;
+        // An attempt does not begin a copy that broke off again.
+        assert_eq!(peer.asked.load(SeqCst), parts + 1);
+        if healed.is_ok() {
             whole = Some(parts);
             break;
         }
