@@ -22,6 +22,17 @@ pub(super) enum Step<'a> {
     SetPayload(&'a [u8]),
 }
 
+impl<'a> Step<'a> {
+    /// The payload that the point has after the step; None if the step leaves it as it is.
+    pub(super) fn payload(&self) -> Option<&'a [u8]> {
+        match *self {
+            Step::Put { payload, .. } | Step::SetPayload(payload) => Some(payload),
+            Step::Replace { .. } => Some(&[]),
+            Step::Remove | Step::SetTag(_) => None,
+        }
+    }
+}
+
 /// A write that was not sent, or that the server refused.
 #[derive(Clone, Debug, PartialEq)]
 pub enum UnsentWrite {
@@ -152,8 +163,13 @@ impl Batch {
 
     /// True if the batch has a step on this id, and the id is among those that the index assigned in it.
     pub(super) fn has_assigned(&self, id: u64) -> bool {
+        self.may_have_assigned(id) && self.ids.contains(&id)
+    }
+
+    /// True if the id is in the range of those that the index assigned in the batch.
+    pub(super) fn may_have_assigned(&self, id: u64) -> bool {
         let is_near = |(first, last): (u64, u64)| (first..=last).contains(&id);
-        self.assigned.is_some_and(is_near) && self.ids.contains(&id)
+        self.assigned.is_some_and(is_near)
     }
 
     fn push_row(&mut self, row: &[f64], payload: &[u8]) {
@@ -195,18 +211,6 @@ impl Batch {
             };
             (self.ids[at], step)
         })
-    }
-
-    /// The payload that its last step with one gives this id; None if it has no such step.
-    pub(super) fn payload(&self, width: usize, id: u64) -> Option<Vec<u8>> {
-        let puts = self.steps(width).filter(|(of, _)| *of == id);
-        let payloads = puts.filter_map(|(_, step)| match step {
-            Step::Put { payload, .. } => Some(payload.to_vec()),
-            Step::Replace { .. } => Some(Vec::new()),
-            Step::SetPayload(payload) => Some(payload.to_vec()),
-            Step::Remove | Step::SetTag(_) => None,
-        });
-        payloads.last()
     }
 
     /// The writes, for the caller.

@@ -223,10 +223,7 @@ impl Core {
                 return Err(Error::timeout("flush", timeout));
             }
             if writer.refusals > refusals {
-                // The caller that has taken the writes back knows the cause.
-                let why = writer.refused.clone();
-                let why = why.unwrap_or_else(|| Arc::new(Error::Closed));
-                return Err(Error::WritesRefused { why });
+                return Err(writer.refusal());
             }
         }
         Ok(())

@@ -90,6 +90,16 @@ impl Link {
         Ok((link, server.limits))
     }
 
+    /// A link of a client that has asked its server for nothing.
+    #[cfg(test)]
+    pub(super) fn of_client(client: Client) -> Link {
+        Link {
+            name: "arm".to_owned(),
+            timeout: Duration::from_secs(30),
+            transport: Transport::Grpc(client),
+        }
+    }
+
     async fn call<C: Call>(&self, request: &C) -> Result<C::Answer, Error> {
         match &self.transport {
             Transport::Grpc(client) => client.send(self.timeout, request).await,

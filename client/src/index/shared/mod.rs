@@ -15,6 +15,8 @@ mod rebased;
 mod sender;
 mod status;
 mod subscriber;
+#[cfg(test)]
+mod tests;
 mod writer;
 
 pub use batch::UnsentWrite;
@@ -50,7 +52,6 @@ pub(super) struct SharedIndex {
 }
 
 impl SharedIndex {
-    /// Stores rows under new ids, which readers see at once.
     /// Stores new points, and returns the number of refusals before. Fails if that is not `before`: the rows before these
     /// were given back.
     fn insert_rows(
@@ -61,24 +62,17 @@ impl SharedIndex {
         before: Option<u64>,
     ) -> Result<u64, Error> {
         let width = self.core.space.coordinates();
-        let step = |row| Step::Put {
-            tag,
-            row,
-            payload: &[],
-        };
         let count = rows.len() / width;
-        let bytes = count * Batch::step_bytes(&step(&rows[..width]));
+        let bytes = count * Batch::step_bytes(&plain_put(tag, &rows[..width]));
         let mut writer = self.core.room(bytes, count as u64)?;
         let refusals = writer.refusals;
         if before.is_some_and(|before| before != refusals) {
-            // The caller that has taken them back knows the cause.
-            let why = Arc::new(Error::Closed);
-            return Err(Error::WritesRefused { why });
+            return Err(writer.refusal());
         }
         let mut points = self.core.points.write();
         for row in rows.chunks_exact(width) {
             let id = writer.ids.next().ok_or(Error::Closed)?;
-            writer.insert(id, &step(row), &mut points)?;
+            writer.insert(id, &plain_put(tag, row), &mut points)?;
             ids.push(id);
         }
         self.core.written(&mut writer, &mut points);
@@ -201,7 +195,10 @@ impl NearestNeighbors for SharedIndex {
         let width = self.core.space.coordinates();
         let count = rows.len() / width;
         let (mut ids, mut refusals) = (Vec::with_capacity(count), None);
-        for part in rows.chunks(MAX_ROWS_AT_ONCE * width) {
+        let step_bytes = Batch::step_bytes(&plain_put(tag, rows.get(..width).unwrap_or_default()));
+        // A part that needs nearly all the room would wait until no other thread has a write pending.
+        let max_rows = self.core.settings.max_pending_bytes / 4 / step_bytes;
+        for part in rows.chunks(max_rows.clamp(1, MAX_ROWS_AT_ONCE) * width) {
             let done = ids.len();
             match self.insert_rows(part, tag, &mut ids, refusals) {
                 Ok(before) => refusals = Some(before),
@@ -253,11 +250,14 @@ impl NearestNeighbors for SharedIndex {
         {
             let writer = self.core.writer.lock();
             let points = self.core.points.read();
-            for (at, &id) in ids.iter().enumerate() {
-                if !points.forest.contains(id) {
-                    continue;
-                }
-                payloads[at] = writer.payload(id);
+            let stored = ids.iter().copied().enumerate();
+            let stored: Vec<(usize, u64)> = stored
+                .filter(|(_, id)| points.forest.contains(*id))
+                .collect();
+            let pending = writer.payloads(stored.iter().map(|(_, id)| *id));
+            for (at, id) in stored {
+                let payload = pending.get(&id).copied().flatten();
+                payloads[at] = payload.map(<[u8]>::to_vec);
                 if payloads[at].is_none() {
                     positions.push(at);
                     missing.push(id);
@@ -290,6 +290,15 @@ impl NearestNeighbors for SharedIndex {
 
     fn clear(&self) -> Result<(), Error> {
         Err(Error::NotInMemory { call: "clear" })
+    }
+}
+
+/// The step that stores a row without a payload.
+fn plain_put(tag: u64, row: &[f64]) -> Step<'_> {
+    Step::Put {
+        tag,
+        row,
+        payload: &[],
     }
 }
 

@@ -167,3 +167,89 @@ async fn supervised(core: Arc<Core>, task: impl Future<Output = ()>) {
         core.end(why);
     }
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    use std::net::TcpListener;
+
+    use wayfold_proto::v1;
+
+    use super::*;
+    use crate::{Client, ConnectionStatus, IndexInfo, Revision, UnsentWrite};
+
+    /// The state of an empty index that has one id to give, and no task.
+    pub(in crate::index::shared) fn core(timeout: Duration, max_pending_bytes: usize) -> Arc<Core> {
+        // A client connects to it without an answer.
+        let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+        let uri = format!("http://{}", silent.local_addr().unwrap());
+        let client = wait_for(async move { Client::connect(&uri).await }).unwrap();
+        let space: Space = "R1".parse().unwrap();
+        let index = IndexInfo {
+            name: "arm".to_owned(),
+            revision: Revision::new("uid", 0),
+            point_count: 0,
+            coordinate_count: space.coordinates(),
+            dimension: space.dimension(),
+            memory_bytes: 0,
+            payload_encoding: PayloadEncoding::Unspecified,
+            space: space.clone(),
+        };
+        let mut writer = Writer::new(space.coordinates());
+        let reserved = v1::IdBlock {
+            first_id: 7,
+            id_count: 1,
+        };
+        writer.open(1, Some(reserved));
+        Core::new(
+            Link::of_client(client),
+            Arc::new(index),
+            0,
+            LocalPoints::new(&space),
+            writer,
+            Settings {
+                timeout,
+                max_pending_bytes,
+                max_payload_bytes: 1,
+                id_block: 1,
+                max_reserved_ids: 1,
+            },
+        )
+    }
+
+    #[test]
+    fn a_panic_of_a_task_ends_the_index_and_the_waits_of_its_writers() {
+        let core = core(Duration::from_secs(30), 1 << 20);
+        let called = Arc::clone(&core);
+        let task = spawn(supervised(Arc::clone(&core), async move {
+            // A writer that is about to wait calls the sender.
+            called.urgent.notified().await;
+            panic!("a bug of the test");
+        }));
+        let task = task.unwrap().abort_handle();
+        let index = Index::of_shared(SharedIndex {
+            core,
+            tasks: [task.clone(), task],
+        });
+        assert_eq!(index.insert([0.0]).unwrap(), 7);
+        // No id is left, so this one waits.
+        let waited = index.insert([1.0]);
+        let Err(Error::Ended { why }) = &waited else {
+            panic!("{waited:?}");
+        };
+        let why = why.to_string();
+        assert!(why.contains("one of its tasks panicked"), "{why}");
+        let status = index.status();
+        assert!(
+            matches!(status, Some(ConnectionStatus::Ended { .. })),
+            "{status:?}"
+        );
+        for refused in [index.flush(), index.nearest([0.0]).map(drop)] {
+            assert!(refused.is_err(), "{refused:?}");
+        }
+        let unsent = index.take_unsent();
+        assert!(
+            matches!(&unsent[..], [UnsentWrite::Put { id: 7, .. }]),
+            "{unsent:?}"
+        );
+    }
+}

@@ -5,7 +5,7 @@
 mod outcome;
 
 use std::{
-    collections::{HashMap, VecDeque},
+    collections::{BTreeMap, HashMap, VecDeque},
     sync::Arc,
 };
 
@@ -56,6 +56,8 @@ pub(super) struct Writer {
     /// The reason for which the server takes no more writes, until the caller has taken back those that it did not
     /// take.
     pub(super) refused: Option<Arc<Error>>,
+    /// The reason of the last refusal, also after the caller has taken back the writes.
+    last_refusal: Option<Arc<Error>>,
     /// The number of refusals so far.
     pub(super) refusals: u64,
     /// The writes that the server did not take, until the caller takes them back.
@@ -85,6 +87,7 @@ impl Writer {
             settled: 0,
             open_searches: OpenSearches::default(),
             refused: None,
+            last_refusal: None,
             refusals: 0,
             unsent: Vec::new(),
             past_sessions: Vec::new(),
@@ -244,15 +247,33 @@ impl Writer {
         std::mem::take(&mut self.unsent)
     }
 
-    /// The payload that the last pending write of this id gives it.
-    pub(super) fn payload(&self, id: u64) -> Option<Vec<u8>> {
-        if !self.rebased.contains_key(&id) && !self.is_pending_insert(id) {
-            return None;
+    /// The error of a caller whose writes the last refusal gave back.
+    pub(super) fn refusal(&self) -> Error {
+        let why = self.last_refusal.clone();
+        let why = why.unwrap_or_else(|| Arc::new(Error::Closed));
+        Error::WritesRefused { why }
+    }
+
+    /// The payloads that pending writes give to these ids; none for an id whose payload no pending write sets.
+    pub(super) fn payloads(&self, ids: impl Iterator<Item = u64>) -> BTreeMap<u64, Option<&[u8]>> {
+        let may_be_pending = |id: &u64| {
+            let mut batches = self.queue.iter();
+            self.rebased.contains_key(id) || batches.any(|batch| batch.may_have_assigned(*id))
+        };
+        let ids = ids.filter(may_be_pending);
+        let mut payloads: BTreeMap<_, _> = ids.map(|id| (id, None)).collect();
+        if payloads.is_empty() {
+            return payloads;
         }
-        let batches = self.queue.iter().rev();
-        batches
-            .filter_map(|batch| batch.payload(self.width, id))
-            .next()
+        // One pass for all ids: the caller holds the lock, and the queue is long if the server is away.
+        for (id, step) in self.queue.iter().flat_map(|batch| batch.steps(self.width)) {
+            if let Some(payload) = step.payload()
+                && let Some(last) = payloads.get_mut(&id)
+            {
+                *last = Some(payload);
+            }
+        }
+        payloads
     }
 }
 

@@ -123,7 +123,7 @@ fn blocks_of_ids_keep_to_the_limit_of_the_server() {
 fn a_refusal_amid_an_insert_of_many_rows_loses_no_id_and_is_logged() {
     let server = Server::with(|config| config.limits.max_points_per_index = 5_000);
     let index = Index::shared(&server.uri, "arm").create(&"R1".parse().unwrap());
-    // As many bytes as the rows have that are stored at once: the next ones wait.
+    // Fewer bytes than the rows have: later parts of them wait.
     let index = index.max_pending_bytes(4_096 * 32).open().unwrap();
     let rows = (0..20_000).map(|number| [f64::from(number)]);
     let error = index.insert_many(rows).unwrap_err();

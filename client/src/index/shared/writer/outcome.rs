@@ -1,6 +1,6 @@
 //! The outcome of pending writes: the server acknowledges, publishes or refuses them.
 
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 use super::{Batch, RebasedPoint, Writer};
 use crate::{
@@ -218,7 +218,8 @@ impl Writer {
         why: Arc<Error>,
         points: &mut LocalPoints,
     ) -> Result<(), Error> {
-        self.refused.get_or_insert(why);
+        let why = self.refused.get_or_insert(why);
+        self.last_refusal = Some(Arc::clone(why));
         self.refusals += 1;
         self.past_sessions.extend(self.session.take());
         self.ids.clear();
@@ -228,6 +229,7 @@ impl Writer {
             .iter()
             .take_while(|batch| is_taken(batch))
             .count();
+        let mut given_up = BTreeMap::new();
         for batch in self.queue.split_off(taken) {
             self.bytes -= batch.held_bytes();
             self.open_searches.close(batch.searches.len());
@@ -236,16 +238,19 @@ impl Writer {
                 match self.rebased.get_mut(&id) {
                     // An insert under an id of this session.
                     None => drop(points.remove(id)?),
-                    Some(rebased) => {
-                        let is_settled = rebased.give_up();
-                        show(id, rebased, points)?;
-                        if is_settled {
-                            self.rebased.remove(&id);
-                        }
-                    }
+                    Some(rebased) => drop(given_up.insert(id, rebased.give_up())),
                 }
             }
             self.unsent.extend(batch.unsent(self.width));
+        }
+        // Once an id: this applies all of its other pending writes.
+        for (id, is_settled) in given_up {
+            if let Some(rebased) = self.rebased.get(&id) {
+                show(id, rebased, points)?;
+            }
+            if is_settled {
+                self.rebased.remove(&id);
+            }
         }
         Ok(())
     }

@@ -1,0 +1,254 @@
+//! Pending writes without a server: their payloads, the room that they take, and refusals.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    thread,
+    time::Duration,
+};
+
+use rand::{RngExt, SeedableRng, seq::IndexedRandom};
+use rand_chacha::ChaCha8Rng;
+use wayfold_proto::v1;
+
+use super::{open::tests::core, *};
+use crate::{Code, Index, InsertOptions, Refusal, index::runtime::spawn};
+
+/// An index that no task serves: a call that waits fails at once. It has the id 7 and these ones to give.
+fn idle(max_pending_bytes: usize, id_count: u64) -> (Arc<Core>, SharedIndex) {
+    let core = core(Duration::ZERO, max_pending_bytes);
+    let first_id = 100;
+    let block = v1::IdBlock { first_id, id_count };
+    core.writer.lock().reserve(Some(block));
+    let task = spawn(async {}).unwrap().abort_handle();
+    let tasks = [task.clone(), task];
+    (Arc::clone(&core), SharedIndex { core, tasks })
+}
+
+fn quota_exceeded() -> Error {
+    Error::Refused(Box::new(Refusal {
+        code: Code::ResourceExhausted,
+        message: "the index is full".to_owned(),
+        reason: "QUOTA_EXCEEDED".to_owned(),
+        metadata: BTreeMap::new(),
+        fields: Vec::new(),
+        ids: Vec::new(),
+        retry_after: None,
+    }))
+}
+
+/// One pass over the pending writes for each id would take minutes.
+#[test]
+fn payloads_of_many_pending_inserts_are_read_at_once() {
+    let (_, shared) = idle(16 << 20, 60_000);
+    let index = Index::of_shared(shared);
+    let payloads = [vec![], vec![1], vec![2]].into_iter().cycle().take(60_000);
+    let payloads: Vec<Option<Vec<u8>>> = payloads.map(Some).collect();
+    let insert = |payload: &Option<Vec<u8>>| {
+        let options = InsertOptions::new().payload(payload.as_ref().unwrap());
+        index.insert_with([0.0], options).unwrap().id
+    };
+    let ids: Vec<u64> = payloads.iter().map(insert).collect();
+    assert_eq!(index.payloads(&ids).unwrap(), payloads);
+}
+
+#[test]
+fn rows_beside_pending_writes_of_others_take_the_room_that_is_left() {
+    let (_, shared) = idle(64 * 32, 64);
+    let index = Index::of_shared(shared);
+    index.insert([0.0]).unwrap();
+    let rows: Vec<[f64; 1]> = (0..64).map(|number| [f64::from(number)]).collect();
+    let error = index.insert_many(&rows).unwrap_err();
+    let Error::Partial { done, source, .. } = error else {
+        panic!("{error}");
+    };
+    assert!(matches!(*source, Error::Timeout { .. }), "{source}");
+    assert_eq!((done, index.len().unwrap()), (48, 49));
+}
+
+/// A thread takes the writes back before the waiting ones learn of the refusal.
+#[test]
+fn a_refusal_whose_writes_were_taken_back_has_its_cause() {
+    let (core, shared) = idle(1 << 20, 2);
+    let mut ids = Vec::new();
+    let before = shared.insert_rows(&[1.0], 0, &mut ids, None).unwrap();
+    let flushed = thread::scope(|scope| {
+        let flush = scope.spawn(|| core.flush(Duration::from_secs(30)));
+        let waiting = Arc::clone(&core);
+        wait_for(async move {
+            // A caller that is about to wait calls the sender.
+            waiting.urgent.notified().await;
+            Ok(())
+        })
+        .unwrap();
+        let mut writer = core.writer.lock();
+        core.refuse(&mut writer, quota_exceeded());
+        assert_eq!(writer.take_unsent().len(), 1);
+        drop(writer);
+        flush.join().unwrap()
+    });
+    let reserved = v1::IdBlock {
+        first_id: 200,
+        id_count: 1,
+    };
+    core.writer.lock().open(2, Some(reserved));
+    let inserted = shared.insert_rows(&[2.0], 0, &mut ids, Some(before));
+    for refused in [flushed, inserted.map(drop)] {
+        let refused = refused.unwrap_err();
+        assert!(matches!(refused, Error::WritesRefused { .. }), "{refused}");
+        assert_eq!(refused.reason(), Some("QUOTA_EXCEEDED"), "{refused}");
+    }
+}
+
+/// To show the point after each of them would apply all writes before it again.
+#[test]
+fn many_writes_on_one_point_are_given_back_by_one_change() {
+    let (core, shared) = idle(1 << 24, 0);
+    let index = Index::of_shared(shared);
+    let id = index.insert([0.0]).unwrap();
+    for number in 1..1_000 {
+        assert!(index.replace(id, [f64::from(number)]).unwrap());
+    }
+    let before = core.points.read().read_revision().0;
+    core.refuse(&mut core.writer.lock(), quota_exceeded());
+    assert_eq!(core.points.read().read_revision().0, before + 1);
+    assert_eq!((index.len().unwrap(), index.pending()), (0, 0));
+    assert_eq!(index.take_unsent().len(), 1_000);
+}
+
+/// A random write that had an effect.
+fn random_write(index: &Index, ids: &mut Vec<u64>, rng: &mut ChaCha8Rng) -> Option<UnsentWrite> {
+    let state = vec![f64::from(rng.random_range(0..4_u8))];
+    let payload = vec![1; rng.random_range(0..2)];
+    let tag = rng.random_range(0..3);
+    let id = ids.choose(rng).copied().unwrap_or(0);
+    let options = InsertOptions::new().tag(tag).payload(&payload);
+    let (write, has_effect) = match rng.random_range(0..9) {
+        kind @ 0..=2 => {
+            let options = match kind {
+                0 => options.id((1 << 40) + rng.random_range(0..5)),
+                _ => options,
+            };
+            let id = match index.insert_with(&state[..], options) {
+                Err(Error::IdTaken { .. }) => return None,
+                inserted => inserted.unwrap().id,
+            };
+            ids.push(id);
+            let put = UnsentWrite::Put {
+                id,
+                tag,
+                state,
+                payload,
+            };
+            (put, true)
+        }
+        3..=4 => {
+            let is_stored = index.replace(id, &state[..]).unwrap();
+            (UnsentWrite::Replace { id, state }, is_stored)
+        }
+        5 => (UnsentWrite::Remove { id }, index.remove(id).unwrap()),
+        6 => {
+            let is_stored = index.set_tag(id, tag).unwrap();
+            (UnsentWrite::SetTag { id, tag }, is_stored)
+        }
+        _ => {
+            let is_stored = index.set_payload(id, &payload).unwrap();
+            (UnsentWrite::SetPayload { id, payload }, is_stored)
+        }
+    };
+    has_effect.then_some(write)
+}
+
+/// The tags and the numbers of points.
+type Content = BTreeMap<u64, (u64, f64)>;
+
+fn apply(write: &UnsentWrite, points: &mut Content) {
+    match write {
+        UnsentWrite::Put { id, tag, state, .. } => {
+            points.insert(*id, (*tag, state[0]));
+        }
+        UnsentWrite::Replace { id, state } => {
+            points.entry(*id).and_modify(|point| point.1 = state[0]);
+        }
+        UnsentWrite::Remove { id } => {
+            points.remove(id);
+        }
+        UnsentWrite::SetTag { id, tag } => {
+            points.entry(*id).and_modify(|point| point.0 = *tag);
+        }
+        UnsentWrite::SetPayload { .. } => {}
+    }
+}
+
+/// The payloads that the copy knows: those of pending writes, and none of points that are gone.
+fn check_payloads(index: &Index, ids: &[u64], pending: &VecDeque<UnsentWrite>) {
+    let mut last = BTreeMap::new();
+    for write in pending {
+        match write {
+            UnsentWrite::Put { id, payload, .. } | UnsentWrite::SetPayload { id, payload } => {
+                last.insert(*id, payload.clone());
+            }
+            UnsentWrite::Replace { id, .. } => {
+                last.insert(*id, Vec::new());
+            }
+            UnsentWrite::Remove { .. } | UnsentWrite::SetTag { .. } => {}
+        }
+    }
+    let is_stored = |id| index.get(id).unwrap().is_some();
+    // The server would be asked for the other ones.
+    let known = ids.iter().copied();
+    let known: Vec<u64> = known
+        .filter(|id| last.contains_key(id) || !is_stored(*id))
+        .collect();
+    let expected = known.iter().map(|id| match is_stored(*id) {
+        true => last.get(id).cloned(),
+        false => None,
+    });
+    let expected: Vec<Option<Vec<u8>>> = expected.collect();
+    assert_eq!(index.payloads(&known).unwrap(), expected);
+    for (&id, payload) in known.iter().zip(expected) {
+        assert_eq!(index.payload(id).unwrap(), payload);
+    }
+}
+
+#[test]
+fn random_pending_writes_keep_their_payloads_and_are_given_back_in_order() {
+    for seed in 0..20 {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let (core, shared) = idle(1 << 24, 1_000);
+        let index = Index::of_shared(shared);
+        let (mut ids, mut pending) = (Vec::new(), VecDeque::new());
+        let mut published = Content::new();
+        for step in 0..500 {
+            pending.extend(random_write(&index, &mut ids, &mut rng));
+            let is_last_sent = step == 450;
+            if is_last_sent || step < 450 && rng.random_bool(0.05) {
+                let mut writer = core.writer.lock();
+                let Some(batch) = writer.next(1, 0) else {
+                    continue;
+                };
+                let points = &mut core.points.write();
+                if is_last_sent {
+                    // The server takes it, and the feed does not name it yet.
+                    writer.acknowledge(batch.batch, 1, 0, points).unwrap();
+                } else {
+                    writer.confirm(1, batch.batch, points).unwrap().unwrap();
+                }
+                let sent = pending.drain(..batch.ids.len());
+                sent.for_each(|write| apply(&write, &mut published));
+            }
+            if step < 450 && step % 10 == 0 {
+                check_payloads(&index, &ids, &pending);
+            }
+        }
+        core.refuse(&mut core.writer.lock(), quota_exceeded());
+        assert_eq!(index.take_unsent(), Vec::from(pending));
+        let held = ids
+            .iter()
+            .filter_map(|id| Some((*id, index.get(*id).unwrap()?)));
+        let held: Content = held
+            .map(|(id, point)| (id, (point.tag, point.state[0])))
+            .collect();
+        assert_eq!(held, published, "seed {seed}");
+        assert_eq!(index.pending(), 0);
+    }
+}
