@@ -207,3 +207,23 @@ fn c_string(text: &str) -> CString {
 pub(crate) fn free(body: impl FnOnce()) {
     let _ = catch_unwind(AssertUnwindSafe(body));
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_is_an_error_with_its_text() {
+        let place = String::from("place");
+        let caught = |code| {
+            assert_eq!(code, Code::Internal);
+            LAST.take().expect("an error")
+        };
+        let plain = caught(call(|| panic!("a place")));
+        let formatted = caught(call(|| panic!("a {place}")));
+        for failure in [plain, formatted] {
+            assert_eq!(failure.reason.as_c_str(), c"PANIC");
+            assert_eq!(failure.message.as_c_str(), c"the library panicked: a place");
+        }
+    }
+}

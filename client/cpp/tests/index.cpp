@@ -121,6 +121,19 @@ int main() {
     }
     inserts.join();
     CHECK(index.size() == 12000);
+
+    // 2,000 searches for 12,000 points each take far longer than a millisecond.
+    queries.clear();
+    for (const auto &row : rows) {
+        queries.insert(queries.end(), row.begin(), row.end());
+    }
+    try {
+        index.search_many(queries.data(), rows.size(), wayfold::Search::within(100).timeout(1));
+        CHECK(false);
+    } catch (const wayfold::Error &error) {
+        CHECK(error.code() == WAYFOLD_CODE_DEADLINE_EXCEEDED && error.reason() == "SEARCH_TIMEOUT");
+        CHECK(error.field() == "timeout");
+    }
     index.remove_all();
     CHECK(index.empty() && index.insert(rows[0]) >= 12000);
     std::cout << "index: ok\n";

@@ -216,12 +216,13 @@ void refusals(const std::string &uri) {
     const auto si = discs::information();
     const auto other_space = wayfold::Index::shared(uri, "other-space", "R3");
     refuses<ompl::Exception>("the index has the space R3", [&] { wayfold::SharedPRM(si, other_space); });
+    const auto index = wayfold::Index::shared(uri, "refusals", space), remote = wayfold::Index::remote(uri, "refusals");
+    refuses<ompl::Exception>("not a remote one", [&] { wayfold::SharedPRM(si, remote); });
     // Without a problem definition an edge has no cost.
     wayfold::SharedPRM undefined(si, wayfold::Index::in_memory(space));
     refuses<ompl::Exception>("problem definition", [&] { undefined.growRoadmap(0.01); });
 
     // A point that is no vertex.
-    const auto index = wayfold::Index::shared(uri, "refusals", space);
     const auto foreign = index.insert({0.1, 0.1, 0}, 0, "abc");
     Planner planner(index);
     refuses<ompl::Exception>("is no vertex of a roadmap", [&] { planner.prm->refresh(); });
@@ -233,7 +234,6 @@ void refusals(const std::string &uri) {
     CHECK(planner.prm->milestoneCount() == 100 && index.size() == 100);
 
     // Another program removes a vertex.
-    const auto remote = wayfold::Index::remote(uri, "refusals");
     CHECK(remote.remove(*planner.prm->id(7)));
     index.flush();
     const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(60);

@@ -41,7 +41,7 @@ public:
                     Index::shared(uri, name, {OmplSpace(si->getStateSpace()).text(), PayloadEncoding::edges}, credentials),
                     star) {}
 
-    // On an index that this planner alone has opened.
+    // On an index, in memory or shared, that this planner alone has opened.
     SharedPRM(const ompl::base::SpaceInformationPtr &si, const Index &index, bool star = false)
         : SharedPRM(si, index, detail::RowsOfStates(si->getStateSpace()), star) {}
 
@@ -143,6 +143,15 @@ private:
         if (queries_.space() != index.space()) {
             throw ompl::Exception("wayfold: the states of " + si->getStateSpace()->getName() + " are those of " +
                                   queries_.space() + ", and the index has the space " + index.space());
+        }
+        try {
+            // The first exchange needs the revision of now, which a remote index refuses to tell.
+            index.changes(~std::uint64_t{0});
+        } catch (const Error &error) {
+            if (error.code() == WAYFOLD_CODE_INVALID_ARGUMENT) {
+                throw ompl::Exception("wayfold: a roadmap needs an index in memory or a shared one, not a remote one");
+            }
+            throw;
         }
         nn_ = std::make_shared<detail::RoadmapNeighbors<SharedPRM>>(*this);
         nn_->setDistanceFunction([this](const Vertex &a, const Vertex &b) { return distanceFunction(a, b); });

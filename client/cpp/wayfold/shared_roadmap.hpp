@@ -234,6 +234,11 @@ private:
         Changes changes = changes_after(index_, is_loaded_ ? std::optional(read_revision_) : std::nullopt, vertices_);
         for (const std::uint64_t id : changes.removed) {
             if (vertices_.count(id) > 0) {
+                const auto status = index_.status();
+                if (status && status->name == WAYFOLD_STATUS_REFUSED) {
+                    // The copy has lost the refused vertices: this throws the refusal.
+                    index_.flush();
+                }
                 throw ompl::Exception(getName(), "vertex " + std::to_string(id) + " was removed from the index; clear "
                                                  "the planner to load the rest");
             }

@@ -321,7 +321,7 @@ public:
         return read(points).stored;
     }
     // Nothing if the index has forgotten some of the changes: scan it then. `UINT64_MAX` reads only the revision of
-    // now.
+    // now; a remote index refuses it.
     std::optional<Changes> changes(std::uint64_t since) const {
         wayfold_points *points = nullptr;
         detail::check(wayfold_index_changes(raw(), since, &points));

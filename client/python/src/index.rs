@@ -358,13 +358,7 @@ impl Index {
         traceback: &Bound<'_, PyAny>,
     ) -> PyResult<()> {
         let (py, _) = (traceback.py(), error);
-        // Raises the reason, if the writes cannot be sent. `close` has only the writes.
-        let flushed = match kind {
-            None => self.flush(py),
-            Some(_) => Ok(()),
-        };
-        self.close(py, 30.0)?;
-        flushed
+        self.exit(py, kind.is_some())
     }
 
     /// Writes all points of an index in memory to a file, which `load` reads.

@@ -58,6 +58,12 @@ def test_an_index_of_a_server_is_not_used_after_a_fork(server: Server) -> None:
     methods = (shared.pending, shared.status, shared.flush, shared.take_unsent, shared.close, shared.meanwhile)
     for method in (*methods, lambda: shared.wait_meanwhile(0.0), lambda: shared.__exit__(None, None, None)):
         assert in_fork(method).startswith("Forked: "), method
+
+    def raise_in_a_block() -> None:
+        with shared:
+            raise KeyError("body")
+
+    assert in_fork(raise_in_a_block) == "KeyError: 'body'"
     shared.insert([1.0, 1.0])
     assert shared.close() == []
     remote.insert_many(np.zeros((100_000, 2)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -32,6 +33,26 @@ def test_a_dropped_index_warns_of_lost_writes() -> None:
         del shared
 
 
+def test_a_dropped_index_warns_of_refused_writes_and_opens_no_session(monkeypatch: pytest.MonkeyPatch) -> None:
+    with serving({"WAYFOLD_LIMITS__MAX_POINTS_PER_INDEX": "1"}) as server:
+        shared = wayfold.shared(server.url, "dropped", create="R1")
+        remote = wayfold.remote(server.url, "dropped")
+        shared.insert_many([[0.0], [1.0]])
+        with pytest.raises(wayfold.Error, match="refused a write"):
+            shared.flush()
+        shown: list[tuple[str, int]] = []
+
+        def show(message: Warning | str, *_: object) -> None:
+            # After the drop, a session that is being opened would be given up.
+            shown.append((str(message), remote.insert([0.0])))
+
+        monkeypatch.setattr(warnings, "showwarning", show)
+        del shared
+    [(text, id)] = shown
+    # Each session reserves 65,536 ids.
+    assert "(2 refused)" in text and id < 2 * 65_536
+
+
 def test_a_warning_of_lost_writes_hides_no_exception() -> None:
     with serving({}) as server:
         opened = [wayfold.shared(server.url, "hidden", create="R1") for _ in range(2)]
@@ -45,6 +66,17 @@ def test_a_warning_of_lost_writes_hides_no_exception() -> None:
 
     with pytest.warns(RuntimeWarning, match="pending"), pytest.raises(KeyError):
         [grown(number) for number in range(2)]
+
+
+def test_an_exception_that_ends_a_block_stays_and_lost_writes_are_warned_of() -> None:
+    with (
+        serving({"WAYFOLD_LIMITS__MAX_POINTS_PER_INDEX": "1"}) as server,
+        pytest.warns(RuntimeWarning, match=r"lost \(2\)"),
+        pytest.raises(KeyError, match="body"),
+        wayfold.shared(server.url, "raised", create="R1") as index,
+    ):
+        index.insert_many([[0.0], [1.0]])
+        raise KeyError("body")
 
 
 def test_all_forms_answer_alike(server: Server) -> None:

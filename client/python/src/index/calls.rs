@@ -4,6 +4,7 @@ use std::{
     ffi::CString,
     slice::ChunksExact,
     sync::atomic::{AtomicU64, Ordering},
+    time::Duration,
 };
 
 use numpy::PyArray1;
@@ -49,17 +50,25 @@ pub(super) fn options(id: Option<u64>, tag: u64, payload: Option<&[u8]>) -> Inse
     options.payload(payload.unwrap_or_default())
 }
 
+/// Warns. A filter that turns warnings into exceptions does not replace an exception that is under way.
+fn warn(py: Python<'_>, text: String) {
+    let text = CString::new(text).unwrap_or_default();
+    let warned = PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &text, 1);
+    if let Err(error) = warned {
+        error.write_unraisable(py, None);
+    }
+}
+
 impl Drop for Index {
     /// Warns of lost writes. Python shows no log lines of the Rust package. A closed index has no pending writes.
     fn drop(&mut self) {
-        let (pending, refused) = match self.form {
-            Form::Shared => (self.index.pending(), self.index.take_unsent().len()),
-            Form::Memory { .. } | Form::Remote => (0, 0),
-        };
-        let count = match (pending, refused) {
-            (0, 0) => return,
-            (pending, 0) => format!("{pending} pending"),
-            (pending, refused) => format!("{pending} pending, {refused} refused"),
+        let count = match self.index.pending() {
+            // A refusal leaves no write pending. After `take_unsent`, the index would open another session.
+            0 => match self.index.close(Duration::ZERO).len() {
+                0 => return,
+                refused => format!("{refused} refused"),
+            },
+            pending => format!("{pending} pending"),
         };
         let text = format!(
             "a shared index was dropped before the server had acknowledged its writes ({count}): use it in a `with` block, \
@@ -68,11 +77,7 @@ impl Drop for Index {
         Python::try_attach(|py| {
             // An exception may be under way, and a warning needs that none is.
             let raised = PyErr::take(py);
-            let text = CString::new(text).unwrap_or_default();
-            let warned = PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &text, 1);
-            if let Err(error) = warned {
-                error.write_unraisable(py, None);
-            }
+            warn(py, text);
             if let Some(raised) = raised {
                 raised.restore(py);
             }
@@ -124,6 +129,29 @@ impl Index {
 
     pub(super) fn gave(&self, id: u64) {
         self.next_id.fetch_max(id + 1, Ordering::Relaxed);
+    }
+
+    /// Ends a `with` block. An exception that ended it stays.
+    pub(super) fn exit(&self, py: Python<'_>, has_raised: bool) -> PyResult<()> {
+        // Raises the reason, if the writes cannot be sent. `close` has only the writes.
+        let flushed = match has_raised {
+            true => Ok(()),
+            false => self.flush(py),
+        };
+        let lost = match self.close(py, 30.0) {
+            Ok(unsent) => unsent.len(),
+            // The process was forked, and the writes are its parent's.
+            Err(_) if has_raised => 0,
+            Err(error) => return Err(error),
+        };
+        if flushed.is_ok() && lost > 0 {
+            let text = format!(
+                "a shared index was closed before the server had acknowledged its writes, which are lost ({lost}): call \
+                 `flush` and `take_unsent` within the `with` block to keep them"
+            );
+            warn(py, text);
+        }
+        flushed
     }
 
     /// Runs a call without the interpreter's lock.
