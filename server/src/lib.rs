@@ -1,8 +1,9 @@
 //! The Wayfold server: shared nearest-neighbour indices for motion planners.
 //!
-//! Dependencies point one way: `log, watermark ← registry ← identity ← service ← grpc, zenoh, http, snapshots ← cluster ←
-//! run ← cli`. The [`service`] knows no transport. `grpc`, `zenoh` and `http` translate and hold no policy. The mutation [`log`] is
-//! the only record of an index's past.
+//! Dependencies point one way: `log, watermark ← registry, identity, admission ← service ← observe, status ← config, verbs ←
+//! faces ← grpc ← http, zenoh, cluster, snapshots ← run ← cli`. The [`service`] knows no transport. `grpc`, `zenoh` and `http`
+//! translate and guard their connections; they decide nothing about points or rights. The mutation [`log`] is the only
+//! source of state.
 
 // Helpers of the integration tests that unit tests include name the crate as those do.
 #[cfg(test)]

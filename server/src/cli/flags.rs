@@ -30,7 +30,7 @@ Settings:
 Examples:
   wayfold-server                             this machine only, port 50051
   wayfold-server --grpc 127.0.0.1:0          any free port; the first line names it
-  wayfold-server --zenoh off                 gRPC only
+  wayfold-server --zenoh off                 gRPC and HTTP only
   wayfold-server --data /var/lib/wayfold     keeps the indices there
   wayfold-server --data memory               loses the indices when it stops
   wayfold-server --config my.toml            TLS and identities, for every network
@@ -78,7 +78,7 @@ other indices keep only their names: delete them and restore their snapshots.
 
 With --dry-run too, the store is opened as by a server that starts: an interrupted
 repair is finished, small files that all indices share are put back, and after an
-unclean stop the journal is rewritten.
+unclean stop the journal files are rewritten.
 
 The new store needs about as many free bytes as the old one takes; --dry-run names
 the number, the damage and the indices that a repair loses.
@@ -131,7 +131,7 @@ pub(super) struct Flags {
     /// Zenoh locator to listen on, or off [default: tcp/127.0.0.1:7448]
     #[arg(long, value_name = "LOCATOR")]
     zenoh: Option<String>,
-    /// Address of the page and /metrics, or off [default: 127.0.0.1:8080]
+    /// Address of page, API and /metrics, or off [default: 127.0.0.1:8080]
     #[arg(long, value_name = "ADDR")]
     http: Option<String>,
     /// Directory of the indices, or memory [default: ./wayfold-data]

@@ -151,7 +151,7 @@ impl Metrics {
     pub(crate) fn add_syncs(&self, syncs: Histogram) {
         self.0.registry.lock().register_with_unit(
             "log_sync",
-            "Syncs of the journal to the disk",
+            "Syncs of the journal files to the disk",
             Unit::Seconds,
             syncs,
         );

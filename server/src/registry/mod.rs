@@ -8,8 +8,9 @@
 //! - The holder of the [`Writer`] evaluates a mutation against the published state and the records that are not yet
 //!   part of it, and submits the effects (`commit`). From then on nothing depends on the caller, so a dropped call
 //!   takes effect whole or not at all. If another writer was first, the mutation is evaluated again.
-//! - The registry knows no requests and no transport, and of the limits only the number of indices. It takes in nothing
-//!   that grows it above the watermarks of memory and disk.
+//! - The registry knows no requests and no transport. Of the limits it knows the number of indices, the window of
+//!   remembered operations, and whether the bytes of payloads are counted. It takes in nothing that grows it above the
+//!   watermarks of memory and disk.
 
 mod apply;
 mod commit;

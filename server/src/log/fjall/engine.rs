@@ -73,8 +73,8 @@ impl Engine {
             warn!(
                 file = %marks_path.display(),
                 indexes = found.indexes.len(),
-                "the file of the marks is missing or empty, so a journal that was cut short cannot be noticed; the \
-                 indices get marks of their present revisions"
+                "the file of the marks is missing or empty, so journal files that were cut short cannot be noticed; \
+                 the indices get marks of their present revisions"
             );
         }
         let mut journal = StoreJournal::new(Arc::clone(&store), path);

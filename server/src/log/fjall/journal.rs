@@ -61,7 +61,7 @@ impl StoreJournal {
         drop(handles);
         persisted.map_err(storage)?;
         self.sync_newest().map_err(|error| LogError::Storage {
-            what: format!("cannot sync the journal: {error}"),
+            what: format!("cannot sync the journal files: {error}"),
         })
     }
 

@@ -81,7 +81,7 @@ pub(super) fn recover(
             Stage::Whole | Stage::Unreadable if was_deleted => {
                 warn!(
                     index = staged.entry.name,
-                    "the journal was cut short: a deleted index reappeared and is deleted again"
+                    "the journal files were cut short: a deleted index reappeared and is deleted again"
                 );
                 found.deleted.push(number);
             }
