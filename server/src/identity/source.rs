@@ -115,10 +115,10 @@ impl Identities {
     }
 
     /// The caller of a call that another server of the cluster forwards, by the name of its identity. Without one the
-    /// server itself calls.
+    /// server itself calls. One beyond the quota is not counted as refused: that server evaluates it.
     pub(crate) fn forwarded(&self, name: Option<&str>) -> Caller {
         match (&self.source, name) {
-            (Some(source), Some(name)) => source.count(source.table.read().of_name(name)),
+            (Some(source), Some(name)) => source.table.read().of_name(name),
             (None, _) | (_, None) => Caller::Anyone,
         }
     }

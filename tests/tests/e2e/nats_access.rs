@@ -116,11 +116,17 @@ async fn a_server_needs_the_authority_and_a_user_of_nats() {
     let (certificate, key) = (file("ca"), file("key"));
     let with_tls = format!("tls {{ cert_file: {certificate:?}, key_file: {key:?} }}\n{accounts}");
     let with_password = "authorization { user: me, password: right }";
-    let nats = [("one", &*with_tls), ("two", with_password)].map(|(name, config)| {
+    let with_another = "authorization { user: me, password: another }";
+    let nats = [
+        ("one", &*with_tls),
+        ("two", with_password),
+        ("three", with_another),
+    ]
+    .map(|(name, config)| {
         fs::create_dir(file(name)).unwrap();
         Nats::start_with(&file(name), 1, config)
     });
-    let [tls, plain] = nats.each_ref().map(Nats::urls);
+    let [tls, plain, another] = nats.each_ref().map(Nats::urls);
     let [right, wrong] = ["right", "wrong"].map(|it| plain.replace("//", &format!("//me:{it}@")));
 
     let start = |urls: &str, ca: &str, credentials: &str| {
@@ -139,6 +145,11 @@ async fn a_server_needs_the_authority_and_a_user_of_nats() {
         stubs.create("arm", "R1").await;
         let written = insert_until_acknowledged(&mut stubs, 0..1);
         timeout(MAX_WAIT, written).await.unwrap();
+    }
+    // NATS is asked in a random order: some of them meet the server first that rejects them.
+    let urls = format!("{right},{}", another.replace("//", "//me:right@"));
+    for server in [(); 4].map(|()| start(&urls, "off", "off")) {
+        ServerProcess::ready(server);
     }
     let refused = [
         (&tls, "other", "user", "UnknownIssuer; set cluster.ca"),

@@ -12,6 +12,7 @@ use async_nats::{
     },
     rustls,
 };
+use parking_lot::Mutex;
 use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 use tracing::warn;
 
@@ -90,13 +91,22 @@ impl Connection {
         if let Some((user, password)) = users.next() {
             connecting = connecting.user_and_password(user.to_owned(), password.to_owned());
         }
+        let rejected = Mutex::new(None);
         let connect = || async {
             let attempt = connecting.clone().connect(servers.clone()).await;
             let rejection = attempt.as_ref().err().and_then(|it| rejection(options, it));
-            rejection.map_or_else(|| attempt.map(Ok), |rejection| Ok(Err(rejection)))
+            match rejection {
+                Some(rejection) if servers.len() == 1 => return Ok(Err(rejection)),
+                // The next attempt may ask another server of NATS first.
+                rejection => *rejected.lock() = rejection,
+            }
+            attempt.map(Ok)
         };
         let client = patiently("connection", connect).await;
-        let client = client.map_err(|error| unreachable(&error))??;
+        let client = client.map_err(|error| {
+            let rejected = rejected.lock().take();
+            rejected.unwrap_or_else(|| unreachable(&error))
+        })??;
         let (major, minor) = MIN_VERSION;
         if !client.is_server_compatible(major, minor, 0) {
             warn!(
@@ -207,7 +217,7 @@ impl Connection {
     }
 }
 
-/// The error of a start that ends with this attempt to connect; None if another attempt may succeed.
+/// The error of a start that ends with this attempt to connect; None if the same server may take another one.
 fn rejection(options: &NatsOptions, error: &ConnectError) -> Option<NatsError> {
     let (servers, what) = (without_passwords(&options.servers), error.to_string());
     // The library reports a failed handshake as an error of the socket.
