@@ -325,10 +325,10 @@ class Index:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Flushes, unless an exception ends the block, and closes.
+        """Flushes and closes; raises if the server does not take the writes, which are lost.
 
-        An exception that ends the block stays. Writes that the server does not take within 30 s are lost, with a
-        `RuntimeWarning`.
+        If an exception ends the block, it only closes, and the exception stays: writes that the server does not take
+        within 30 s are lost, with a `RuntimeWarning`.
         """
     def save(self, path: str | PathLike[str]) -> None:
         """Writes all points of an index in memory to a file. No other thread should write meanwhile."""

@@ -215,6 +215,8 @@ fn random_pending_writes_keep_their_payloads_and_are_given_back_in_order() {
     for seed in 0..20 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let (core, shared) = idle(1 << 24, 1_000);
+        // Smaller than what is written between two of them: several batches wait.
+        core.writer.lock().limit(8, 1 << 20);
         let index = Index::of_shared(shared);
         let (mut ids, mut pending) = (Vec::new(), VecDeque::new());
         let mut published = Content::new();
