@@ -210,6 +210,28 @@ fn check_payloads(index: &Index, ids: &[u64], pending: &VecDeque<UnsentWrite>) {
     }
 }
 
+/// Its state is the same before and after the refusal, and its payload is not.
+#[test]
+fn a_payload_that_a_refusal_gives_back_is_a_change() {
+    let (core, shared) = idle(1 << 20, 1);
+    let index = Index::of_shared(shared);
+    let options = InsertOptions::new().payload(b"p");
+    let id = index.insert_with([1.0], options).unwrap().id;
+    let batch = core.writer.lock().next(1, 0).unwrap().batch;
+    let confirmed = core
+        .writer
+        .lock()
+        .confirm(1, batch, &mut core.points.write());
+    confirmed.unwrap().unwrap();
+    index.replace(id, [2.0]).unwrap();
+    index.replace(id, [1.0]).unwrap();
+    let since = core.points.read().read_revision();
+    core.refuse(&mut core.writer.lock(), quota_exceeded());
+    let changes = index.changes(since).unwrap().unwrap();
+    assert_eq!(changes.stored.len(), 1);
+    assert_eq!(changes.stored[0].id, id);
+}
+
 #[test]
 fn random_pending_writes_keep_their_payloads_and_are_given_back_in_order() {
     for seed in 0..20 {

@@ -246,7 +246,12 @@ impl Writer {
         // Once an id: this applies all of its other pending writes.
         for (id, is_settled) in given_up {
             if let Some(rebased) = self.rebased.get(&id) {
+                let before = points.read_revision();
                 show(id, rebased, points)?;
+                if points.read_revision() == before {
+                    // Its payload may be the published one again.
+                    points.touch(id)?;
+                }
             }
             if is_settled {
                 self.rebased.remove(&id);
