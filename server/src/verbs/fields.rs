@@ -61,18 +61,21 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn empty_payloads_are_counted_before_they_are_decoded() {
-        let limits = Limits {
+    fn limits() -> Limits {
+        Limits {
             max_rows_per_call: 10,
             max_ids_per_call: 10,
             ..Limits::default()
-        };
+        }
+    }
+
+    #[test]
+    fn empty_payloads_are_counted_before_they_are_decoded() {
         let insert = |payloads| v1::InsertRequest {
             payloads: vec![Bytes::new(); payloads],
             ..Default::default()
         };
-        let check = |message: &[u8]| check_fields(message, false, &limits);
+        let check = |message: &[u8]| check_fields(message, false, &limits());
         let most = 10 * COLUMNS + OTHER_FIELDS;
         check(&insert(most).encode_to_vec()).unwrap();
         let refused = check(&insert(most + 1).encode_to_vec());
@@ -91,17 +94,12 @@ mod tests {
 
     #[test]
     fn kinds_of_steps_are_counted_before_they_are_decoded() {
-        let limits = Limits {
-            max_rows_per_call: 10,
-            max_ids_per_call: 10,
-            ..Limits::default()
-        };
         let write = |steps| v1::WriteRequest {
             kinds: vec![v1::StepKind::Remove.into(); steps],
             ..Default::default()
         };
-        let check = |steps: usize| check_fields(&write(steps).encode_to_vec(), true, &limits);
-        check(limits.max_rows_per_call).unwrap();
+        let check = |steps: usize| check_fields(&write(steps).encode_to_vec(), true, &limits());
+        check(10).unwrap();
         check(10 * COLUMNS + OTHER_FIELDS).unwrap_err();
     }
 }

@@ -63,7 +63,7 @@ fn a_repeated_claim_leaves_an_index_whose_claim_was_taken_late() {
 fn only_a_restored_index_is_removed_after_a_claim_without_an_answer_in_nats() {
     let server = NatsServer::start();
     let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
-    // NATS takes no message of so many bytes.
+    // NATS refuses a message as large as this space.
     let factors: Vec<_> = (1..=200).map(|weight| format!("SO2:{weight}.5")).collect();
     for is_restored in [false, true] {
         let name = format!("restored {is_restored}");

@@ -127,7 +127,8 @@ async fn a_server_needs_the_authority_and_a_user_of_nats() {
         Nats::start_with(&file(name), 1, config)
     });
     let [tls, plain, another] = nats.each_ref().map(Nats::urls);
-    let [right, wrong] = ["right", "wrong"].map(|it| plain.replace("//", &format!("//me:{it}@")));
+    let as_me = |urls: &str, password| urls.replace("//", &format!("//me:{password}@"));
+    let [right, wrong] = ["right", "wrong"].map(|it| as_me(&plain, it));
 
     let start = |urls: &str, ca: &str, credentials: &str| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
@@ -147,7 +148,7 @@ async fn a_server_needs_the_authority_and_a_user_of_nats() {
         timeout(MAX_WAIT, written).await.unwrap();
     }
     // NATS is asked in a random order: some of them meet the server first that rejects them.
-    let urls = format!("{right},{}", another.replace("//", "//me:right@"));
+    let urls = format!("{right},{}", as_me(&another, "right"));
     for server in [(); 4].map(|()| start(&urls, "off", "off")) {
         ServerProcess::ready(server);
     }

@@ -183,7 +183,7 @@ fn workers_that_all_ask_at_once_are_all_answered() {
     assert_eq!(simulate(9 * MS, arrivals).refused, 0);
 }
 
-/// The calls of 32 callers of one flow wait for each other. The workers beside them take 0.45 of each second together.
+/// 32 callers share one flow, so their calls wait for each other. The workers beside them need 0.45 s of each second.
 #[test]
 fn workers_are_answered_beside_a_flow_whose_own_calls_always_wait() {
     const HEAVY: usize = 32;

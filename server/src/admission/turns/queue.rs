@@ -76,7 +76,7 @@ pub(super) struct Flow {
     pub(super) last_wait: Duration,
     /// The begin of the time in which some call of it always waited that had not begun.
     since: Option<Instant>,
-    /// Its own queue stands until then. Its late calls do not refuse those of other flows.
+    /// Its own queue stands until then. Its late calls refuse those of other flows only while the queue of all stands.
     stands_until: Option<Instant>,
     /// Those that have not begun, after one that goes on.
     pub(super) waiting: VecDeque<Waiter>,

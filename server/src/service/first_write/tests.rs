@@ -117,7 +117,7 @@ impl Peers for OtherMembers {
 /// A journal that other servers share.
 struct Shared {
     log: Arc<MemoryLog>,
-    /// The follower is told that the journal ends before what it has applied.
+    /// A notification ends the follower's records: the journal ends before what the server has applied.
     is_set_back: Arc<Notify>,
 }
 
