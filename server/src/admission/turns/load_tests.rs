@@ -20,9 +20,10 @@ struct Outcomes {
 /// A caller.
 #[derive(Debug)]
 struct Caller {
-    /// The work of each of its calls, and what is left of the one under way.
+    /// The work of each of its calls, what is left of the one under way, and what that has done since it was demoted.
     work: Duration,
     left: Duration,
+    at_once: Duration,
     /// The time at which it asks next, and that at which it asked.
     asks_at: Option<Duration>,
     asked_at: Duration,
@@ -40,6 +41,7 @@ impl Caller {
         Self {
             work,
             left: work,
+            at_once: Duration::ZERO,
             asks_at: Some(asks_at),
             asked_at: Duration::ZERO,
             goes_on,
@@ -49,9 +51,18 @@ impl Caller {
         }
     }
 
+    /// The same in the flow of the caller with this number.
+    fn sharing(first: usize, work: Duration, asks_at: Duration, goes_on: bool) -> Self {
+        let shares = Some(first);
+        Self {
+            shares,
+            ..Self::new(work, asks_at, goes_on)
+        }
+    }
+
     fn end(&mut self, at: Duration) {
         self.times.push(at - self.asked_at);
-        self.left = self.work;
+        (self.left, self.at_once) = (self.work, Duration::ZERO);
         self.asks_at = self.goes_on.then_some(at);
     }
 
@@ -98,15 +109,20 @@ fn run(mut callers: Vec<Caller>, flows: u64, slice: Duration, time: Duration) ->
             let caller = &mut callers[number];
             let took = caller.left.min(slice);
             caller.left -= took;
+            caller.at_once += took;
             if caller.left.is_zero() {
                 turn.turns = None;
                 turns.release(turn.flow, turn.size, took, began + at);
                 caller.end(at);
             } else {
                 let stage = match caller.work - caller.left < MAX_WHOLE {
+                    _ if caller.at_once >= MAX_AT_ONCE => Stage::Demoted,
                     true => Stage::Begun,
                     false => Stage::Resumed,
                 };
+                if stage == Stage::Demoted {
+                    caller.at_once = Duration::ZERO;
+                }
                 match turns.yield_turn(turn, took, stage, began + at) {
                     TurnRequest::Granted(turn) => computing.push_back((number, turn)),
                     TurnRequest::Waits(granted) => waiting.push((number, granted)),
@@ -187,16 +203,12 @@ fn workers_that_all_ask_at_once_are_all_answered() {
 #[test]
 fn workers_are_answered_beside_a_flow_whose_own_calls_always_wait() {
     const HEAVY: usize = 32;
-    let sharing = |first, work, at, goes_on| Caller {
-        shares: Some(first),
-        ..Caller::new(work, at, goes_on)
-    };
     // Calls are polled in slices, or whole.
     let whole = BURST;
     for (work, slice) in [(3, MS / 2), (3, whole), (30, MS / 2), (30, whole)] {
-        let heavy = (0..HEAVY).map(|_| sharing(0, work * MS, Duration::ZERO, true));
+        let heavy = (0..HEAVY).map(|_| Caller::sharing(0, work * MS, Duration::ZERO, true));
         let burst = bursts(64, Duration::ZERO, 8).into_iter().enumerate();
-        let burst = burst.map(|(n, at)| sharing(HEAVY + n % 64, 7 * MS, at, false));
+        let burst = burst.map(|(n, at)| Caller::sharing(HEAVY + n % 64, 7 * MS, at, false));
         let callers = run(heavy.chain(burst).collect(), 0, slice, 9 * BURST);
         let (heavy, burst) = callers.split_at(HEAVY);
         let refused: usize = burst.iter().map(|caller| caller.refused).sum();
@@ -207,6 +219,26 @@ fn workers_are_answered_beside_a_flow_whose_own_calls_always_wait() {
         assert!(answered as u32 * (work * MS) >= 3 * BURST, "{answered}");
         let refused: usize = heavy.iter().map(|caller| caller.refused).sum();
         assert!(refused > 0, "{work} ms in {slice:?}");
+    }
+}
+
+/// An overload by others comes and ends while the calls of one flow go on. They are polled in slices, or whole.
+#[test]
+fn workers_are_answered_after_an_overload_beside_a_flow_of_long_calls() {
+    for (heavy, work, slice) in [(8, 300, MS / 2), (2, 60, BURST)] {
+        let long = (0..heavy).map(|_| Caller::sharing(0, work * MS, Duration::ZERO, true));
+        let overload = steady(5 * MS, 5 * BURST / 2).into_iter();
+        let overload = overload.map(|at| (10 * MS, BURST + at));
+        let bursts = bursts(64, Duration::ZERO, 4).into_iter();
+        let bursts = bursts.map(|at| (7 * MS, 8 * BURST + at));
+        let others = overload.chain(bursts).zip((heavy..heavy + 64).cycle());
+        let others = others.map(|((work, at), flow)| Caller::sharing(flow, work, at, false));
+        let callers = run(long.chain(others).collect(), 0, slice, 13 * BURST);
+        let (overload, bursts) = callers[heavy..].split_at(500);
+        assert!(overload.iter().any(|caller| caller.refused > 0));
+        let refused: usize = bursts.iter().map(|caller| caller.refused).sum();
+        assert_eq!(refused, 0, "{heavy} calls of {work} ms");
+        assert!(bursts.iter().all(|caller| caller.times.len() == 1));
     }
 }
 

@@ -235,12 +235,12 @@ impl State {
         self.stands_until.max(flow.stands_until) > Some(now)
     }
 
-    /// Lets the queue of this flow stand if it stands already or no other flow waits, and that of all otherwise.
+    /// Lets the queue of this flow stand if it does already or no other flow waits, and that of all otherwise.
     pub(super) fn stand(&mut self, number: FlowNumber, burst: Duration, now: Instant) {
-        let is_own = self.is_alone(number) && self.stands_until <= Some(now);
+        let is_alone = self.is_alone(number);
         let until = Some(now + burst);
         match self.flows.get_mut(&number) {
-            Some(flow) if is_own || flow.stands_until > Some(now) => flow.stands_until = until,
+            Some(flow) if is_alone || flow.stands_until > Some(now) => flow.stands_until = until,
             _ => self.stands_until = until,
         }
     }
