@@ -31,8 +31,8 @@ pub enum Error {
         /// The problem with it.
         problem: String,
     },
-    /// The server could not be reached, or the connection broke. The effect of a mutation without an operation id is
-    /// unknown.
+    /// The server could not be reached, or the connection broke. The effect of a mutation is unknown; the same call
+    /// again, with the same operation id, takes effect once.
     #[error("{call}: no connection to {uri}: {}", root_cause(source.as_ref()))]
     Connection {
         /// The call.
@@ -42,7 +42,8 @@ pub enum Error {
         /// The error that the transport reported.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// The server and the client did not accept each other's certificates, or the server speaks no TLS. No retry follows.
+    /// The server and the client did not accept each other's certificates, or the server speaks no TLS. No retry
+    /// follows.
     #[error("the TLS handshake with {uri} failed: {problem}")]
     Handshake {
         /// The server's address.
@@ -51,7 +52,8 @@ pub enum Error {
         problem: String,
     },
     /// No answer arrived in time. The effect of a mutation is unknown; the same call again, with the same operation
-    /// id, takes effect once.
+    /// id, takes effect once. A write of a shared index that waited for room in vain has stored nothing, or only the
+    /// rows that [`Error::Partial`] counts; after a `flush` the writes stay pending.
     #[error("{call}: no answer within {timeout:?}{}", earlier_attempt(earlier.as_deref()))]
     Timeout {
         /// The call.
@@ -62,8 +64,8 @@ pub enum Error {
         earlier: Option<Box<Error>>,
     },
     /// The server refused the call. The outcome of a mutation is unknown after `DEADLINE_EXCEEDED`, `DATA_LOSS`,
-    /// `INTERNAL`, `CANCELLED`, `UNKNOWN`, and `UNAVAILABLE` with the reason `STORAGE_FAILED`; any other refusal changed
-    /// nothing.
+    /// `INTERNAL`, `CANCELLED`, `UNKNOWN`, and `UNAVAILABLE` with the reason `STORAGE_FAILED`; any other refusal
+    /// changed nothing.
     #[cfg(feature = "net")]
     #[error(transparent)]
     Refused(Box<Refusal>),

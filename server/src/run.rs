@@ -1,6 +1,7 @@
 //! A server from the bound listener to the last accepted call.
 
 mod error;
+mod opening;
 
 use std::{
     convert::Infallible,
@@ -23,24 +24,20 @@ use tracing::{error, info, warn};
 
 use crate::{
     cluster::{self, Cluster, ClusterError},
-    config::{ClusterConfig, Config, DataConfig, HttpConfig, OFF, ON},
+    config::{ClusterConfig, Config, HttpConfig, OFF, ON},
     exposure::{self, ExposedAddress},
     faces::{Addresses, Shared},
     grpc::{self, Callers, GrpcError, Tls},
     http::{self, Pages, State},
     identity::Identities,
     lifecycle::{Lifecycle, Phase},
-    log::{
-        Catalogue, FjallLog, Journal, Log, MemoryLog, NatsError, NatsOptions, PointStore, SYNCS,
-        StoreOptions, connect_nats,
-    },
-    registry::{Registry, RegistryOptions},
+    log::SYNCS,
     service::{Owners, Service},
     snapshots::Schedule,
-    watermark::Watermarks,
     zenoh::{self, ZenohFace},
 };
 pub use error::ServerError;
+use opening::OpenedStore;
 
 /// A stopping server waits this long for connections without calls to close. A live peer closes at once, after it has
 /// read the rest of its last answer. A frozen peer, or one that never spoke, does not close.
@@ -61,6 +58,20 @@ pub async fn run(
 
 /// Does the work of [`run`], and calls `ready` with the addresses once the server answers calls.
 pub(crate) async fn serve(
+    config: Config,
+    listener: TcpListener,
+    shutdown: impl Future<Output = ()>,
+    ready: impl FnOnce(&Addresses),
+) -> Result<(), ServerError> {
+    let store = OpenedStore::default();
+    let ended = serve_from(store.clone(), config, listener, shutdown, ready).await;
+    store.close().await;
+    ended
+}
+
+/// Does the work of [`serve`], which closes the store however this ends.
+async fn serve_from(
+    store: OpenedStore,
     config: Config,
     listener: TcpListener,
     shutdown: impl Future<Output = ()>,
@@ -153,7 +164,7 @@ pub(crate) async fn serve(
     });
 
     // Meanwhile connections are accepted, and calls get UNAVAILABLE.
-    let opening = open_registry(
+    let opening = store.open_registry(
         config.index.options(&config.limits),
         (config.data.clone(), config.cluster.options()),
         config.watermarks(),
@@ -213,13 +224,7 @@ pub(crate) async fn serve(
     // The service refuses new calls first, so that all of them fail once the phase announces the shutdown.
     service.begin_shutdown();
     lifecycle.advance(Phase::Stopping);
-    let drained = drain(serving, zenoh, under_way, cut, config.shutdown.grace_ms).await;
-    // The pages and calls that were cut may hold the store for longer than the process lives.
-    let closed = tokio::task::spawn_blocking(move || service.close()).await;
-    if let Err(error) = closed {
-        error!(%error, "the store was not closed in order");
-    }
-    drained
+    drain(serving, zenoh, under_way, cut, config.shutdown.grace_ms).await
 }
 
 /// The listener of the pages for operators, unless they are off.
@@ -351,49 +356,5 @@ async fn idle(faces: &[TaskTracker]) {
         } else if now.saturating_duration_since(since) >= IDLE_WAIT {
             return;
         }
-    }
-}
-
-/// Opens the log and replays it into a registry, on a blocking thread. Returns the connection to NATS if the journal is
-/// there.
-async fn open_registry(
-    options: RegistryOptions,
-    (data, cluster): (DataConfig, Option<NatsOptions>),
-    watermarks: Watermarks,
-) -> Result<(Registry, Option<async_nats::Client>), ServerError> {
-    let open = move || {
-        let (log, nats) = match data.directory() {
-            Some(directory) => {
-                let memory = watermarks.memory.as_ref().and_then(|memory| memory.limit());
-                let options = StoreOptions {
-                    durability: data.durability,
-                    memory: memory.unwrap_or(u64::MAX),
-                    is_copy: cluster.is_some(),
-                };
-                let local = FjallLog::open(directory, options)?;
-                log_over(Arc::new(local), cluster.as_ref())?
-            }
-            None => log_over(Arc::new(MemoryLog::new()), cluster.as_ref())?,
-        };
-        let registry = Registry::with_watermarks(log, options, watermarks);
-        registry.replay()?;
-        Ok((registry, nats))
-    };
-    // The join fails only if the task panicked.
-    let opened = tokio::task::spawn_blocking(open).await;
-    opened.unwrap_or(Err(ServerError::Ended))
-}
-
-/// The log over the engine of this server: the engine itself, or its points under the journal of a cluster.
-fn log_over<Engine>(
-    local: Arc<Engine>,
-    cluster: Option<&NatsOptions>,
-) -> Result<(Log, Option<async_nats::Client>), NatsError>
-where
-    Engine: Journal + PointStore + Catalogue + 'static,
-{
-    match cluster {
-        None => Ok((Log::from(local), None)),
-        Some(options) => connect_nats(options, local).map(|(log, nats)| (log, Some(nats))),
     }
 }

@@ -81,7 +81,7 @@ pub(super) enum Command {
     Create(verb::CreateArgs),
     /// Lists the indices
     ///
-    /// Damaged indices, which the server cannot read, are listed with the cause; the exit status is then 1.
+    /// Damaged indices, which cannot be read or cannot be written, are listed with the cause; the exit status is then 1.
     List,
     Info(verb::InfoArgs),
     Delete(verb::DeleteArgs),
@@ -101,8 +101,8 @@ pub(super) enum Command {
     Server,
     /// Checks that the server serves calls
     ///
-    /// It calls grpc.health.v1.Health. The exit status is 0 if the server serves, 1 if it is starting or stopping, and
-    /// 4 if there is no answer.
+    /// It calls grpc.health.v1.Health. The exit status is 0 if the server serves, 1 if it is starting or stopping or its
+    /// store cannot be read, and 4 if there is no answer.
     Health,
     Token(verb::TokenArgs),
     Completions(verb::CompletionsArgs),

@@ -40,7 +40,7 @@ pub(super) enum Failure {
          `wayfold delete NAME` frees a name for `wayfold restore NAME FILE`"
     )]
     Damaged { damaged: usize, all: usize },
-    #[error("{uri} does not serve: it is starting or stopping")]
+    #[error("{uri} does not serve: it is starting or stopping, or its store cannot be read")]
     NotServing { uri: String },
     #[error("{problem}")]
     Reset {

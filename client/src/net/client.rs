@@ -104,7 +104,8 @@ impl Client {
     ///
     /// # Errors
     /// `ALREADY_EXISTS`: the index has another space. `INVALID_ARGUMENT`: the name. `RESOURCE_EXHAUSTED`: the server
-    /// holds its maximum number of indices.
+    /// holds its maximum number of indices, or as many as this identity may have, or its memory or disk is above its
+    /// watermark.
     pub async fn create_index(&self, name: &str, space: &Space) -> Result<IndexHandle, Error> {
         self.create_index_with(name, space, PayloadEncoding::Unspecified)
             .await
@@ -275,7 +276,7 @@ impl Client {
         Ok(uid)
     }
 
-    /// The uid of the index of this name, if it cannot be read.
+    /// The uid of the index of this name, if it is damaged.
     async fn damaged_uid(&self, name: &str) -> Result<Option<String>, Error> {
         let damaged = self.list_indexes().await?.damaged.into_iter();
         let mut named = damaged.filter(|damaged| damaged.name == name);

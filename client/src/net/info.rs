@@ -14,13 +14,13 @@ use crate::{Error, Refusal, Revision};
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct IndexList {
-    /// Those that can be read, by name.
+    /// Those that are not damaged, by name.
     pub indexes: Vec<IndexInfo>,
-    /// Those that cannot, by name.
+    /// The damaged ones, by name.
     pub damaged: Vec<DamagedIndex>,
 }
 
-/// An index that cannot be read. Its name is taken until it is deleted.
+/// An index that cannot be read, or cannot be written. Its name is taken until it is deleted.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct DamagedIndex {
@@ -28,7 +28,8 @@ pub struct DamagedIndex {
     pub name: String,
     /// Its uid.
     pub uid: String,
-    /// The refusal of every call for it.
+    /// The refusal of every call for it except its deletion; if only its journal is damaged, of mutations and of reads
+    /// with `latest`.
     pub error: Refusal,
 }
 

@@ -34,7 +34,7 @@ pub(super) fn run(config: &Config, name: &str, uid: Option<&str>) -> ExitCode {
     let reseeded = || -> Result<_, Box<dyn Error>> {
         let runtime = runtime::Builder::new_multi_thread().enable_all().build()?;
         let _entered = runtime.enter();
-        let local = Arc::new(FjallLog::open(directory, config.data.durability)?);
+        let local = Arc::new(FjallLog::open_existing(directory, config.data.durability)?);
         let (log, _) = connect_nats(&options, Arc::clone(&local))?;
         Ok(reseed(&log, &*local, Seed { name, uid })?)
     };

@@ -22,6 +22,9 @@ const MIN_ANSWER_BYTES: i64 = 4096;
 /// The most `index.merge_threads`, which shares out the memory for merges.
 const MAX_MERGE_THREADS: i64 = 1024;
 
+/// The most `snapshot.every_seconds`, a hundred years: so long ago there is a date with a year of four digits.
+const MAX_SNAPSHOT_SECONDS: i64 = 100 * 365 * 24 * 60 * 60;
+
 /// Settings that may be 0; `default.toml` says what 0 means for each.
 const MAY_BE_ZERO: [&str; 12] = [
     "disk.min_free_bytes",
@@ -205,6 +208,7 @@ fn check(origin: &str, key: &str, default: &Value, value: &Value) -> Result<(), 
             let most = match key {
                 "index.growing_rows" => ForestOptions::MAX_GROWING_ROWS as i64,
                 "index.merge_threads" => MAX_MERGE_THREADS,
+                "snapshot.every_seconds" => MAX_SNAPSHOT_SECONDS,
                 // The length of a message has 32 bits.
                 "grpc.max_message_bytes" | "zenoh.max_message_bytes" => i64::from(u32::MAX),
                 _ if key.ends_with("_percent") => 100,

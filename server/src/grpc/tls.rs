@@ -16,7 +16,6 @@ use thiserror::Error;
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
     net::TcpStream,
-    time::interval,
 };
 use tokio_rustls::{
     Accept, TlsAcceptor,
@@ -29,12 +28,12 @@ use tokio_rustls::{
     server::TlsStream,
 };
 use tokio_util::either::Either;
-use tracing::{error, info};
+use tracing::info;
 use x509_parser::{extensions::GeneralName, prelude::FromDer, prelude::X509Certificate};
 
 use crate::{
     config::TlsConfig,
-    identity::{CHECK_INTERVAL, ClientCertificate, Stamp},
+    identity::{ClientCertificate, Stamp, follow},
 };
 
 /// The certificates cannot be used.
@@ -151,26 +150,15 @@ impl Tls {
     /// Reads the certificates again whenever their files change. Files that are wrong change nothing but
     /// the gauge.
     pub(crate) async fn follow(self, is_wrong: Gauge) {
-        let mut known = self.first;
-        let mut checks = interval(CHECK_INTERVAL);
-        loop {
-            checks.tick().await;
-            let now = self.files.stamps();
-            if now == known {
-                continue;
-            }
-            known = now;
-            let read = self.files.read();
-            is_wrong.set(read.is_err().into());
-            match read {
-                Ok(acceptor) => {
-                    *self.acceptor.write() = acceptor;
-                    info!("certificates read");
-                }
-                // A certificate is often written before its key: the next change of either leads here again.
-                Err(error) => error!(%error, "the certificates stay as they were"),
-            }
-        }
+        // A certificate is often written before its key: the next change of either leads here again.
+        let read = || {
+            let acceptor = self.files.read()?;
+            *self.acceptor.write() = acceptor;
+            info!("certificates read");
+            Ok::<_, TlsError>(())
+        };
+        let report = (is_wrong, "the certificates stay as they were");
+        follow(self.first, || self.files.stamps(), read, report).await;
     }
 }
 

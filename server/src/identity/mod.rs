@@ -15,7 +15,7 @@ use std::{
 
 use serde::Deserialize;
 
-pub(crate) use source::{CHECK_INTERVAL, Identities, Stamp};
+pub(crate) use source::{Identities, Stamp, follow};
 pub use table::TableError;
 
 /// The rights of an identity. Each includes those before it.

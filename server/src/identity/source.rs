@@ -1,7 +1,7 @@
 //! The identities of a running server, which follow their file.
 
 use std::{
-    fs, io,
+    fmt, fs, io,
     path::{Path, PathBuf},
     sync::{
         Arc,
@@ -18,7 +18,7 @@ use tracing::{error, info};
 use super::{Caller, ClientCertificate, IdentificationError, TableError, table::Table};
 
 /// The interval at which files are looked at: a revoked identity has its rights for so long at most.
-pub(crate) const CHECK_INTERVAL: Duration = Duration::from_secs(1);
+const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The identities of the server. Clones share them.
 #[derive(Clone, Debug, Default)]
@@ -65,6 +65,35 @@ impl Stamp {
 
     #[cfg(not(unix))]
     fn inode_stamp(_: &fs::Metadata) -> InodeStamp {}
+}
+
+/// Reads files again whenever their state changes. Files that are wrong change nothing but the gauge.
+pub(crate) async fn follow<State: PartialEq, Error: fmt::Display>(
+    mut known: State,
+    look: impl Fn() -> State,
+    read: impl Fn() -> Result<(), Error>,
+    (is_wrong, consequence): (Gauge, &str),
+) {
+    let mut wrong: Option<String> = None;
+    let mut checks = interval(CHECK_INTERVAL);
+    loop {
+        checks.tick().await;
+        let now = look();
+        let is_changed = now != known;
+        // A read may fail for a passing reason that changes no file, such as too many open files: it is repeated.
+        if !is_changed && wrong.is_none() {
+            continue;
+        }
+        known = now;
+        let error = read().err().map(|error| error.to_string());
+        if let Some(error) = &error
+            && (is_changed || wrong.as_ref() != Some(error))
+        {
+            error!(%error, "{consequence}");
+        }
+        is_wrong.set(error.is_some().into());
+        wrong = error;
+    }
 }
 
 impl Identities {
@@ -128,16 +157,9 @@ impl Identities {
         let Some(source) = self.source else {
             return;
         };
-        let mut known = source.first;
-        let mut checks = interval(CHECK_INTERVAL);
-        loop {
-            checks.tick().await;
-            let now = Stamp::of(&source.file);
-            if now != known {
-                known = now;
-                is_wrong.set(source.read_again().is_err().into());
-            }
-        }
+        let look = || Stamp::of(&source.file);
+        let report = (is_wrong, "the identities stay as they were");
+        follow(source.first, look, || source.read_again(), report).await;
     }
 }
 
@@ -151,8 +173,7 @@ impl Source {
     }
 
     fn read_again(&self) -> Result<(), TableError> {
-        let read = Table::read(&self.file);
-        let table = read.inspect_err(|error| error!(%error, "the identities stay as they were"))?;
+        let table = Table::read(&self.file)?;
         let mut current = self.table.write();
         let table = table.succeed(&current);
         info!(file = %self.file.display(), identities = table.len(), "identities read");
@@ -163,7 +184,27 @@ impl Source {
 
 #[cfg(all(test, unix))]
 mod tests {
+    use std::cell::Cell;
+
+    use tokio::time::timeout;
+
     use super::*;
+
+    /// The clock of this test moves by itself.
+    #[tokio::test(start_paused = true)]
+    async fn a_read_that_fails_is_repeated_until_it_succeeds() {
+        let (reads, is_wrong) = (Cell::new(0), Gauge::default());
+        let read = || {
+            reads.set(reads.get() + 1);
+            match reads.get() {
+                1 | 2 => Err("too many open files"),
+                _ => Ok(()),
+            }
+        };
+        let following = follow(0, || 1, read, (is_wrong.clone(), "nothing changes"));
+        timeout(10 * CHECK_INTERVAL, following).await.unwrap_err();
+        assert_eq!((reads.get(), is_wrong.get()), (3, 0));
+    }
 
     #[test]
     fn a_file_of_the_same_length_and_time_is_another() {

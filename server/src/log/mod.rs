@@ -172,10 +172,6 @@ pub trait PointStore: Journal {
     /// submitted to this engine is in the store already and is not applied again. `records` is not empty.
     fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError>;
 
-    /// Syncs the applied records and closes the store: every later call fails. An orderly stop closes it while others still
-    /// hold it. Blocks.
-    fn close(&self) {}
-
     /// The points as they are stored now, pinned.
     fn view(&self, uid: Uid) -> Result<Arc<dyn View>, LogError>;
 

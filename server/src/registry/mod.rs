@@ -113,11 +113,6 @@ struct Host {
 }
 
 impl Registry {
-    /// Closes the store of this server: the last act of an orderly stop. Blocks.
-    pub(crate) fn close(&self) {
-        self.host.log.points.close();
-    }
-
     /// The levels of memory and disk now, by name.
     pub(crate) fn levels(&self) -> Vec<(&'static str, Usage)> {
         self.host.watermarks.levels()

@@ -20,7 +20,10 @@ pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
     match replay(host, entry) {
         Ok(hosted) => IndexState::Hosted(hosted),
         Err(error) => {
-            error!(index = entry.name, uid = %entry.uid, %error, "cannot replay an index");
+            // A stop during the start closes the log.
+            if !matches!(error, RegistryError::Log(LogError::Closed)) {
+                error!(index = entry.name, uid = %entry.uid, %error, "cannot replay an index");
+            }
             IndexState::Damaged(entry.uid, error)
         }
     }

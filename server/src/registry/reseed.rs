@@ -67,11 +67,15 @@ pub(crate) fn reseed(
     local: &dyn Catalogue,
     seed: Seed<'_>,
 ) -> Result<Reseeded, ReseedError> {
+    let is_seed = |name: &str, uid: Uid| name == seed.name && seed.uid.is_none_or(|it| it == uid);
     let mut entries = local.indexes()?;
-    entries.retain(|entry| entry.name == seed.name && seed.uid.is_none_or(|uid| uid == entry.uid));
+    entries.retain(|entry| is_seed(&entry.name, entry.uid));
     let [old] = &entries[..] else {
         if entries.is_empty() {
-            return Err(ReseedError::Missing);
+            let mut lost = local.lost().into_iter();
+            let lost = lost.find(|lost| is_seed(&lost.name, lost.uid));
+            let why = lost.map(|lost| lost.why).or_else(|| log.points.failure());
+            return Err(why.map_or(ReseedError::Missing, ReseedError::Log));
         }
         let uids = entries.iter().map(|entry| {
             let view = log.points.view(entry.uid);
@@ -114,4 +118,39 @@ pub(crate) fn reseed(
         revision: origin.revision,
         points,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{fs, sync::Arc};
+
+    use super::*;
+    use crate::log::{Durability, FjallLog};
+
+    #[test]
+    fn an_index_that_cannot_be_read_is_not_called_missing() {
+        let directory = tempfile::tempdir().unwrap();
+        let open = || Arc::new(FjallLog::open(directory.path(), Durability::Fsync).unwrap());
+        let refused = |local: Arc<FjallLog>, name| {
+            let seed = Seed { name, uid: None };
+            reseed(&Log::from(Arc::clone(&local)), &*local, seed).unwrap_err()
+        };
+        let local = open();
+        local
+            .create(Entry {
+                uid: Uid::unique(),
+                name: "arm".into(),
+                space: "R1".parse().unwrap(),
+                payload_encoding: Default::default(),
+            })
+            .unwrap();
+        assert!(matches!(refused(local, "leg"), ReseedError::Missing));
+        fs::remove_dir_all(directory.path().join("store")).unwrap();
+        // The marks still name the first.
+        for name in ["arm", "leg"] {
+            let why = refused(open(), name);
+            let is_unopened = matches!(why, ReseedError::Log(LogError::Unopened { .. }));
+            assert!(is_unopened, "{why}");
+        }
+    }
 }

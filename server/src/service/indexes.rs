@@ -40,7 +40,7 @@ pub struct Damaged {
     pub name: String,
     /// Its uid.
     pub uid: String,
-    /// The error of every call for it.
+    /// The error of every call for it, or of its mutations if it can be read.
     pub error: Error,
 }
 

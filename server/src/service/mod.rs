@@ -185,13 +185,6 @@ impl Service {
         self.inner.held_scans.release();
     }
 
-    /// Closes the store, after the last call has ended or was cut. Blocks.
-    pub(crate) fn close(&self) {
-        if let Some(registry) = self.inner.registry.get() {
-            registry.close();
-        }
-    }
-
     /// True if new calls are answered.
     pub fn is_serving(&self) -> bool {
         self.unavailability().is_none()

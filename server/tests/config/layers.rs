@@ -206,6 +206,7 @@ fn numbers_with_which_the_server_could_not_work_are_refused() {
         "[index]\nmerge_threads = 1025",
         "[grpc]\nmax_message_bytes = 4_294_967_296",
         "[zenoh]\nmax_message_bytes = 4_294_967_296",
+        "[snapshot]\nevery_seconds = 3_153_600_001",
     ] {
         let message = load_file(text).unwrap_err().to_string();
         assert!(message.contains("is too"), "{message}");

@@ -1,4 +1,4 @@
-//! `wayfold-server repair` as an operator runs it: its report and its exit statuses.
+//! `wayfold-server repair` as an operator runs it: its report and its exit statuses. Beside it, `reseed` without a store.
 
 use std::{
     fs,
@@ -117,4 +117,21 @@ fn a_store_that_cannot_be_repaired_is_left_as_it_is() {
     let (status, text) = repair(Path::new("memory"), &[]);
     assert_eq!(status, Some(2), "{text}");
     assert!(text.contains("name a data directory"), "{text}");
+}
+
+#[test]
+fn a_reseed_makes_no_directory() {
+    let directory = tempfile::tempdir().unwrap();
+    let mistyped = directory.path().join("mistyped");
+    let output = Command::new(env!("CARGO_BIN_EXE_wayfold-server"))
+        .args(["reseed", "arm", "--log", "off", "--data"])
+        .arg(&mistyped)
+        // Nothing listens there, and nothing is to connect.
+        .env("WAYFOLD_CLUSTER__NATS", "nats://127.0.0.1:1")
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let text = String::from_utf8(output.stderr).unwrap();
+    assert!(text.contains("there is no store in"), "{text}");
+    assert!(!mistyped.exists());
 }

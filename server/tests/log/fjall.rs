@@ -10,7 +10,7 @@ use wayfold_server::log::{
 use super::{
     all_points,
     copied::copied,
-    disk::{append, append_synced, open, open_at},
+    disk::{append, append_synced, open, open_at, with_batch},
     effects, entry, submit, synced,
 };
 
@@ -108,6 +108,15 @@ fn a_list_of_tables_that_cannot_be_read_is_no_loss_of_data() {
 }
 
 #[test]
+fn a_closed_log_is_not_reopened() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path());
+    log.close();
+    assert_eq!(log.reopen(), Err(LogError::Closed));
+    assert_eq!(log.failure(), Some(LogError::Closed));
+}
+
+#[test]
 fn an_index_is_deleted_for_good() {
     let directory = tempfile::tempdir().unwrap();
     let log = open(directory.path());
@@ -127,6 +136,7 @@ fn an_index_is_deleted_for_good() {
     }
 }
 
+/// Writer sessions and reserved ids stay.
 #[test]
 fn below_fsync_a_crash_that_may_have_lost_something_makes_new_uids() {
     for (durability, another_boot, kept) in [
@@ -139,7 +149,10 @@ fn below_fsync_a_crash_that_may_have_lost_something_makes_new_uids() {
         let log = open_at(directory.path(), durability);
         let arm = entry("arm");
         log.create(arm.clone()).unwrap();
-        append_synced(&log, arm.uid, 1);
+        let opening = with_batch(effects(1, &[1], &[]), (1, 0), 10..20, &[]);
+        submit(&log, arm.uid, 0, opening).unwrap();
+        synced(&log, arm.uid, 1).unwrap();
+        let before = log.view(arm.uid).unwrap();
         let crashed = copied(directory.path());
         if another_boot {
             fs::write(crashed.path().join("unsynced"), "os another").unwrap();
@@ -149,10 +162,12 @@ fn below_fsync_a_crash_that_may_have_lost_something_makes_new_uids() {
         assert_eq!(uids == [arm.uid], kept, "{durability:?}");
         assert!(uids.len() == 1 || durability == Durability::None);
         if durability != Durability::None {
-            assert_eq!(after.view(uids[0]).unwrap().revision(), 1);
+            let view = after.view(uids[0]).unwrap();
+            assert_eq!((view.revision(), view.next_id()), (1, 20));
+            assert_eq!(view.sessions(), before.sessions());
         }
         // After an orderly stop nothing is missing.
-        drop(log);
+        drop((before, log));
         let after = open_at(directory.path(), durability);
         assert_eq!(after.view(arm.uid).unwrap().revision(), 1);
     }

@@ -4,13 +4,13 @@ use std::{fs, slice};
 
 use bytes::Bytes;
 use wayfold_server::log::{
-    Catalogue, Journal, LogError, Origin, PointStore, Sessions, StoredPoint,
+    Catalogue, Durability, Journal, LogError, Origin, PointStore, Sessions, StoredPoint,
 };
 
 use super::{
     all_points,
     copied::copied,
-    disk::{JournalFile, Part, append, append_synced, only_gone, open},
+    disk::{JournalFile, Part, append, append_synced, only_gone, open, open_at},
     effects, entry, submit,
 };
 
@@ -46,6 +46,34 @@ fn a_journal_without_its_synced_end_is_named() {
     let log = open(damaged.path());
     log.delete(arm.uid).unwrap();
     assert_eq!(log.indexes().unwrap(), [idle]);
+}
+
+/// The system was restarted under a server without fsync, and the journal has lost more than such a server may lose.
+#[test]
+fn an_index_that_lost_revisions_stays_lost_after_an_unclean_shutdown() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = open_at(directory.path(), Durability::Os);
+    let (arm, idle) = (entry("arm"), entry("idle"));
+    for entry in [&arm, &idle] {
+        log.create(entry.clone()).unwrap();
+    }
+    for revision in 1..=3 {
+        append(&log, arm.uid, revision);
+    }
+    drop(log);
+    let journal = JournalFile::of(directory.path());
+    let damaged = journal.cut(journal.used - 1);
+    fs::write(damaged.path().join("unsynced"), "os another").unwrap();
+    let lost = LogError::Lost {
+        uid: arm.uid,
+        first: 3,
+        last: 3,
+    };
+    for _ in 0..2 {
+        let log = open_at(damaged.path(), Durability::Os);
+        assert_eq!(log.view(arm.uid).err(), Some(lost.clone()));
+        assert!(log.view(idle.uid).is_err(), "it has a new uid");
+    }
 }
 
 #[test]

@@ -21,7 +21,7 @@ use wayfold_server::log::{
 use super::{
     all_points,
     copied::copied,
-    disk::{append_synced, open, open_at},
+    disk::{append_synced, open, open_at, with_batch},
     effects, entry, retention, submit, synced,
     tables::{move_to_tables, open_store},
 };
@@ -51,15 +51,17 @@ fn grow(log: &FjallLog, uid: Uid, revision: u64, payload: Bytes) -> Result<(), L
     synced(log, uid, revision).map(|_| ())
 }
 
-/// Creates two indices that are wholly in tables: `arm` with 20 points with payloads, `base` with one revision. fjall
-/// will rewrite the tables with the next one or two.
+/// Creates two indices that are wholly in tables: `arm` with 20 points with payloads, `base` with one revision, which
+/// opens a session. fjall will rewrite the tables with the next one or two.
 fn fill(directory: &Path) -> [Entry; 2] {
     let entries = [entry("arm"), entry("base")];
     let log = open(directory);
     for entry in &entries {
         log.create(entry.clone()).unwrap();
     }
-    append_synced(&log, entries[1].uid, 1);
+    let opening = with_batch(effects(1, &[1], &[]), (1, 0), 1000..1010, &[]);
+    submit(&log, entries[1].uid, 0, opening).unwrap();
+    synced(&log, entries[1].uid, 1).unwrap();
     drop(log);
     for revisions in [1..=10, 11..=15, 16..=20] {
         let log = open(directory);
@@ -130,6 +132,10 @@ fn a_damaged_block_costs_its_index_and_the_others_are_written_on() {
     let directory = tempfile::tempdir().unwrap();
     let [arm, base] = fill(directory.path());
     damage(directory.path());
+    let log = open(directory.path());
+    let sessions = log.view(base.uid).unwrap().sessions().clone();
+    drop(log);
+    assert_eq!((sessions.len(), sessions.block_count()), (1, 1));
     let kept = directory.path().join("store.damaged-1");
     for _ in 0..2 {
         let log = open(directory.path());
@@ -156,6 +162,7 @@ fn a_damaged_block_costs_its_index_and_the_others_are_written_on() {
     for revision in 2..4 {
         let log = open(directory.path());
         damaged(&log, &arm);
+        assert_eq!(log.view(base.uid).unwrap().sessions(), &sessions);
         append_synced(&log, base.uid, revision);
         assert_eq!(
             all_points(&*log.view(base.uid).unwrap()).len(),
@@ -332,6 +339,24 @@ fn no_block_of_a_table_costs_all_indices() {
         // fjall opens no table whose end is damaged.
         let end = bytes.len() * 9 / 10;
         assert!(all_lost.iter().all(|at| *at > end), "{all_lost:?}");
+    }
+}
+
+/// The room that it takes is free for the next one.
+#[test]
+fn a_store_that_a_repair_did_not_finish_is_removed() {
+    let directory = tempfile::tempdir().unwrap();
+    drop(open(directory.path()));
+    let unfinished = directory.path().join("store.new");
+    let checks: [fn(&Path); 2] = [
+        |directory| drop(open(directory)),
+        |directory| drop(repair(directory, true).unwrap()),
+    ];
+    for check in checks {
+        fs::create_dir(&unfinished).unwrap();
+        fs::write(unfinished.join("junk"), "junk").unwrap();
+        check(directory.path());
+        assert!(!unfinished.exists());
     }
 }
 

@@ -57,20 +57,21 @@ async fn accepted_calls_finish_after_sigterm() {
     stops_gracefully(Signal::Terminate).await;
 }
 
-/// With `none`, only an orderly stop keeps the mutations: also of a server at which an operator looks.
+/// With `none`, only an orderly stop keeps the mutations: also of a server at which an operator looks, and of one that still
+/// reads its points.
 #[tokio::test]
-async fn an_orderly_stop_keeps_the_mutations_while_a_page_is_open() {
+async fn an_orderly_stop_keeps_the_mutations_while_a_page_is_open_and_before_it_serves() {
     let directory = tempfile::tempdir().unwrap();
-    let serve = || {
+    let start = || {
         let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
         command
             .args(["--grpc", "127.0.0.1:0", "--http", "127.0.0.1:0", "--data"])
             .arg(directory.path())
-            .args(["--zenoh", "tcp/127.0.0.1:0"])
+            .args(["--zenoh", "tcp/127.0.0.1:0", "--log", "info"])
             .env("WAYFOLD_DATA__DURABILITY", "none");
-        ServerProcess::ready(Process::spawn(&mut command))
+        Process::spawn(&mut command)
     };
-    let mut server = serve();
+    let mut server = ServerProcess::ready(start());
     let mut stubs = Stubs::connect(server.uri()).await;
     filled(&mut stubs).await;
     let stored = stubs.describe("roadmap").await;
@@ -84,7 +85,12 @@ async fn an_orderly_stop_keeps_the_mutations_while_a_page_is_open() {
     let finished = server.stop(Signal::Terminate);
     assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
 
-    let server = serve();
+    let mut reading = start();
+    reading.log_until("opened the log");
+    let finished = reading.stop(Signal::Terminate);
+    assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+
+    let server = ServerProcess::ready(start());
     let again = Stubs::connect(server.uri()).await.describe("roadmap").await;
     assert_eq!(
         (again.revision, again.point_count),

@@ -8,7 +8,7 @@ use super::{Client, within};
 use crate::{Error, net::connections::Connection};
 
 impl Client {
-    /// Returns true if the server serves calls, and false while it starts or stops.
+    /// Returns true if the server serves calls, and false while it starts or stops, or its store cannot be read.
     ///
     /// # Errors
     /// Those of every call.

@@ -31,7 +31,7 @@ impl Client {
     ///
     /// # Errors
     /// `ALREADY_EXISTS`: an index has this name. `INVALID_ARGUMENT`: the name, or the snapshot. `RESOURCE_EXHAUSTED`:
-    /// the server holds as many indices as it may. Or the first error of `parts`.
+    /// as for [`Client::create_index`], or the snapshot exceeds a limit of the server. Or the first error of `parts`.
     pub async fn restore<S>(&self, name: &str, parts: S) -> Result<IndexHandle, Error>
     where
         S: Stream<Item = Result<SnapshotPart, Error>> + Send + 'static,

@@ -22,7 +22,7 @@ use std::{
 
 use thiserror::Error;
 
-use super::{MARKS, STORE};
+use super::{MARKS, REBUILT_STORE, STORE};
 
 const MARKER: &str = "wayfold-data";
 const FORM: &str = "wayfold-server data, version ";
@@ -38,6 +38,12 @@ const PROBE_BYTES: u64 = 4 * 1024 * 1024;
 /// The error of opening a data directory.
 #[derive(Debug, Error)]
 pub enum OpenError {
+    /// It holds no store, and the command makes none.
+    #[error("there is no store in {}: name the data directory with --data", directory.display())]
+    Missing {
+        /// The directory.
+        directory: PathBuf,
+    },
     /// It belongs to another program.
     #[error(
         "{} is not a data directory of wayfold-server: it holds other files; name another one, or an empty one, with \
@@ -190,6 +196,17 @@ impl Drop for Directory {
         // Closing the file is not enough while a child process is being started: the child shares the file until then.
         // Unlocking fails only if there is no lock.
         let _ = self.locked.unlock();
+    }
+}
+
+/// Fails if a directory holds no store, not even one that a repair has yet to put in place.
+pub(super) fn require_store(path: &Path) -> Result<(), OpenError> {
+    let mut names = [STORE, REBUILT_STORE].iter();
+    match names.any(|name| path.join(name).exists()) {
+        true => Ok(()),
+        false => Err(OpenError::Missing {
+            directory: path.into(),
+        }),
     }
 }
 

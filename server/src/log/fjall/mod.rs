@@ -76,8 +76,8 @@ const MARKS: &str = "marks";
 pub struct FjallLog {
     /// The open store, or the error of every call. Dropped before the directory is unlocked.
     opened: RwLock<Result<Arc<Engine>, LogError>>,
-    /// Held while the store is reopened.
-    reopening: Mutex<()>,
+    /// True once it is closed for good. Locked while the store is reopened.
+    is_closed: Mutex<bool>,
     options: StoreOptions,
     directory: Arc<Directory>,
 }
@@ -109,10 +109,19 @@ impl FjallLog {
         }
         Ok(Self {
             opened: RwLock::new(opened.map(Arc::new)),
-            reopening: Mutex::default(),
+            is_closed: Mutex::default(),
             options,
             directory,
         })
+    }
+
+    /// Opens the log in a directory that has one: a mistyped name makes no directory.
+    pub(crate) fn open_existing(
+        directory: &Path,
+        options: impl Into<StoreOptions>,
+    ) -> Result<Self, OpenError> {
+        directory::require_store(directory)?;
+        Self::open(directory, options)
     }
 
     fn engine(&self) -> Result<Arc<Engine>, LogError> {
@@ -159,6 +168,15 @@ impl FjallLog {
         }
         Ok(engine)
     }
+
+    /// Syncs the applied records and closes the store for good: every later call fails. An orderly stop closes it while
+    /// others still hold it. Blocks.
+    pub fn close(&self) {
+        *self.is_closed.lock() = true;
+        if let Ok(engine) = mem::replace(&mut *self.opened.write(), Err(LogError::Closed)) {
+            engine.shut();
+        }
+    }
 }
 
 impl Drop for FjallLog {
@@ -200,12 +218,6 @@ impl Journal for FjallLog {
 }
 
 impl PointStore for FjallLog {
-    fn close(&self) {
-        if let Ok(engine) = mem::replace(&mut *self.opened.write(), Err(LogError::Closed)) {
-            engine.shut();
-        }
-    }
-
     fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError> {
         self.engine()?.apply(uid, records)
     }
@@ -265,7 +277,10 @@ impl PointStore for FjallLog {
     }
 
     fn reopen(&self) -> Result<(), LogError> {
-        let _alone = self.reopening.lock();
+        let is_closed = self.is_closed.lock();
+        if *is_closed {
+            return Err(LogError::Closed);
+        }
         let Some(failure) = self.failure() else {
             return Ok(());
         };

@@ -20,7 +20,7 @@ use tracing::{debug, info, warn};
 
 use super::{
     DAMAGED_STORE, Durability, MARKS, NEW_STORE, OpenError, REBUILT_STORE, STORE,
-    directory::{Directory, sync_directories, sync_directory},
+    directory::{Directory, require_store, sync_directories, sync_directory},
     journal::{self, StoreJournal},
     layout::{
         Head, Number, Stage, StagedEntry, block_key, entry_key, head_key, operation_key, point_key,
@@ -64,12 +64,6 @@ impl RepairReport {
 /// The error of a repair.
 #[derive(Debug, Error)]
 pub enum RepairError {
-    /// There is no store to repair.
-    #[error("there is no store in {}: name the data directory with --data", directory.display())]
-    Missing {
-        /// The directory.
-        directory: PathBuf,
-    },
     /// The data directory cannot be used.
     #[error(transparent)]
     Directory(#[from] OpenError),
@@ -109,11 +103,8 @@ fn make(
     directory: &Directory,
     fill: impl FnOnce(&Handles) -> Result<(), LogError>,
 ) -> Result<(), LogError> {
+    remove_unfinished(directory).map_err(shut)?;
     let new = directory.join(NEW_STORE);
-    match fs::remove_dir_all(&new) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(shut(error)),
-        _ => {}
-    }
     let made = Arc::new(Store::open(&new, Durability::Fsync).map_err(unopened)?);
     fill(&*made.handles()?)?;
     StoreJournal::new(Arc::clone(&made), new.clone()).sync()?;
@@ -122,16 +113,19 @@ fn make(
     sync_directories(&new).map_err(shut)
 }
 
+/// Removes a store that was begun and not finished.
+fn remove_unfinished(directory: &Directory) -> io::Result<()> {
+    match fs::remove_dir_all(directory.join(NEW_STORE)) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
 /// Reads the whole store in a data directory, and rebuilds it if a part is unreadable, unless it is a `dry_run`. Opens the
 /// store as a start does: an interrupted repair is finished, shared files are mended, and the journal is made durable.
 /// No server may use the directory.
 pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairError> {
-    let exists = [STORE, REBUILT_STORE].map(|name| directory.join(name).exists());
-    if exists == [false, false] {
-        return Err(RepairError::Missing {
-            directory: directory.into(),
-        });
-    }
+    require_store(directory)?;
     let directory = Directory::take(directory)?;
     finish(&directory).map_err(shut)?;
     manifest_copy::mend(&directory)?;
@@ -171,7 +165,10 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
         return Ok(report);
     }
     report.check_room()?;
-    make(&directory, |new| copy(&handles, new, contents))?;
+    make(&directory, |new| copy(&handles, new, contents)).inspect_err(|_| {
+        // If this fails too, the next start removes it.
+        let _ = remove_unfinished(&directory);
+    })?;
     drop(handles);
     old.close();
     let rebuilt = fs::rename(directory.join(NEW_STORE), directory.join(REBUILT_STORE));
@@ -182,9 +179,12 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
     Ok(report)
 }
 
-/// Replaces the damaged store by the rebuilt one, if there is one, and returns the new path of the damaged store. The
-/// damaged store must not be written to before this call.
+/// Replaces the damaged store by the rebuilt one, if there is one, and returns the new path of the damaged store. Removes a
+/// store that was not finished. The damaged store must not be written to before this call.
 pub(super) fn finish(directory: &Directory) -> io::Result<Option<PathBuf>> {
+    if let Err(error) = remove_unfinished(directory) {
+        warn!(%error, "cannot remove {NEW_STORE}, which was not finished");
+    }
     let [store, rebuilt] = [STORE, REBUILT_STORE].map(|name| directory.join(name));
     if !rebuilt.try_exists()? {
         return Ok(None);

@@ -36,7 +36,7 @@ pub(super) struct StoreContent {
     pub(super) used: BTreeSet<Number>,
 }
 
-/// Reads the store. With `may_have_lost` every index gets a new uid, because its history may have changed.
+/// Reads the store. With `may_have_lost` every whole index gets a new uid, because its history may have changed.
 pub(super) fn recover(
     handles: &Handles,
     marks: &MarkTable,
@@ -158,7 +158,8 @@ pub(super) fn read_one(handles: &Handles, key: &[u8]) -> Option<fjall::Result<Kv
     }
 }
 
-/// Opens one index; a damaged one is closed.
+/// Opens one index. A damaged one is closed and keeps its uid: its mark has that uid too, and tells the next start what is
+/// lost.
 fn open(
     handles: &Handles,
     number: Number,
@@ -167,20 +168,23 @@ fn open(
     may_have_lost: bool,
 ) -> Result<Arc<Index>, LogError> {
     let uid = staged.entry.uid;
-    if may_have_lost {
-        staged.entry.uid = Uid::unique();
-        let entry = staged.encode(number);
-        let stored = handles.keyspace.insert(entry_key(number), entry);
-        stored.map_err(unopened)?;
-        warn!(index = staged.entry.name, old = %uid, new = %staged.entry.uid, "mutations may have been lost: new uid");
-    }
-    let index = Index::new(
-        number,
-        staged.entry,
-        State::new(Origin::START, Sum::default()),
-    );
+    let new_index = |entry: &Entry| {
+        let state = State::new(Origin::START, Sum::default());
+        Index::new(number, entry.clone(), state)
+    };
+    let mut index = new_index(&staged.entry);
     match state(handles, &index, mark.filter(|mark| mark.uid == uid)) {
-        Ok(state) => index.restore(state),
+        Ok(state) => {
+            if may_have_lost {
+                staged.entry.uid = Uid::unique();
+                let entry = staged.encode(number);
+                let stored = handles.keyspace.insert(entry_key(number), entry);
+                stored.map_err(unopened)?;
+                warn!(index = staged.entry.name, old = %uid, new = %staged.entry.uid, "mutations may have been lost: new uid");
+                index = new_index(&staged.entry);
+            }
+            index.restore(state);
+        }
         // This is an error of the disk, not of this index.
         Err(LogError::Storage { what }) => return Err(LogError::Shut { what }),
         Err(error @ LogError::StorageStopped) => {

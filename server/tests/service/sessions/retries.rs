@@ -1,6 +1,6 @@
 //! The newest batch of a session is recognised, and no other batch than the next one is taken.
 
-use std::sync::Arc;
+use std::{fs, sync::Arc};
 
 use futures_util::poll;
 use tokio::task::JoinSet;
@@ -81,6 +81,39 @@ async fn a_retry_is_recognised_after_a_flood_and_after_a_restart() {
         let late = (Code::FailedPrecondition, "BATCH_OUT_OF_ORDER");
         assert_eq!(refused_batch(&restarted, newest).await, late);
     }
+}
+
+/// The index has a new uid, because the server may have lost mutations.
+#[tokio::test]
+async fn a_session_goes_on_under_a_new_uid() {
+    let directory = tempfile::tempdir().unwrap();
+    let open_log = |path| Arc::new(FjallLog::open(path, Durability::Os).unwrap());
+    let service = service_with(open_log(directory.path()), Limits::default());
+    let old = create(&service, "arm", "R1").await;
+    let (session, _) = open(&service, &old, 4).await;
+    let newest = batch(&session, 1, &[Put(session.first, 0.5)]);
+    let response = write(&service, newest.clone()).await;
+
+    let crashed = copied(directory.path());
+    // The marker of a server that ran before the last reboot.
+    fs::write(crashed.path().join("unsynced"), "os another").unwrap();
+    let service = restarted(open_log(crashed.path()));
+    let uid = info(&service, "arm").await.revision.uid();
+    assert_ne!(uid, old);
+    let mismatch = (Code::FailedPrecondition, "UID_MISMATCH");
+    assert_eq!(refused_batch(&service, newest.clone()).await, mismatch);
+    let retry = v1::WriteRequest {
+        uid: uid.clone(),
+        ..newest
+    };
+    assert_eq!(write(&service, retry).await, response);
+    let session = Opened { uid, ..session };
+    let skipped = (Code::FailedPrecondition, "BATCH_OUT_OF_ORDER");
+    let third = batch(&session, 3, &[]);
+    assert_eq!(refused_batch(&service, third).await, skipped);
+    let second = batch(&session, 2, &[Put(session.first + 1, 0.5)]);
+    let next = write(&service, second).await;
+    assert_eq!(next.revision, revision(&session.uid, 3));
 }
 
 /// A lost answer costs no session.
