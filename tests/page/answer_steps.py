@@ -83,6 +83,28 @@ def an_answer_beside_the_past_says_so(page, programs, pictures):
         expect(past).to_be_hidden()
 
 
+def a_late_point_gives_way_to_what_came_after_it(page, programs, pictures):
+    """The page asks the server for a point that it probes. Another search, or `Clear`, does not wait for that."""
+    with running(programs) as server:
+        server.command("create", "arm", "--space", "R2")
+        server.insert("arm", [(0, 0), (10, 10), (4, 4), (9, 3)])
+        open_index(page, server, "arm")
+        wait_for_count(page, 4)
+        held = []
+        page.route("**/arm/get", lambda route: held.append(route))
+        for later in (lambda: probe(page, "9, 9", 2), lambda: page.click("#probe-clear")):
+            with page.expect_request("**/arm/get"):
+                page.locator("#picture").press("Enter")
+            later()
+            with page.expect_response("**/arm/get") as answer:
+                held.pop().continue_()
+            answer.value.finished()
+            # The page has the late answer before it has this one.
+            page.evaluate("() => fetch('healthz').then((answer) => answer.text())")
+            expect(page.locator("#probe-state")).to_have_value("9, 9")
+        expect_no_answer(page)
+
+
 def an_answer_says_how_many_are_drawn(page, programs, pictures):
     with running(programs) as server:
         server.command("create", "arm", "--space", SPACE)

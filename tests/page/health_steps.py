@@ -1,17 +1,15 @@
 """Connections that fall silent or fail, figures, and what an identity of some indices sees."""
 
 import contextlib
-import json
 import os
 import re
 import signal
-import struct
 import tempfile
 import urllib.request
 
 from playwright.sync_api import expect
 
-from support import (MAX_WAIT_S, PROBE, SPACE, identities, looks, open_index, picture, probe, row, running, sign_in,
+from support import (MAX_WAIT_S, PROBE, SPACE, frame, identities, looks, open_index, picture, probe, row, running, sign_in,
                      streams_of, wait_for_count)
 
 # A latency at the end that is no stream's: those are open for more than a second.
@@ -61,13 +59,6 @@ def too_many_streams_say_what_helps(page, programs, pictures):
         expect(page.locator("#notice")).to_contain_text("close other tabs of the page")
         streams.close()
         expect(page.locator("#status")).to_have_text("live")
-
-
-def frame(head):
-    """A frame without a body."""
-    text = json.dumps(head).encode()
-    text += b" " * (-len(text) % 8)
-    return struct.pack("<II", len(text), 0) + text
 
 
 def damaged_and_lagging_indices_come_first(page, programs, pictures):

@@ -16,6 +16,7 @@ import answer_steps
 import color_steps
 import edge_steps
 import health_steps
+import history_steps
 import model_steps
 import overlay_steps
 import parallel_steps
@@ -91,13 +92,19 @@ def the_trees_of_a_planner_are_one_picture(page, programs, pictures):
 
 STEPS = [
     probe_steps.the_probe_answers_as_the_command_line,
+    probe_steps.without_webgl2_the_probe_answers,
     answer_steps.an_answer_is_not_shown_beside_an_error,
     answer_steps.an_answer_is_about_one_index,
     answer_steps.an_answer_beside_the_past_says_so,
+    answer_steps.a_late_point_gives_way_to_what_came_after_it,
     answer_steps.an_answer_says_how_many_are_drawn,
     answer_steps.enter_probes_the_point_in_the_middle,
     time_steps.the_slider_counts_as_scans_did,
     time_steps.what_the_window_does_not_have_is_said,
+    time_steps.a_point_of_the_past_is_probed_where_it_stood,
+    time_steps.an_index_that_is_made_again_is_shown_at_its_newest,
+    time_steps.a_hidden_tab_reads_no_past,
+    time_steps.a_cut_within_a_message_counts_no_point_twice,
     model_steps.histories_are_those_of_a_model,
     edge_steps.edges_follow_the_payloads,
     edge_steps.edges_need_a_declaration,
@@ -120,6 +127,7 @@ STEPS = [
     health_steps.a_server_that_comes_back_is_seen_again,
     token_steps.a_token_that_no_header_carries_is_refused,
     token_steps.another_token_can_be_used,
+    token_steps.a_token_may_be_typed_slowly,
     health_steps.the_addresses_of_a_new_start_are_shown,
     health_steps.too_many_streams_say_what_helps,
     health_steps.damaged_and_lagging_indices_come_first,
@@ -127,6 +135,8 @@ STEPS = [
     health_steps.a_quiet_index_is_no_silence,
     health_steps.a_failed_description_is_asked_for_again,
     health_steps.streams_are_no_latencies,
+    history_steps.the_first_figures_are_no_calls_of_the_last_minute,
+    history_steps.kinds_of_calls_have_the_figures_of_their_calls,
     health_steps.a_wrong_role_sees_nothing,
     health_steps.an_identity_of_some_indices_has_no_figures,
 ]

@@ -130,7 +130,11 @@ async ({ seed, rounds }) => {
     take(cloud, [pointsFrame(all), edgesFrame(all), [{ kind: "at", revision: revisionOf(begun) }, new ArrayBuffer(0)]]);
     const live = (steps) => {
       for (let i = 0; i < steps; i++) {
-        take(cloud, model.step(share));
+        // A connection ends within a message, and goes on as that of a layer does.
+        const reached = model.revision;
+        const message = [model.step(share), ...some(() => model.step(share))].flat().filter(([{ kind }]) => kind !== "at");
+        take(cloud, message.slice(0, below(message.length + 1)));
+        take(cloud, model.log.slice(Math.max(reached, cloud.newest - 1) + 1).flat());
         compareNow(cloud, model, share);
       }
     };

@@ -36,6 +36,20 @@ def the_probe_answers_as_the_command_line(page, programs, pictures):
         expect(page.locator("#probe-error")).to_contain_text("max_k")
 
 
+def without_webgl2_the_probe_answers(page, programs, pictures):
+    """The place of the picture says what is missing."""
+    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    with running(programs) as server:
+        server.command("create", "arm", "--space", SPACE)
+        server.insert("arm", map(row, range(100)))
+        page.goto(f"{server.page}#/arm")
+        wait_for_count(page, 100)
+        expect(page.locator("#empty")).to_contain_text("WebGL2")
+        expect(page.locator("#empty")).to_be_visible()
+        shown = probe(page, PROBE, 7)
+        assert shown == neighbors_of(server.json("knn", "arm", "--state", PROBE, "-k", "7")), shown
+
+
 def text_of(page, language):
     page.get_by_role("tab", name=language, exact=True).click()
     return page.locator(f'#snippets [data-language="{language}"] code').inner_text()

@@ -117,6 +117,13 @@ def certify(folder):
     return {"WAYFOLD_TLS__CERTIFICATE": f"{folder}/server.pem", "WAYFOLD_TLS__KEY": f"{folder}/server.key"}
 
 
+def frame(head, body=b""):
+    """A frame of a stream that is made up. The body needs no padding."""
+    text = json.dumps(head).encode()
+    text += b" " * (-len(text) % 8)
+    return struct.pack("<II", len(text), len(body)) + text + body
+
+
 def sign_in(page, token):
     expect(page.locator("#token")).to_be_visible()
     page.fill("#token", token)

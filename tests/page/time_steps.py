@@ -3,11 +3,13 @@
 import os
 import random
 import re
+import struct
 import time
 
 from playwright.sync_api import expect
 
-from support import MAX_WAIT_S, looks, open_index, picture, running, set_slider, wait_for_count
+from support import (MAX_WAIT_S, frame, looks, open_index, picture, running, set_hidden, set_slider, streams_of,
+                     wait_for_count)
 
 # The corners of the picture, which stay: so that pictures of different points have the same box.
 CORNERS = [(0, 0.0, 0.0), (1, 9.0, 9.0)]
@@ -164,3 +166,88 @@ def what_the_window_does_not_have_is_said(page, programs, pictures):
         picture(page, pictures, "replay")
         expect(page.locator("#live")).to_have_attribute("aria-pressed", "true")
         expect(page.locator("#play")).to_have_attribute("aria-label", re.compile("^Replay"))
+
+
+def a_point_of_the_past_is_probed_where_it_stood(page, programs, pictures):
+    """The server knows only where it is now, and there exactly."""
+    with running(programs) as server:
+        server.command("create", "arm", "--space", "R2")
+        recorder = Recorder(server, "arm")
+        recorder.put([*CORNERS, (2, 4.5, 4.5)])
+        open_index(page, server, "arm")
+        wait_for_count(page, 3)
+        recorder.put([(2, 1.1, 7.9)])
+        expect(page.locator("#revision")).to_have_text("revision 2: 3 points")
+        expect_revision(page, 1, 3)
+        page.locator("#picture").press("Enter")
+        expect(page.locator("#probe-state")).to_have_value("4.5, 4.5")
+        # The marks are drawn with the newest points.
+        expect(page.locator("#marks .neighbor")).to_have_count(3)
+        page.click("#live")
+        page.locator("#picture").press("Enter")
+        expect(page.locator("#probe-state")).to_have_value("1.1, 7.9")
+
+
+def an_index_that_is_made_again_is_shown_at_its_newest(page, programs, pictures):
+    """The slider held a revision of the former index."""
+    with running(programs) as server:
+        server.command("create", "arm", "--space", "R2")
+        for number in range(3):
+            server.insert("arm", [(number, 0)])
+        open_index(page, server, "arm")
+        wait_for_count(page, 3)
+        expect_revision(page, 1, 1)
+        server.command("delete", "arm")
+        server.command("create", "arm", "--space", "R2")
+        for number in range(2):
+            server.insert("arm", [(number, it) for it in range(10)])
+        expect(page.locator("#revision")).to_have_text("revision 2: 20 points")
+        expect(page.locator("#live")).to_have_attribute("aria-pressed", "true")
+
+
+def a_hidden_tab_reads_no_past(page, programs, pictures):
+    with running(programs) as server:
+        server.command("create", "arm", "--space", "R2")
+        recorder = Recorder(server, "arm")
+        recorder.put(CORNERS)
+        recorder.remove(1)
+        open_index(page, server, "arm")
+        wait_for_count(page, 1)
+        set_hidden(page, True)
+        urls = streams_of(page, "points")
+        set_slider(page, 1)
+        expect(page.locator("#revision-notes")).to_contain_text("reading the log")
+        expect(page.locator("#status")).to_contain_text("paused")
+        assert not urls, urls
+        set_hidden(page, False)
+        expect_past_loaded(page)
+        expect_revision(page, 1, 2)
+
+
+def a_cut_within_a_message_counts_no_point_twice(page, programs, pictures):
+    """The stream is made up: it ends after some mutations, and before it tells the revision that they reach."""
+    def revision(number):
+        return {"uid": "u", "number": number}
+
+    def stored(id, number):
+        return frame({"kind": "points", "row_count": 1}, struct.pack("<3Q2f", id, number, 0, id, number))
+
+    def reached(number):
+        return frame({"kind": "at", "revision": revision(number)})
+
+    begin = {"kind": "begin", "revision": revision(0), "oldest_revision": revision(0), "coordinate_count": 2,
+             "point_count": 0, "share": 1}
+    # The point 7 is replaced by the second one.
+    mutations = [stored(7, 1), stored(7, 2), stored(8, 3), stored(9, 4)]
+
+    def answer(route):
+        after = re.search(r"after=u:(\d+)", route.request.url)
+        body = [*mutations[int(after[1]):], reached(4)] if after else [frame(begin), reached(0), *mutations[:3]]
+        route.fulfill(body=b"".join(body), content_type="application/octet-stream")
+
+    with running(programs) as server:
+        server.command("create", "arm", "--space", "R2")
+        page.route(re.compile(r"/arm/points\?"), answer)
+        open_index(page, server, "arm")
+        wait_for_count(page, 3)
+        expect_revision(page, 1, 1)

@@ -41,3 +41,19 @@ def another_token_can_be_used(page, programs, pictures):
             wait_for_count(page, 1)
             expect(page.locator("#status")).to_have_text("live")
             expect(page.locator("#notice")).to_be_hidden()
+
+
+def a_token_may_be_typed_slowly(page, programs, pictures):
+    """The time that a person takes is no silence of the server."""
+    with identities(("admin", "admin", "*")) as (settings, _):
+        with running(programs, settings=settings) as server:
+            page.clock.install()
+            page.goto(server.page)
+            expect(page.locator("#token")).to_be_visible()
+            page.evaluate("() => { const status = document.getElementById('status'); window.told = []; "
+                          "new MutationObserver(() => told.push(status.textContent)).observe(status, { childList: true }); }")
+            page.clock.fast_forward(60_000)
+            sign_in(page, "admin")
+            expect(page.locator("#status")).to_have_text("live")
+            told = page.evaluate("told")
+            assert not any("no word" in it for it in told), told

@@ -17,7 +17,7 @@ use super::{
     api::{Admitted, Api, refusal},
     frame::Frames,
     metrics_text,
-    streams::{self, FrameSource, StreamCall},
+    streams::{self, FrameSource, MAX_SILENCE, StreamCall},
 };
 use crate::{
     observe::Ending,
@@ -29,7 +29,7 @@ use crate::{
 /// The time between two frames.
 const PERIOD: Duration = Duration::from_secs(1);
 
-/// The part of the time that the frames of a stream take from the server, if they take longer than that part of a period.
+/// The frames of a stream take the server at most one in this many parts of the time, as far as [`MAX_SILENCE`] allows.
 const MAX_SHARE: u32 = 10;
 
 /// Answers with the addresses that the server listens on.
@@ -91,9 +91,14 @@ impl FrameSource for Overview {
         let bytes = listed.encoded_len() + metrics.as_ref().map_or(0, String::len);
         let making = async { at_length(bytes, || frame(&listed, metrics.as_deref())) };
         let frames = streams::in_turn(turns, making).await?;
-        self.next = began + PERIOD.max(MAX_SHARE * began.elapsed());
+        self.next = began + period_after(began.elapsed());
         Ok(Some(frames))
     }
+}
+
+/// The time from the start of a frame to that of the next one, if the frame took `elapsed`.
+pub(super) fn period_after(elapsed: Duration) -> Duration {
+    (MAX_SHARE * elapsed).clamp(PERIOD, MAX_SILENCE)
 }
 
 /// All indices that the caller sees, as one answer of the verb `list`.

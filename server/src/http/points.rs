@@ -18,7 +18,7 @@ use wayfold_proto::v1;
 use super::{
     api::{Admitted, Api, refusal},
     frame::{Frames, Share, json_of},
-    streams::{self, FrameSource, StreamCall},
+    streams::{self, FrameSource, MAX_SILENCE, StreamCall},
 };
 use crate::{
     observe::Ending,
@@ -35,9 +35,6 @@ const PAUSE: Duration = Duration::from_millis(100);
 
 /// Frames of a message of this size are followed by more.
 const FULL_BYTES: usize = 128 * 1024;
-
-/// A stream without mutations says after this time that it lives.
-const MAX_SILENCE: Duration = Duration::from_secs(10);
 
 /// The parameters of a request.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,6 +1,6 @@
 //! Streams of frames: their places, their turns, and the memory of what is not yet read.
 
-use std::{convert::Infallible, sync::Arc};
+use std::{convert::Infallible, sync::Arc, time::Duration};
 
 use axum::{
     body::Body,
@@ -26,6 +26,9 @@ use crate::{
 
 /// The most streams at a time. They leave connections for probes and scrapes.
 pub(super) const MAX_STREAMS: usize = 16;
+
+/// A stream says at least this often that it lives: the page gives up one that is silent for 25 seconds.
+pub(super) const MAX_SILENCE: Duration = Duration::from_secs(10);
 
 /// The call of a stream.
 pub(super) struct StreamCall {

@@ -28,10 +28,10 @@ export class Refusal extends Error {
 }
 
 /**
- * Sends a request with the token. On 401 it asks for one and sends the request again. `sending` is called before each attempt,
- * because a person takes a while. Throws a `Refusal`.
+ * Sends a request with the token. On 401 it asks for one and sends the request again. `sending` is called before each attempt, and
+ * `asking` before the dialog, because a person takes a while. Throws a `Refusal`.
  */
-export async function request(path, options = {}, sending = () => {}) {
+export async function request(path, options = {}, { sending = () => {}, asking = () => {} } = {}) {
   for (;;) {
     const sent = token;
     const headers = { ...options.headers };
@@ -42,7 +42,9 @@ export async function request(path, options = {}, sending = () => {}) {
     const refusal = await refusalOf(response);
     if (response.status !== 401) throw refusal;
     // Another request may have brought a newer token meanwhile: try that one before asking.
-    if (token === sent) token = await askForToken(sent ? refusal.message : "");
+    if (token !== sent) continue;
+    asking();
+    token = await askForToken(sent ? refusal.message : "");
   }
 }
 

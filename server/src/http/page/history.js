@@ -14,12 +14,14 @@ export class History {
     const calls = new Map(sample.calls.map((call) => [keyOf(call), { ...call, count: Number(call.count) }]));
     const points = new Map(sample.indices.map((index) => [index.name, Number(index.pointCount)]));
     const last = this.#samples.at(-1);
-    if (last && [...last.calls].some(([key, call]) => (calls.get(key)?.count ?? 0) < call.count)) this.#samples = [];
+    const isRestarted = last && [...last.calls].some(([key, call]) => (calls.get(key)?.count ?? 0) < call.count);
+    // The first figures after samples without any have counted since the start of the server, not since the last sample.
+    if (isRestarted || last?.hasFigures !== sample.hasFigures) this.#samples = [];
     // A curve of five minutes is drawn for each index each second, so its sums are made once.
     const counts = new Map();
     for (const { index, count } of calls.values()) counts.set(index, (counts.get(index) ?? 0) + count);
     const lags = new Map(sample.indices.map((index) => [index.name, Number(index.lag)]));
-    this.#samples.push({ at: now, calls, counts, points, lags, bounds: sample.bounds });
+    this.#samples.push({ at: now, calls, counts, points, lags, bounds: sample.bounds, hasFigures: sample.hasFigures });
     const oldest = now - KEPT_MS;
     while (this.#samples.length > 2 && this.#samples[0].at < oldest) this.#samples.shift();
   }
@@ -42,14 +44,14 @@ export class History {
   /** The calls that `accept` holds for, over the last minute: a second, and the two percentiles in seconds, without streams. */
   calls(accept) {
     const [from, to] = this.#recent();
-    return from ? between(from, to, accept) : { rate: 0, p50: null, p99: null };
+    return from ? between(from, to, [...to.calls].filter(([, call]) => accept(call))) : { rate: 0, p50: null, p99: null };
   }
 
   /** The kinds of calls of the last minute, the most frequent first. */
   kinds() {
-    const [, to] = this.#recent();
-    if (!to) return [];
-    const kinds = [...to.calls].map(([key, call]) => ({ ...call, key, ...this.calls((other) => keyOf(other) === key) }));
+    const [from, to] = this.#recent();
+    if (!from) return [];
+    const kinds = [...to.calls].map(([key, call]) => ({ ...call, key, ...between(from, to, [[key, call]]) }));
     return kinds.filter((kind) => kind.rate > 0).sort((a, b) => b.rate - a.rate);
   }
 
@@ -89,12 +91,11 @@ function seconds(from, to) {
   return Math.max((to.at - from.at) / 1000, 1e-3);
 }
 
-/** The calls between two samples. */
-function between(from, to, accept) {
+/** The calls between two samples, of these entries of the later one. */
+function between(from, to, entries) {
   let count = 0;
   const buckets = new Array(to.bounds.length + 1).fill(0);
-  for (const [key, call] of to.calls) {
-    if (!accept(call)) continue;
+  for (const [key, call] of entries) {
     const before = from.calls.get(key);
     count += call.count - (before?.count ?? 0);
     if (STREAMS.has(call.verb)) continue;

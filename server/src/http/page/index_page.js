@@ -98,7 +98,9 @@ export class IndexPage {
     this.#timer = 0;
     if (parts.page !== this) return;
     parts.timeline.update();
-    parts.picture?.pacer.request();
+    // Without a picture, its place says why.
+    if (!parts.picture) return;
+    parts.picture.pacer.request();
     if (this.drawn.some((layer) => layer.isComplete) && this.drawn.every((layer) => layer.cloud.length === 0)) this.#showEmpty();
     else byId("empty").hidden = true;
   }
@@ -126,7 +128,12 @@ export class IndexPage {
     const used = this.#layers.map((layer) => layer.number);
     let number = 0;
     while (used.includes(number)) number += 1;
-    return new Layer(name, number, { changed: () => this.changed(), spaceKnown: () => this.spaceKnown() });
+    return new Layer(name, number, {
+      changed: () => this.changed(),
+      spaceKnown: () => this.spaceKnown(),
+      // A revision of the former index says nothing of the new one.
+      madeAgain: () => parts.timeline.goLive(),
+    });
   }
 
   #update() {

@@ -37,12 +37,16 @@ export class Layer {
   isComplete = false;
   #pauses = new Pauses();
 
-  /** `number` chooses the colour. `changed` is called when points came, and `spaceKnown` when the space is known. */
-  constructor(name, number, { changed, spaceKnown }) {
+  /**
+   * `number` chooses the colour. `changed` is called when points came, `spaceKnown` when the space is known, and `madeAgain` when
+   * another index has taken the name.
+   */
+  constructor(name, number, { changed, spaceKnown, madeAgain }) {
     this.name = name;
     this.number = number;
     this.changed = changed;
     this.spaceKnown = spaceKnown;
+    this.madeAgain = madeAgain;
     this.past = new Past(name, this.cloud, changed);
     this.stream = followWhileVisible(() => this.#path(), {
       take: (head, body) => this.#take(head, body),
@@ -63,8 +67,10 @@ export class Layer {
   #path() {
     const path = `api/v1/${encodeURIComponent(this.name)}/points?max=${MAX_POINTS}&follow=true&edges=true`;
     if (this.reached === undefined) return path;
+    // The connection may have ended within a message: the mutations before the newest one came whole.
+    const after = Math.max(this.reached.number, this.cloud.newest - 1);
     // A uid has only letters that need no encoding.
-    return `${path}&after=${this.reached.uid}:${this.reached.number}&share=${this.cloud.share.fraction}`;
+    return `${path}&after=${this.reached.uid}:${after}&share=${this.cloud.share.fraction}`;
   }
 
   #report(state, problem = "", code = 0) {
@@ -78,13 +84,16 @@ export class Layer {
   #take(head, body) {
     const { cloud } = this;
     switch (head.kind) {
-      case "begin":
+      case "begin": {
+        const isAnother = cloud.uid !== undefined && cloud.uid !== head.revision.uid;
         this.past.stop();
         cloud.begin(head);
         this.isComplete = false;
         this.reached = undefined;
+        if (isAnother) this.madeAgain();
         this.#askForSpace(head);
         break;
+      }
       case "points":
         cloud.append(head, body);
         break;

@@ -3,6 +3,7 @@
 import { serverForPrograms } from "./addresses.js";
 import { call } from "./api.js";
 import { showAnswer } from "./answer.js";
+import { ALIVE } from "./cloud.js";
 import { byId, element, setText } from "./dom.js";
 import { count, digits, shortened } from "./format.js";
 
@@ -75,17 +76,22 @@ export class Probe {
     if (isPast) setText(byId("answer-past"), `The server searches the newest revision; the picture shows revision ${count(revision)}.`);
   }
 
-  /** Probes a stored point of the picture. The picture has rounded coordinates, so the exact ones are asked for. */
+  /** Probes a point of the picture. The picture has rounded coordinates, so the exact ones are asked for. */
   async probePoint(layer, slot) {
     byId("probe-index").value = layer.name;
     this.#choose();
-    const id = layer.cloud.idOf(slot);
-    let state = [...layer.cloud.stateOf(slot)];
-    try {
-      const { points } = await call(layer.name, "get", { ids: [id], include: { with_states: true } });
-      state = points.states[0];
-    } catch {
-      // The point may be gone, or older than the slider shows: its rounded state is still a state.
+    const search = ++this.#searches;
+    const { cloud } = layer;
+    let state = [...cloud.stateOf(slot)];
+    // The server knows only where a point is now: one that was removed or replaced is probed where the picture has it.
+    if (cloud.died[slot] === ALIVE) {
+      try {
+        const { points } = await call(layer.name, "get", { ids: [cloud.idOf(slot)], include: { with_states: true } });
+        state = points.states[0];
+      } catch {
+        // The point may be gone meanwhile: its rounded state is still a state.
+      }
+      if (search !== this.#searches) return;
     }
     byId("probe-state").value = state.join(", ");
     await this.run();

@@ -7,7 +7,7 @@ import { ALIVE, Cloud } from "./cloud.js";
 import { forget, report } from "./connection.js";
 import { idsOf } from "./frames.js";
 import { Lost } from "./lost.js";
-import { follow } from "./stream.js";
+import { followWhileVisible } from "./stream.js";
 
 /** The past of the cloud of one index. */
 export class Past {
@@ -26,8 +26,8 @@ export class Past {
     const { cloud } = this;
     if (this.#stream || cloud.length === undefined || !(cloud.windowStart < cloud.knownFrom)) return;
     this.#replay = new Replay(cloud);
-    this.#stream = follow(() => this.#path(), {
-      // After a lost connection the past is read again from its beginning.
+    this.#stream = followWhileVisible(() => this.#path(), {
+      // After a lost connection or a pause the past is read again from its beginning.
       begin: () => (this.#replay = new Replay(cloud)),
       take: (head, body) => this.#take(head, body),
       state: (state, problem, code) => this.#replay && report(`past of ${this.name}`, state, problem, code),

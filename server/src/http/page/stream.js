@@ -108,7 +108,8 @@ class Stream {
       watch = setTimeout(() => this.#giveUp("silence"), MAX_SILENCE_MS);
     };
     try {
-      const response = await request(this.path(), { method: "POST", signal: attempt.signal }, heard);
+      const waits = { sending: heard, asking: () => clearTimeout(watch) };
+      const response = await request(this.path(), { method: "POST", signal: attempt.signal }, waits);
       this.begin();
       const reader = response.body.getReader();
       const frames = new FrameReader((head, body) => this.#receive(attempt, head, body));

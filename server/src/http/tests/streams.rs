@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use tokio::time::timeout;
+use tokio::time::{Instant, timeout};
 
 use super::*;
 use crate::{extremes::EXTREMES, quiet::quietly};
@@ -87,11 +87,13 @@ async fn edges_are_read_as_the_index_declares() {
 async fn the_overview_has_each_second_what_list_and_metrics_have() {
     let service = service().await;
     let mut router = router(&service, Identities::default());
+    let began = Instant::now();
     let answer = ask(&mut router, Request::post("/api/v1/overview"), "").await;
     assert_eq!(answer.status(), StatusCode::OK);
     let mut body = answer.into_body().into_data_stream();
     for points in [POINTS, POINTS + 1] {
         let next = futures_util::StreamExt::next(&mut body).await;
+        assert_eq!(began.elapsed().as_secs(), points - POINTS);
         let sent = next.unwrap().unwrap();
         let frames = heads(&sent);
         assert_eq!(frames.len(), 1);
@@ -104,6 +106,12 @@ async fn the_overview_has_each_second_what_list_and_metrics_have() {
         assert!(metrics.ends_with("# EOF\n"), "{metrics}");
         insert(&service, points).await;
     }
+}
+
+#[test]
+fn an_overview_that_takes_long_is_rare_and_not_silent() {
+    let after = |elapsed| overview::period_after(Duration::from_millis(elapsed)).as_millis();
+    assert_eq!([0, 100, 500, 3000].map(after), [1000, 1000, 5000, 10_000]);
 }
 
 #[tokio::test]
