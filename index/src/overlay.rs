@@ -58,13 +58,13 @@ pub struct EarlierAnswer<'a> {
     /// The revision of the searched snapshot.
     pub revision: u64,
     /// The nearest points of that revision, nearest first: at least as many and as far as the search to answer asks
-    /// for.
+    /// for. Their search excluded no point that the search to answer admits.
     pub neighbors: &'a [Neighbor],
 }
 
 /// Answers `search` over a snapshot as `overlays` change it, the oldest first. With `known`, only the snapshot's points
-/// after that revision are searched: since that revision points were only added. An overlay may have changes from
-/// before it.
+/// after that revision are searched, unless it has a point that `search` excludes: since that revision points were only
+/// added. An overlay may have changes from before it.
 ///
 /// # Errors
 /// The errors of [`ForestSnapshot::search`].
@@ -77,6 +77,12 @@ pub fn search_overlaid(
 ) -> Result<Vec<Neighbor>, SearchError> {
     let mut hidden: Vec<&HashSet<u64>> = search.excluded.to_vec();
     let mut neighbors = Vec::new();
+    // With an excluded neighbour the answer may lack one beyond its last, and no filter admits only what came after
+    // revision 0.
+    let known = known.filter(|known| {
+        let mut ids = known.neighbors.iter().map(|neighbor| neighbor.id);
+        known.revision > 0 && !ids.any(|id| search.excludes(id))
+    });
     // The known neighbours come first: their distances bound all later searches. An overlay finds the points that it
     // stores itself.
     if let Some(known) = known {
@@ -95,11 +101,10 @@ pub fn search_overlaid(
         merge(&mut neighbors, &found, search.k);
         hidden.push(&overlay.changed);
     }
-    let known = known.map_or(0, |known| known.revision);
-    if known < snapshot.revision() {
+    if known.is_none_or(|known| known.revision < snapshot.revision()) {
         let mut narrowed = narrowed(search, &neighbors, &hidden);
         let since = &mut narrowed.filter.since_revision;
-        *since = known.max(*since);
+        *since = known.map_or(0, |known| known.revision).max(*since);
         let found = snapshot.search(state, &narrowed)?.neighbors;
         merge(&mut neighbors, &found, search.k);
     }

@@ -27,6 +27,30 @@ fn rows(changes: &Changes, revision: u64) -> (Points, Vec<u64>) {
     (stored, removed)
 }
 
+/// A forest can have points at revision 0: those it was loaded with.
+#[test]
+fn points_of_revision_0_are_found_once() {
+    let space: Space = "R1".parse().unwrap();
+    let points = |id, revision| rows(&Changes::from([(id, Some(3))]), revision).0;
+    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
+    forest.load(&points(1, 0)).unwrap();
+    let search = Search::nearest_k(3);
+    let loaded = forest.search(&[0.0], &search).unwrap().neighbors;
+    for revision in 1..3 {
+        let snapshot = forest.snapshot();
+        let known = EarlierAnswer {
+            revision: 0,
+            neighbors: &loaded,
+        };
+        let expected = forest.search(&[0.0], &search).unwrap().neighbors;
+        for known in [None, Some(known)] {
+            let found = search_overlaid(&snapshot, &[], known, &[0.0], &search).unwrap();
+            assert_eq!(found, expected);
+        }
+        forest.apply(revision, &points(2, revision), &[]).unwrap();
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig {
         cases: 512,
@@ -108,12 +132,16 @@ proptest! {
             let mut oldest = Overlay::new(space.clone());
             oldest.apply(&rows(&added, 2).0, &[]).unwrap();
             let overlays: Vec<&Overlay> = [&oldest].into_iter().chain(overlays).collect();
-            let wider = Search { k: k.saturating_add(1), ..search };
-            for known in [&earlier, &snapshot] {
-                let neighbors = known.search(&query, &wider).unwrap().neighbors;
-                let known = EarlierAnswer { revision: known.revision(), neighbors: &neighbors };
-                let found = search_overlaid(&snapshot, &overlays, Some(known), &query, &search);
-                prop_assert_eq!(&found.unwrap(), &truth);
+            // The earlier search excluded the same points, or none.
+            let none: [&HashSet<u64>; 0] = [];
+            for excluded in [&sets[..], &none[..]] {
+                let wider = Search { k: k.saturating_add(1), excluded, ..search };
+                for known in [&earlier, &snapshot] {
+                    let neighbors = known.search(&query, &wider).unwrap().neighbors;
+                    let known = EarlierAnswer { revision: known.revision(), neighbors: &neighbors };
+                    let found = search_overlaid(&snapshot, &overlays, Some(known), &query, &search);
+                    prop_assert_eq!(&found.unwrap(), &truth);
+                }
             }
         }
     }

@@ -35,7 +35,7 @@ impl History {
 
     /// Forgets everything up to change number `at`.
     pub(super) fn forget(&mut self, at: u64) {
-        self.changes.clear();
+        self.changes = VecDeque::new();
         self.forgotten = at;
     }
 
@@ -84,6 +84,7 @@ mod tests {
             Some(MAX_CHANGES)
         );
         history.forget(MAX_CHANGES as u64 + 3);
+        assert_eq!(history.changes.capacity(), 0);
         assert_eq!(history.after(ReadRevision(MAX_CHANGES as u64 + 2)), None);
         assert_eq!(
             history.after(ReadRevision(MAX_CHANGES as u64 + 3)),

@@ -130,14 +130,13 @@ impl LocalPoints {
         Ok(())
     }
 
-    /// Removes all points.
-    pub(super) fn clear(&mut self) -> Result<(), Error> {
+    /// Removes all points. Returns the old forest, which takes long to drop.
+    pub(super) fn clear(&mut self) -> Result<Forest, Error> {
         let space = self.forest.space().clone();
         let mut empty = Forest::new(space.clone(), ForestOptions::for_space(&space));
         let at = self.forest.revision() + 1;
         empty.apply(at, &Points::new(space.coordinates()), &[])?;
-        drop(self.replace(empty));
-        Ok(())
+        Ok(self.replace(empty))
     }
 
     /// Replaces all points by those of `forest`, whose revision is above that of this one. Returns the old forest,
@@ -158,6 +157,15 @@ impl LocalPoints {
             self.unmerged = 0;
         }
         merge
+    }
+
+    /// Runs the due merges on this thread. Those that wait for a pause do not run: they would double the rebuilds of a
+    /// point.
+    pub(super) fn settle(&mut self) {
+        if self.unmerged >= MERGE_INTERVAL {
+            self.forest.settle();
+            self.unmerged = 0;
+        }
     }
 
     /// The search among the present points.

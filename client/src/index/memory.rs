@@ -2,6 +2,7 @@
 
 use std::{
     collections::HashMap,
+    mem,
     sync::{Arc, Weak},
 };
 
@@ -84,7 +85,7 @@ impl Memory {
     fn after_change(&self, points: &mut LocalPoints) {
         match self.merges {
             Merges::Background => merger::after_change(points, || self.this.clone()),
-            Merges::Inline => merger::merge_now(points),
+            Merges::Inline => points.settle(),
         }
     }
 }
@@ -254,8 +255,45 @@ impl NearestNeighbors for Memory {
 
     fn clear(&self) -> Result<(), Error> {
         let mut state = self.write()?;
-        state.points.clear()?;
-        state.payloads.clear();
+        let forest = state.points.clear()?;
+        let payloads = mem::take(&mut state.payloads);
+        drop(state);
+        // Searches do not wait until these are freed.
+        drop((forest, payloads));
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn insert(index: &Memory, row: &[f64], payload: &[u8]) {
+        let point = NewPoint {
+            id: None,
+            tag: 0,
+            row,
+            payload,
+        };
+        index.insert(&point, None, &mut Vec::new()).unwrap();
+    }
+
+    #[test]
+    fn inline_merges_leave_the_levels_of_the_plain_policy() {
+        let index = Memory::new(&"R4".parse().unwrap(), Merges::Inline);
+        for at in 0..3 * 8192u32 {
+            let row = [15_199, 10_187, 18_003, 5_806].map(|factor| f64::from(at * factor % 24_593));
+            insert(&index, &row, &[]);
+        }
+        // 16,384 points, 8,192, and the growing level.
+        assert_eq!(index.read().unwrap().points.forest.snapshot().levels(), 3);
+    }
+
+    #[test]
+    fn a_cleared_index_keeps_no_room_for_payloads() {
+        let index = Memory::new(&"R1".parse().unwrap(), Merges::Inline);
+        insert(&index, &[0.5], b"edges");
+        index.clear().unwrap();
+        assert_eq!(index.read().unwrap().payloads.capacity(), 0);
     }
 }

@@ -10,7 +10,7 @@ use std::{
         mpsc::{Receiver, RecvTimeoutError, SendError, Sender, channel},
     },
     thread,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use wayfold_index::Merge;
@@ -53,31 +53,20 @@ static THREADS: OnceLock<Option<Threads>> = OnceLock::new();
 pub(super) fn after_change(points: &mut LocalPoints, index: impl Fn() -> Weak<dyn Merged>) {
     // In a forked process, and where no thread could be started, the caller merges.
     let threads = THREADS.get_or_init(start).as_ref();
-    let threads = threads.filter(|threads| threads.origin.is_current());
+    let Some(threads) = threads.filter(|threads| threads.origin.is_current()) else {
+        points.settle();
+        return;
+    };
     if !points.is_watched {
         points.is_watched = true;
         // A send fails only after the thread has panicked, and the panic hook has printed that.
-        let _ = threads.map(|threads| threads.work.send(Work::Watch(index())));
+        let _ = threads.work.send(Work::Watch(index()));
     }
-    if let Some(merge) = points.merge() {
-        let unsent = match threads {
-            Some(threads) => {
-                let unsent = threads.merges.send((index(), merge)).err();
-                unsent.map(|SendError((_, merge))| merge)
-            }
-            None => Some(merge),
-        };
-        if let Some(merge) = unsent {
-            points.forest.finish_merge(merge.run());
-            merge_now(points);
-        }
-    }
-}
-
-/// Runs all merges that are due at once.
-pub(super) fn merge_now(points: &mut LocalPoints) {
-    while let Some(merge) = points.merge() {
+    if let Some(merge) = points.merge()
+        && let Err(SendError((_, merge))) = threads.merges.send((index(), merge))
+    {
         points.forest.finish_merge(merge.run());
+        points.settle();
     }
 }
 
@@ -89,6 +78,10 @@ fn start() -> Option<Threads> {
     let merging = thread("wayfold-merge").spawn(move || {
         lower_priority();
         for (index, merge) in due {
+            // Its index was dropped or cleared.
+            if !merge.is_wanted() {
+                continue;
+            }
             if merged.send(Work::Merged(index, merge.run())).is_err() {
                 return;
             }
@@ -96,7 +89,7 @@ fn start() -> Option<Threads> {
     });
     merging.ok()?;
     thread("wayfold-swap")
-        .spawn(move || run(&received, &more))
+        .spawn(move || run(&received, &more, REST))
         .ok()?;
     Some(Threads {
         merges,
@@ -118,27 +111,39 @@ struct Watched {
     noticed: u64,
 }
 
-fn run(work: &Receiver<Work>, merges: &Sender<(Weak<dyn Merged>, Merge)>) {
+fn run(work: &Receiver<Work>, merges: &Sender<(Weak<dyn Merged>, Merge)>, rest: Duration) {
     let mut watched: Vec<Watched> = Vec::new();
+    // The time of the next look at the watched indices. Messages do not postpone it.
+    let mut look_at = Instant::now();
     loop {
+        let wait = look_at.saturating_duration_since(Instant::now());
         let next = match watched.is_empty() {
             true => work.recv().map_err(RecvTimeoutError::from),
-            false => work.recv_timeout(REST),
+            false if wait.is_zero() => Err(RecvTimeoutError::Timeout),
+            false => work.recv_timeout(wait),
         };
         let mut due = Vec::new();
         match next {
             Ok(Work::Merged(index, merged)) => {
                 due.extend(finish(&index, merged).map(|next| (index, next)));
             }
-            Ok(Work::Watch(index)) => watched.push(Watched {
-                index,
-                noticed: u64::MAX,
-            }),
-            Err(RecvTimeoutError::Timeout) => watched.retain_mut(|watched| {
-                let (changes, next) = look(watched);
-                due.extend(next.map(|next| (Weak::clone(&watched.index), next)));
-                changes
-            }),
+            Ok(Work::Watch(index)) => {
+                if watched.is_empty() {
+                    look_at = Instant::now() + rest;
+                }
+                watched.push(Watched {
+                    index,
+                    noticed: u64::MAX,
+                });
+            }
+            Err(RecvTimeoutError::Timeout) => {
+                watched.retain_mut(|watched| {
+                    let (changes, next) = look(watched);
+                    due.extend(next.map(|next| (Weak::clone(&watched.index), next)));
+                    changes
+                });
+                look_at = Instant::now() + rest;
+            }
             // The senders are in a static.
             Err(RecvTimeoutError::Disconnected) => return,
         }
@@ -178,4 +183,38 @@ fn look(watched: &mut Watched) -> (bool, Option<Merge>) {
         });
     }
     (changes, next)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::index::memory::{Memory, Merges};
+
+    #[test]
+    fn messages_do_not_keep_an_index_from_its_rest() {
+        let space = "R1".parse().unwrap();
+        let index = Memory::new(&space, Merges::Background);
+        index.with_points(&mut |points| {
+            for id in 0..200 {
+                points.store(id, 0, &[id as f64]).unwrap();
+            }
+            points.is_watched = true;
+        });
+        let (work, received) = channel();
+        let (merges, due) = channel();
+        let watched = Arc::downgrade(&index);
+        work.send(Work::Watch(watched)).unwrap();
+        for _ in 0..10 {
+            let dropped = Arc::downgrade(&Memory::new(&space, Merges::Background));
+            work.send(Work::Watch(dropped)).unwrap();
+        }
+        drop(work);
+        // A look is due at once, while messages wait.
+        run(&received, &merges, Duration::ZERO);
+        let (_, merge) = due.try_recv().unwrap();
+        assert_eq!(merge.rows(), 200);
+        index.with_points(&mut |points| assert!(!points.is_watched));
+    }
 }

@@ -81,7 +81,7 @@ impl Index {
     }
 
     /// Acts like [`Index::in_memory`], but starts no thread: an insert that fills a level merges it itself. Most
-    /// inserts take a microsecond, and one in thousands takes as long as building a tree of a part of all points.
+    /// inserts take a microsecond, and one in thousands takes as long as building a tree of a part of or all points.
     ///
     /// # Errors
     /// None today.

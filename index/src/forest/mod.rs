@@ -354,14 +354,16 @@ impl Forest {
     /// Replaces the sources of a merge by the merged level, in time proportional to the points removed from them
     /// meanwhile. A merge that another forest began is ignored.
     ///
-    /// Freeing the sources can take milliseconds: drop the result after the forest's lock.
+    /// Freeing the levels can take milliseconds: drop the result after the forest's lock.
     pub fn finish_merge(&mut self, merged: Merged) -> ReplacedLevels {
         let Some(at) = self
             .running
             .iter()
             .position(|running| running.token == merged.token)
         else {
-            return ReplacedLevels::default();
+            return ReplacedLevels {
+                _levels: merged.level.into_iter().map(Arc::new).collect(),
+            };
         };
         let running = self.running.swap_remove(at);
         if running.revision == self.head.revision {
@@ -377,7 +379,7 @@ impl Forest {
             self.add_level(level);
         }
         ReplacedLevels {
-            _sources: running.sources,
+            _levels: running.sources,
         }
     }
 

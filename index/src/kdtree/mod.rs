@@ -90,7 +90,7 @@ impl KdTree {
     /// Answers `search` for a canonical `state`.
     ///
     /// # Errors
-    /// The state is not a canonical state of the space, or a number of the search is out of its range.
+    /// The state is not a canonical state of the space, a number of the search is out of its range, or its time passed.
     pub fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Answer, SearchError> {
         self.search_with(&Kernels::default(), state, search)
     }

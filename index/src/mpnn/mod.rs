@@ -158,7 +158,7 @@ impl Mpnn {
     /// Answers `search` for a canonical `state`.
     ///
     /// # Errors
-    /// The state is not a canonical state of the space, or a number of the search is out of its range.
+    /// The state is not a canonical state of the space, a number of the search is out of its range, or its time passed.
     pub fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Answer, SearchError> {
         search.check(&self.space, state)?;
         query::search(self, state, search)

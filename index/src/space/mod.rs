@@ -262,8 +262,8 @@ impl Space {
 
     /// The distance of two canonical rows of this space; symmetric to the bit, and never NaN.
     ///
-    /// It is infinite only where a weighted sum exceeds the range of `f64`, and differences below 1e-154 have no square
-    /// in that range and count as 0.
+    /// It is infinite only where a weighted sum exceeds the range of `f64`. The squares of differences below 1.5e-154 are
+    /// less exact, and those of differences below 1.5e-162 count as 0.
     ///
     /// # Panics
     /// If a row is shorter than [`Space::coordinates`].

@@ -47,6 +47,17 @@ fn no_distance_is_nan_where_squares_overflow() {
     assert_eq!(space.distance(&zero, &far), f64::INFINITY);
 }
 
+#[test]
+fn the_least_differences_count_as_0_or_less_exactly() {
+    let space: Space = "R1".parse().unwrap();
+    let distance = |difference| space.distance(&[0.0], &[difference]);
+    assert_eq!(distance(1.5e-154), 1.5e-154);
+    assert!((distance(1e-155) - 1e-155).abs() < 1e-165);
+    assert_ne!(distance(2e-162), 0.0);
+    assert_ne!(distance(2e-162), 2e-162);
+    assert_eq!(distance(1.5e-162), 0.0);
+}
+
 /// The row of 14 numbers as a state of the space, its quaternions brought to length 1.
 fn state(space: &Space, mut row: Vec<f64>) -> Vec<f64> {
     for part in space.parts() {
