@@ -52,14 +52,14 @@ fn main() -> ExitCode {
     }
     match env::args().nth(1).as_deref() {
         Some("work") => {
-            let Some(ProcessCommand::Work(job)) = Options::parse().role else {
+            let Some(ProcessCommand::Work { job }) = Options::parse().role else {
                 panic!("a worker has a job");
             };
             runtime().block_on(processes::work(&job)).unwrap();
             return ExitCode::SUCCESS;
         }
         Some("grow") => {
-            let Some(trees_options::ProcessCommand::Grow(job)) =
+            let Some(trees_options::ProcessCommand::Grow { job }) =
                 trees_options::Options::parse().role
             else {
                 panic!("a worker has a job");

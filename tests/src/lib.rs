@@ -14,6 +14,7 @@ pub mod nats;
 mod page;
 mod process;
 mod refusal;
+pub mod report;
 mod states;
 mod stubs;
 

@@ -58,8 +58,8 @@ def build(server: Server, programs: Path, stubs: str, milestones: int) -> str:
     try:
         for number, source in enumerate(SOURCES):
             job = {"server": server.uri, "index": INDEX, "number": number, "seed": SEED, "milestones": milestones}
-            job |= {"source": source, "max-pending": 3, "min-separation": 0.0, "progress-ms": 0}
-            planners.append(Planner([rigid, "work", *(f"--{name}={value}" for name, value in job.items())]))
+            job |= {"source": source, "max_pending": 3, "min_separation": 0.0, "progress_ms": 0}
+            planners.append(Planner([rigid, "work", json.dumps(job)]))
         for number, form in enumerate(FORMS, len(SOURCES)):
             job = [server.locator, INDEX, form, number, SEED, milestones, MIN_MILESTONES, programs, stubs]
             planners.append(Planner([sys.executable, worker, *map(str, job)]))

@@ -41,7 +41,7 @@ fn main() -> ExitCode {
         (Err(error), _) => Err(PlanningError::Server(error)),
         // Its sources wait on their own threads.
         (Ok(_), None) if options.compare => sources::compare(&Rooms::new(), &options),
-        (Ok(runtime), Some(ProcessCommand::Work(job))) => runtime.block_on(processes::work(job)),
+        (Ok(runtime), Some(ProcessCommand::Work { job })) => runtime.block_on(processes::work(job)),
         (Ok(runtime), Some(ProcessCommand::Audit(of))) => {
             runtime.block_on(audit::audit(&of.server, &of.index))
         }

@@ -54,7 +54,7 @@ impl<P: Verify> Example<P> {
         let options = Options::parse();
         let problem = problem();
         let ended = match &options.role {
-            Some(ProcessCommand::Grow(job)) => job::grow(&problem, job),
+            Some(ProcessCommand::Grow { job }) => job::grow(&problem, job),
             None => self.start(&problem, &options),
         };
         match ended {

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Parser, Subcommand, ValueEnum};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::{
     error::PlanningError,
@@ -55,11 +56,16 @@ pub struct Options {
 pub enum ProcessCommand {
     /// One of the workers that share two trees
     #[command(hide = true)]
-    Grow(Job),
+    Grow {
+        /// Its job in JSON
+        #[arg(value_parser = from_json::<Job>)]
+        job: Job,
+    },
 }
 
 /// The source of a planner's neighbours, or all.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Source {
     /// An index in this process
     Memory,
@@ -118,6 +124,11 @@ impl Source {
 /// The seeds of this many runs: consecutive numbers, and 0 after the largest.
 pub fn seeds(first: u64, runs: u64) -> impl Iterator<Item = u64> {
     (0..runs.max(1)).map(move |run| first.wrapping_add(run))
+}
+
+/// A job in JSON.
+pub fn from_json<J: DeserializeOwned>(text: &str) -> Result<J, serde_json::Error> {
+    serde_json::from_str(text)
 }
 
 /// A number above 0.

@@ -15,8 +15,8 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::{error::PlanningError, server::ServerProcess};
 
-/// The job of a process.
-pub trait Job {
+/// The job of a process, which gets it in JSON.
+pub trait Job: Serialize {
     /// The type of its reports.
     type Account: Account;
 
@@ -25,9 +25,6 @@ pub trait Job {
 
     /// The number of the worker.
     fn number(&self) -> usize;
-
-    /// The arguments after the subcommand.
-    fn arguments(&self) -> Vec<String>;
 }
 
 /// The account of a worker.
@@ -350,9 +347,9 @@ impl Process {
         let number = job.number();
         let failed = |problem: io::Error| lost(number, problem);
         let program = env::current_exe().map_err(failed)?;
+        let job = serde_json::to_string(job).map_err(|problem| failed(problem.into()))?;
         let mut child = Command::new(program)
-            .arg(J::ROLE)
-            .args(job.arguments())
+            .args([J::ROLE, &job])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()

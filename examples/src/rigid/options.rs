@@ -3,12 +3,13 @@
 use std::path::PathBuf;
 
 use clap::{ArgGroup, Args, Parser, Subcommand};
+use serde::{Deserialize, Serialize};
 
 use super::account::Account;
 pub use crate::planning::options::Source;
 use crate::planning::{
-    options::at_least_one,
-    processes::{self, PROGRESS_MS},
+    options::{at_least_one, from_json},
+    processes,
 };
 
 /// The names of the options that apply only to several processes.
@@ -84,7 +85,11 @@ pub struct Options {
 pub enum ProcessCommand {
     /// One worker
     #[command(hide = true)]
-    Work(Job),
+    Work {
+        /// Its job in JSON
+        #[arg(value_parser = from_json::<Job>)]
+        job: Job,
+    },
     /// One that compares a roadmap with a serial replay by brute force
     #[command(hide = true)]
     Audit(Audit),
@@ -102,38 +107,28 @@ pub struct Audit {
 }
 
 /// The parameters of a worker.
-#[derive(Clone, Debug, Args)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Job {
-    /// The address of the server
-    #[arg(long)]
+    /// The address of the server.
     pub server: String,
-    /// The index that holds the roadmap
-    #[arg(long)]
+    /// The index that holds the roadmap.
     pub index: String,
-    /// The number of the worker
-    #[arg(long)]
+    /// The number of the worker.
     pub number: usize,
-    /// The seed of all workers
-    #[arg(long)]
+    /// The seed of all workers.
     pub seed: u64,
-    /// The number of milestones of the roadmap
-    #[arg(long)]
+    /// The number of milestones of the roadmap.
     pub milestones: u64,
-    /// The source of the neighbours
-    #[arg(long, value_enum)]
+    /// The source of the neighbours.
     pub source: Source,
-    /// The number of own milestones without a known place in the order at which it waits for one
-    #[arg(long)]
+    /// The number of own milestones without a known place in the order at which it waits for one.
     pub max_pending: usize,
-    /// Leaves out states that are nearer to a milestone than this
-    #[arg(long)]
+    /// Leaves out states that are nearer to a milestone than this.
     pub min_separation: f64,
-    /// The minimum interval of its progress reports
-    #[arg(long, default_value_t = PROGRESS_MS)]
+    /// The minimum interval of its progress reports.
     pub progress_ms: u64,
     /// The number of own milestones at which it reports a halt, with its last writes still under way, and waits for a
-    /// line
-    #[arg(long)]
+    /// line.
     pub halt_at: Option<u64>,
 }
 
@@ -144,25 +139,5 @@ impl processes::Job for Job {
 
     fn number(&self) -> usize {
         self.number
-    }
-
-    fn arguments(&self) -> Vec<String> {
-        let arguments = [
-            ("server", self.server.clone()),
-            ("index", self.index.clone()),
-            ("number", self.number.to_string()),
-            ("seed", self.seed.to_string()),
-            ("milestones", self.milestones.to_string()),
-            ("source", self.source.name().to_owned()),
-            ("max-pending", self.max_pending.to_string()),
-            ("min-separation", self.min_separation.to_string()),
-            ("progress-ms", self.progress_ms.to_string()),
-        ];
-        let halt = self.halt_at.map(|own| ("halt-at", own.to_string()));
-        arguments
-            .into_iter()
-            .chain(halt)
-            .map(|(name, value)| format!("--{name}={value}"))
-            .collect()
     }
 }

@@ -2,6 +2,7 @@
 //! exactly once, in the order of the calls.
 
 mod asleep;
+mod checks;
 mod failover;
 mod history;
 mod outage;
@@ -10,13 +11,11 @@ mod roadmap;
 mod silent;
 
 use std::{
-    collections::BTreeSet,
     path::Path,
     process::Command,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering::Relaxed},
-        mpsc,
     },
     thread,
     time::Duration,
@@ -26,11 +25,10 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold::{ConnectionStatus, Index};
 use wayfold_index::Space;
-use wayfold_tests::{Process, ServerProcess, Signal, States};
+use wayfold_tests::{Process, ServerProcess, Signal};
 
-use history::{
-    Content, History, Writer, check_copies, check_meanwhile, content, store_common, wait_for_all,
-};
+use checks::{check_all, wait_for_status};
+use history::{History, check_meanwhile, content, start_writers, store_common};
 use proxy::Proxy;
 
 const SPACE: &str = "R2*SO2*SO3:0.15";
@@ -57,13 +55,6 @@ fn shared(uri: &str, space: &Space) -> Index {
     index.timeout(Duration::from_secs(120)).open().unwrap()
 }
 
-/// Waits until an index has another status.
-fn wait_for_status(index: &Index, is_it: impl Fn(&ConnectionStatus) -> bool) {
-    while !index.status().as_ref().is_some_and(&is_it) {
-        thread::yield_now();
-    }
-}
-
 #[test]
 fn every_write_is_there_once_after_kills() {
     println!("seed {SEED}");
@@ -83,15 +74,7 @@ fn every_write_is_there_once_after_kills() {
     let common = store_common(&shared(&uri, &space), SEED);
     let reader = shared(&shaky.uri, &space);
     let indexes = [&uri, &uri, &shaky.uri].map(|uri| shared(uri, &space));
-    let (turn, turns) = mpsc::sync_channel(0);
-    let writers: Vec<thread::JoinHandle<History>> = (0..)
-        .zip(&indexes)
-        .map(|(number, index)| {
-            let (writer, turn) = (Writer::new(index.clone(), number), turn.clone());
-            thread::spawn(move || writer.run(&turn))
-        })
-        .collect();
-    drop(turn);
+    let (turns, writers) = start_writers(&indexes);
     let done = Arc::new(AtomicBool::new(false));
     let comparers: Vec<thread::JoinHandle<u64>> = [&reader, &indexes[0]]
         .into_iter()
@@ -100,7 +83,7 @@ fn every_write_is_there_once_after_kills() {
             thread::spawn(move || check_meanwhile(&index, &done, SEED))
         })
         .collect();
-    let write = |turns: &mpsc::Receiver<()>, count: u64| {
+    let write = |count: u64| {
         for _ in 0..count {
             turns.recv().expect("a writer");
         }
@@ -108,17 +91,17 @@ fn every_write_is_there_once_after_kills() {
     let (mut of_reader, mut of_writer) = (Vec::new(), Vec::new());
     let (mut killed, mut starting) = (0, 0);
     while killed < kills {
-        write(&turns, random.random_range(1..200));
+        write(random.random_range(1..200));
         // The cut falls into the middle of a message.
         shaky.cut_after(random.random_range(0..20_000));
         // Without this the kill finds the first writes after the last start.
         if random.random_bool(0.5) {
             indexes[0].flush().unwrap();
-            write(&turns, random.random_range(1..50));
+            write(random.random_range(1..50));
         }
         server.stop(Signal::Kill);
         killed += 1;
-        write(&turns, random.random_range(0..200));
+        write(random.random_range(0..200));
         wait_for_status(&reader, |status| {
             matches!(status, ConnectionStatus::Disconnected { .. })
         });
@@ -138,7 +121,9 @@ fn every_write_is_there_once_after_kills() {
     let compared = comparers.into_iter().map(|it| it.join().unwrap());
     let compared: Vec<u64> = compared.collect();
     assert!(compared.iter().all(|count| *count > kills), "{compared:?}");
-    check_all(&uri, &space, &common, &histories, (&reader, &indexes));
+    let fresh = shared(&uri, &space);
+    let copies: Vec<&Index> = [&fresh, &reader].into_iter().chain(&indexes).collect();
+    check_all(&copies, || shared(&uri, &space), &common, &histories);
     for history in &histories {
         history.check_prefixes(&of_reader);
     }
@@ -150,34 +135,4 @@ fn every_write_is_there_once_after_kills() {
         "{killed} kills, {starting} of them of a starting server; {} cuts; {compared:?} answers compared",
         shaky.cuts()
     );
-}
-
-/// Asserts that all copies and a new one hold the points of all calls, and that no id was given twice.
-fn check_all(
-    uri: &str,
-    space: &Space,
-    common: &[u64],
-    histories: &[History],
-    (reader, indexes): (&Index, &[Index]),
-) {
-    let fresh = shared(uri, space);
-    let copies: Vec<&Index> = indexes.iter().chain([reader, &fresh]).collect();
-    wait_for_all(&fresh, &States::new(space.clone(), 99).row(), &copies);
-    let stored = content(&shared(uri, space));
-    check_copies(&stored, space, &copies);
-    let mut expected = Content::new();
-    for history in histories {
-        expected.extend(history.points());
-    }
-    let is_marker = |id: &u64| !expected.contains_key(id) && !common.contains(id);
-    assert_eq!(stored.keys().filter(|id| is_marker(id)).count(), 1);
-    assert!(
-        expected
-            .iter()
-            .all(|(id, point)| stored.get(id) == Some(point))
-    );
-    let given: Vec<u64> = histories.iter().flat_map(|h| h.assigned.clone()).collect();
-    let distinct: BTreeSet<u64> = given.iter().copied().collect();
-    assert_eq!(given.len(), distinct.len(), "an id was given twice");
-    println!("{} points given, {} stored", given.len(), stored.len());
 }

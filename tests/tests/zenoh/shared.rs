@@ -1,6 +1,8 @@
 //! A shared index over Zenoh alone keeps its writes and its place despite failures of the server, of the router between
 //! them, and of single messages.
 
+#[path = "../e2e/shared/checks.rs"]
+mod checks;
 #[path = "../e2e/shared/history.rs"]
 #[expect(dead_code, reason = "the suite over gRPC inserts with searches too")]
 mod history;
@@ -18,7 +20,7 @@ use std::{
 };
 
 use serde_json::json;
-use wayfold::{ConnectionStatus, Error, Index, OpenShared};
+use wayfold::{Error, Index, OpenShared};
 use wayfold_index::Space;
 use wayfold_tests::States;
 use zenoh::Session;
@@ -38,13 +40,6 @@ fn open(session: &Session, prefix: &str) -> OpenShared {
 fn shared(robot: &Robot, space: &Space) -> Index {
     let index = open(&robot.session, "wayfold/v1").create(space);
     index.open().unwrap()
-}
-
-/// Waits until an index has another status.
-fn wait_for_status(index: &Index, is_it: impl Fn(&ConnectionStatus) -> bool) {
-    while !index.status().as_ref().is_some_and(&is_it) {
-        thread::yield_now();
-    }
 }
 
 /// A query of a shared index names its session to the server's log; a bare query does not.

@@ -1,13 +1,13 @@
 //! The job of a worker process.
 
-use clap::Args;
+use serde::{Deserialize, Serialize};
 
 use super::{
     super::{
         error::PlanningError,
         options::Source,
         problem::Problem,
-        processes::{self, PROGRESS_MS, Reporter},
+        processes::{self, Reporter},
     },
     account::Account,
     store::Layout,
@@ -15,35 +15,26 @@ use super::{
 };
 
 /// The parameters of a worker, apart from the problem.
-#[derive(Clone, Debug, Args)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Job {
-    /// The address of the server
-    #[arg(long)]
+    /// The address of the server.
     pub server: String,
-    /// The name of the store that holds the trees
-    #[arg(long)]
+    /// The name of the store that holds the trees.
     pub store: String,
-    /// The way in which the store separates the trees
-    #[arg(long, value_enum)]
+    /// The way in which the store separates the trees.
     pub layout: Layout,
-    /// The number of the worker
-    #[arg(long)]
+    /// The number of the worker.
     pub number: usize,
-    /// The seed of all workers
-    #[arg(long)]
+    /// The seed of all workers.
     pub seed: u64,
-    /// The number of own vertices at which it gives up
-    #[arg(long)]
+    /// The number of own vertices at which it gives up.
     pub max_vertices: u64,
-    /// The source of its neighbours
-    #[arg(long, value_enum)]
+    /// The source of its neighbours.
     pub source: Source,
-    /// The minimum interval of its progress reports
-    #[arg(long, default_value_t = PROGRESS_MS)]
+    /// The minimum interval of its progress reports.
     pub progress_ms: u64,
     /// The number of own vertices at which it reports a halt, with its last inserts still under way, and waits for a
-    /// line
-    #[arg(long)]
+    /// line.
     pub halt_at: Option<u64>,
 }
 
@@ -54,23 +45,6 @@ impl processes::Job for Job {
 
     fn number(&self) -> usize {
         self.number
-    }
-
-    fn arguments(&self) -> Vec<String> {
-        let arguments = [
-            ("server", self.server.clone()),
-            ("store", self.store.clone()),
-            ("layout", self.layout.name().to_owned()),
-            ("number", self.number.to_string()),
-            ("seed", self.seed.to_string()),
-            ("max-vertices", self.max_vertices.to_string()),
-            ("source", self.source.name().to_owned()),
-            ("progress-ms", self.progress_ms.to_string()),
-        ];
-        let halt = self.halt_at.map(|own| ("halt-at", own.to_string()));
-        let all = arguments.into_iter().chain(halt);
-        all.map(|(name, value)| format!("--{name}={value}"))
-            .collect()
     }
 }
 

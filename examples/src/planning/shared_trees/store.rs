@@ -1,6 +1,7 @@
 //! The shared store of the workers: the indices that hold the trees, and the meeting.
 
 use clap::ValueEnum;
+use serde::{Deserialize, Serialize};
 use wayfold::{Client, IndexHandle, PayloadEncoding, Search};
 
 use super::{
@@ -10,7 +11,7 @@ use super::{
 };
 
 /// The distinction between the two trees.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 pub enum Layout {
     /// Each has an index of its own
     Indices,
@@ -19,14 +20,6 @@ pub enum Layout {
 }
 
 impl Layout {
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Layout::Indices => "indices",
-            Layout::Tags => "tags",
-        }
-    }
-
     /// The names of the indices that hold the trees of this name.
     pub fn indices(self, trees: &str) -> Vec<String> {
         match self {

@@ -6,12 +6,12 @@ use wayfold_tests::{
     Signal, States, Stubs,
     figures::{median, resident_bytes},
     measuring,
+    report::Report,
 };
 
 use crate::{
     SPACE,
     base_directory::{BaseDirectory, used},
-    report::Report,
     service::insertion,
 };
 

@@ -6,12 +6,12 @@ use wayfold_tests::{
     States, Stubs,
     figures::{median, quantile_ms},
     measuring,
+    report::{Goal, Report},
 };
 
 use crate::{
     INDEX, SPACE, WIDTH,
     base_directory::{AppendFile, BaseDirectory},
-    report::{Goal, Report},
     service::insertion,
     shape::Shape,
 };

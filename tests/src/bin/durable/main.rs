@@ -8,7 +8,6 @@ mod idle;
 mod latency;
 mod pauses;
 mod rates;
-mod report;
 mod service;
 mod shape;
 mod stored;
@@ -17,10 +16,9 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Parser, ValueEnum};
 use serde_json::json;
-use wayfold_tests::measuring;
+use wayfold_tests::{measuring, report::Report};
 
 use base_directory::{AppendFile, BaseDirectory};
-use report::Report;
 use shape::Shape;
 
 /// The server's own allocator, so that the measured program equals the shipped one; all contestants share it.

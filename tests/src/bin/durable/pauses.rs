@@ -16,13 +16,14 @@ use wayfold_proto::v1::{KnnRequest, knn_request::KForm};
 use wayfold_tests::{
     States, Stubs,
     figures::{quantile_ms, resident_bytes},
-    measuring, row_states,
+    measuring,
+    report::Report,
+    row_states,
 };
 
 use crate::{
     INDEX, K, SPACE, WIDTH,
     base_directory::{AppendFile, BaseDirectory},
-    report::Report,
     service::insertion,
 };
 

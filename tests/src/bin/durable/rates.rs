@@ -9,13 +9,13 @@ use wayfold_tests::{
     ServerProcess, States, Stubs,
     figures::{median, processor_seconds},
     measuring,
+    report::{Goal, Report},
 };
 
 use crate::{
     CLIENTS, INDEX, K, SPACE, WIDTH,
     bare::{self, BareStore},
     base_directory::BaseDirectory,
-    report::{Goal, Report},
     service::{DurableService, WINDOW_BYTES, insertion},
     shape::Shape,
 };

@@ -9,12 +9,16 @@ use std::{
 use fjall::{Database, Keyspace, KeyspaceCreateOptions, PersistMode, Readable};
 use wayfold_index::{Forest, ForestOptions, Points, Space};
 use wayfold_server::log::Durability;
-use wayfold_tests::{Signal, States, Stubs, figures::median, measuring};
+use wayfold_tests::{
+    Signal, States, Stubs,
+    figures::median,
+    measuring,
+    report::{Goal, Report},
+};
 
 use crate::{
     INDEX, SPACE, WIDTH,
     base_directory::{BaseDirectory, used},
-    report::{Goal, Report},
     service::{DurableService, WINDOW_BYTES, insertion},
     shape::{KEYSPACE, STORE},
 };

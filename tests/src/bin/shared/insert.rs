@@ -2,18 +2,18 @@
 
 use std::{
     hint,
+    path::Path,
     time::{Duration, Instant},
 };
 
 use wayfold::Index;
 use wayfold_index::Space;
-use wayfold_tests::{States, figures::processor_seconds, measuring};
+use wayfold_tests::{States, figures::processor_seconds, measuring, report::Report};
 
-use crate::{Arguments, report::Report};
+use crate::Arguments;
 
-pub(crate) fn measure(arguments: &Arguments, space: &str, report: &mut Report) {
-    let directory = arguments.directory();
-    let server = measuring::server(&directory.path().join("data").to_string_lossy());
+pub(crate) fn measure(arguments: &Arguments, directory: &Path, space: &str, report: &mut Report) {
+    let server = measuring::server(&directory.join("data").to_string_lossy());
     let space: Space = space.parse().expect("a space");
     let index = Index::shared(server.uri(), "arm").create(&space).open();
     let index = index.expect("a shared index");
@@ -34,10 +34,10 @@ pub(crate) fn measure(arguments: &Arguments, space: &str, report: &mut Report) {
     index.flush().expect("a flush");
     let flush = flush.elapsed();
 
-    report.section(&format!("insert, {space}"));
-    report.latency("insert, from the time it was due", inserts.from_due);
-    report.latency("insert, the call alone", inserts.alone);
-    report.latency("nothing, from the time it was due", idle.from_due);
+    report.section(&format!("insert, {space}"), "");
+    report.latency("insert, from the time it was due", &inserts.from_due);
+    report.latency("insert, the call alone", &inserts.alone);
+    report.latency("nothing, from the time it was due", &idle.from_due);
     report.note("flush after them", flush.as_secs_f64() * 1e6, "us");
     report.note("most pending writes", pending as f64, "");
     if let (Some(before), Some(after)) = (server_before, server_after) {

@@ -8,17 +8,18 @@
 //! shows what the machine adds. Then writers in separate processes insert at the same rate in all, and the time until
 //! this process's copy has each point is compared with appends of 4 KiB to a file and fdatasync.
 
+#[path = "../durable/base_directory.rs"]
+#[expect(dead_code, reason = "`durable` also measures the space on the disk")]
+mod base_directory;
 mod insert;
-mod report;
 mod visible;
 
-use std::{path::PathBuf, process::ExitCode};
+use std::{fs, path::PathBuf, process::ExitCode};
 
 use clap::{Parser, ValueEnum};
-use tempfile::TempDir;
-use wayfold_tests::measuring;
+use wayfold_tests::{measuring, report::Report};
 
-use report::Report;
+use base_directory::BaseDirectory;
 
 const R3: &str = "R3";
 const SE3: &str = "R3*SO3:0.15";
@@ -57,14 +58,6 @@ enum Part {
     Visible,
 }
 
-impl Arguments {
-    /// A new directory on the measured disk.
-    fn directory(&self) -> TempDir {
-        let parent = self.dir.clone().unwrap_or_else(std::env::temp_dir);
-        tempfile::tempdir_in(parent).expect("a directory to write in")
-    }
-}
-
 fn main() -> ExitCode {
     if measuring::role().as_deref() == Some(visible::WRITER) {
         wayfold_server::use_small_pages();
@@ -77,16 +70,34 @@ fn main() -> ExitCode {
 }
 
 fn measure(arguments: &Arguments) -> Report {
-    let mut report = Report::new(arguments.rate, arguments.seconds);
+    let (rate, seconds, processor) = (arguments.rate, arguments.seconds, processor());
+    println!("{rate} inserts a second for {seconds} s; {processor}");
+    let mut report = Report::default();
+    report.data("rate", rate.into());
+    report.data("seconds", seconds.into());
+    report.data("processor", processor.into());
+    let base = BaseDirectory::new(arguments.dir.as_deref());
     if arguments.only != Some(Part::Visible) {
         for space in [R3, SE3] {
-            insert::measure(arguments, space, &mut report);
+            insert::measure(arguments, base.create().path(), space, &mut report);
         }
     }
     if arguments.only != Some(Part::Insert) {
         for writers in [1, 4] {
-            visible::measure(arguments, writers, &mut report);
+            visible::measure(arguments, base.create().path(), writers, &mut report);
         }
     }
     report
+}
+
+/// The processor and the number of its cores, as far as the system names them.
+fn processor() -> String {
+    let text = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let lines = text.lines().filter_map(|line| line.split_once(':'));
+    let model = lines
+        .filter(|(name, _)| name.trim() == "model name")
+        .map(|(_, model)| model.trim())
+        .next();
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    format!("{}, {cores} cores", model.unwrap_or("a processor"))
 }

@@ -2,8 +2,6 @@
 
 use std::{
     env,
-    fs::File,
-    io::Write,
     path::Path,
     process::ExitCode,
     time::{Duration, Instant, SystemTime},
@@ -12,9 +10,11 @@ use std::{
 use tokio::time::{MissedTickBehavior, interval};
 use wayfold::{Index, InsertOptions, Search};
 use wayfold_index::{ReadRevision, Space};
-use wayfold_tests::{Process, ServerProcess, States, figures::processor_seconds, measuring};
+use wayfold_tests::{
+    Process, ServerProcess, States, figures::processor_seconds, measuring, report::Report,
+};
 
-use crate::{Arguments, SE3, report::Report};
+use crate::{Arguments, SE3, base_directory::AppendFile};
 
 /// The role of a process that writes.
 pub(crate) const WRITER: &str = "writer";
@@ -26,13 +26,13 @@ const MAX_SILENCE: Duration = Duration::from_secs(60);
 /// The number of appends, before and after.
 const APPENDS: usize = 1_000;
 
-pub(crate) fn measure(arguments: &Arguments, writers: u32, report: &mut Report) {
-    let directory = arguments.directory();
-    let server = measuring::server(&directory.path().join("data").to_string_lossy());
+pub(crate) fn measure(arguments: &Arguments, directory: &Path, writers: u32, report: &mut Report) {
+    let server = measuring::server(&directory.join("data").to_string_lossy());
     let space: Space = SE3.parse().expect("a space");
     let index = Index::shared(server.uri(), "arm").create(&space).open();
     let index = index.expect("a shared index");
-    let mut syncs = sync(directory.path());
+    let mut file = AppendFile::new(directory);
+    let mut syncs: Vec<_> = (0..APPENDS).map(|_| file.append(&[0; 4_096])).collect();
     let rate = (arguments.rate / writers).to_string();
     let seconds = arguments.seconds.to_string();
     let mut processes: Vec<Process> = (0..writers)
@@ -60,12 +60,12 @@ pub(crate) fn measure(arguments: &Arguments, writers: u32, report: &mut Report) 
     for process in processes {
         assert!(process.finish().status.success());
     }
-    syncs.extend(sync(directory.path()));
+    syncs.extend((0..APPENDS).map(|_| file.append(&[0; 4_096])));
     syncs.sort_unstable();
     delays.sort_unstable();
-    report.section(&format!("visible, {SE3}, writers: {writers}"));
-    report.latency("until the copy of another process has it", delays);
-    report.latency("append of 4 KiB and fdatasync", syncs);
+    report.section(&format!("visible, {SE3}, writers: {writers}"), "");
+    report.latency("until the copy of another process has it", &delays);
+    report.latency("append of 4 KiB and fdatasync", &syncs);
     report.note("most pending writes of a writer", pending, "");
     if let (Some(first), Some(last)) = (at_first, at_last) {
         let micros = |seconds: f64| seconds * 1e6 / count as f64;
@@ -170,20 +170,6 @@ fn on_ticks(mut act: impl FnMut() -> bool) {
             }
         }
     });
-}
-
-/// The durations of appends to a file in a directory, each synced.
-fn sync(directory: &Path) -> Vec<Duration> {
-    let path = directory.join("appended");
-    let file = File::options().append(true).create(true).open(path);
-    let mut file = file.expect("a file");
-    let append = |_| {
-        let began = Instant::now();
-        file.write_all(&[0; 4_096]).expect("room on the disk");
-        file.sync_data().expect("a disk that syncs");
-        began.elapsed()
-    };
-    (0..APPENDS).map(append).collect()
 }
 
 /// The time of the clock that all processes share, in nanoseconds.

@@ -5,8 +5,9 @@ use std::{
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering::Relaxed},
-        mpsc::SyncSender,
+        mpsc::{self, Receiver, SyncSender},
     },
+    thread::{self, JoinHandle},
     time::Duration,
 };
 
@@ -50,7 +51,7 @@ pub(super) fn wait_for_all(marker: &Index, state: &[f64], copies: &[&Index]) {
     marker.flush().unwrap();
     for copy in copies {
         while copy.get(id).unwrap().is_none() {
-            std::thread::yield_now();
+            thread::yield_now();
         }
     }
 }
@@ -68,9 +69,19 @@ pub(super) fn take_answers(index: &Index) -> Vec<Meanwhile> {
     }
 }
 
+/// Starts a writer of each index, which writes whenever a turn is received.
+pub(super) fn start_writers(indexes: &[Index]) -> (Receiver<()>, Vec<JoinHandle<History>>) {
+    let (turn, turns) = mpsc::sync_channel(0);
+    let writers = (0..).zip(indexes).map(|(number, index)| {
+        let (writer, turn) = (Writer::new(index.clone(), number), turn.clone());
+        thread::spawn(move || writer.run(&turn))
+    });
+    (turns, writers.collect())
+}
+
 /// One writer: its calls change its own points, which no one else changes, and the common ones.
-pub(super) struct Writer {
-    pub(super) index: Index,
+struct Writer {
+    index: Index,
     states: States,
     /// The point whose tag counts the turns.
     clock: u64,
@@ -92,7 +103,7 @@ pub(super) struct History {
 }
 
 impl Writer {
-    pub(super) fn new(index: Index, number: u64) -> Writer {
+    fn new(index: Index, number: u64) -> Writer {
         let first = CHOSEN_IDS + COMMON_IDS + number * OWN_IDS;
         let mut writer = Writer {
             states: States::new(index.space().clone(), 10 + number),
@@ -113,7 +124,7 @@ impl Writer {
     }
 
     /// Writes whenever `turn` is taken, until it is gone. Returns what it did once the server has acknowledged it.
-    pub(super) fn run(mut self, turn: &SyncSender<()>) -> History {
+    fn run(mut self, turn: &SyncSender<()>) -> History {
         while turn.send(()).is_ok() {
             self.write();
             self.write_common();

@@ -9,10 +9,11 @@ use wayfold_index::Space;
 use wayfold_tests::{Process, ServerProcess, Signal, States, server};
 
 use super::{
+    checks::wait_for_status,
     command,
     history::{check_copies, content, take_answers, wait_for_all},
     proxy::Proxy,
-    shared, wait_for_status,
+    shared,
 };
 
 /// Its rows are so long that the outage exceeds the buffers of the network with few points.

@@ -2,77 +2,27 @@
 
 use std::{net::TcpListener, time::Duration};
 
-use wayfold::{Code, ConnectionStatus, Error, Index, InsertOptions, Neighbor, Search};
+use wayfold::{Error, Index, InsertOptions, Neighbor, Search};
 use wayfold_index::Space;
 use wayfold_tests::{Process, ServerProcess, Signal};
 
 use super::{
+    checks::{MAX_PENDING_BYTES, check_silence},
     command,
     history::{check_copies, content, wait_for_all},
-    shared, wait_for_status,
+    shared,
 };
 
 const TIMEOUT: Duration = Duration::from_secs(3);
-const MAX_PENDING_BYTES: usize = 100_000;
-/// An insert into the plane holds an id, a tag and two coordinates at least.
-const MIN_STEP_BYTES: usize = 32;
 
 #[test]
 fn pending_writes_are_bounded_while_the_server_is_silent() {
     let directory = tempfile::tempdir().unwrap();
     let mut command = command(&directory.path().join("data"), "127.0.0.1:0");
     let server = ServerProcess::ready(Process::spawn(&mut command));
-    let space: Space = "R2".parse().unwrap();
-    let other = shared(server.uri(), &space);
-    let index = Index::shared(server.uri(), "arm")
-        .timeout(TIMEOUT)
-        .max_pending_bytes(MAX_PENDING_BYTES);
-    let index = index.open().unwrap();
-    let first = index.insert([-1.0, 0.0]).unwrap();
-    index.flush().unwrap();
-
-    server.process().signal(Signal::Pause);
-    let mut inserted = Vec::new();
-    let error = loop {
-        match index.insert([inserted.len() as f64, 0.0]) {
-            Ok(id) => inserted.push(id),
-            Err(error) => break error,
-        }
-    };
-    assert!(matches!(error, Error::Timeout { .. }), "{error}");
-    assert_eq!(index.pending(), inserted.len() as u64);
-    assert!(inserted.len() * MIN_STEP_BYTES <= MAX_PENDING_BYTES);
-    // Nothing else waits, nor does the removal of a point that is not there.
-    assert!(!index.remove(u64::MAX >> 1).unwrap());
-    assert_eq!(index.len().unwrap(), inserted.len() + 1);
-    let last = inserted.len() - 1;
-    let nearest = index.nearest([last as f64, 0.1]).unwrap().unwrap();
-    assert_eq!(nearest.id, inserted[last]);
-    for refused in [index.remove(first).map(drop), index.flush()] {
-        assert!(matches!(refused, Err(Error::Timeout { .. })), "{refused:?}");
-    }
-    assert_eq!(index.pending(), inserted.len() as u64);
-    wait_for_status(&index, |status| match status {
-        ConnectionStatus::Disconnected { why, .. } => why.code() == Code::DeadlineExceeded,
-        _ => false,
-    });
-
-    server.process().signal(Signal::Resume);
-    while index.pending() > 0 {
-        std::thread::yield_now();
-    }
-    index.flush().unwrap();
-    wait_for_all(&other, &[0.0, 2.0], &[&index, &other]);
-    assert_eq!(index.len().unwrap(), inserted.len() + 2);
-    check_copies(
-        &content(&shared(server.uri(), &space)),
-        &space,
-        &[&index, &other],
-    );
-    wait_for_status(&index, |status| {
-        matches!(status, ConnectionStatus::Following { .. })
-    });
-    assert_eq!(index.close(TIMEOUT), []);
+    let index = Index::shared(server.uri(), "arm");
+    let open = || shared(server.uri(), &"R2".parse().unwrap());
+    check_silence(&server, index, TIMEOUT, open);
 }
 
 /// What the inserts found is held until the server has stored their points.

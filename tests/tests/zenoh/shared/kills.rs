@@ -1,17 +1,16 @@
 //! Writers over Zenoh and over gRPC grow one index while its server and the router are killed.
 
-use std::{collections::BTreeSet, sync::mpsc, thread};
-
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold::{ConnectionStatus, Index};
 use wayfold_index::Space;
-use wayfold_tests::{Signal, States};
+use wayfold_tests::Signal;
 
 use super::{
-    history::{Content, History, Writer, check_copies, content, store_common, wait_for_all},
+    checks::{check_all, wait_for_status},
+    history::{History, content, start_writers, store_common},
     proxy::Proxy,
-    shared, wait_for_status,
+    shared,
 };
 use crate::robot::{Robot, router, server_behind};
 
@@ -40,15 +39,7 @@ async fn every_write_is_there_once_after_kills_of_server_and_router() {
         shared(&robots[1], &space),
         over_grpc,
     ];
-    let (turn, turns) = mpsc::sync_channel(0);
-    let writers: Vec<thread::JoinHandle<History>> = (0..)
-        .zip(&indexes)
-        .map(|(number, index)| {
-            let (writer, turn) = (Writer::new(index.clone(), number), turn.clone());
-            thread::spawn(move || writer.run(&turn))
-        })
-        .collect();
-    drop(turn);
+    let (turns, writers) = start_writers(&indexes);
     let write = |count: u64| {
         for _ in 0..count {
             turns.recv().expect("a writer");
@@ -82,22 +73,9 @@ async fn every_write_is_there_once_after_kills_of_server_and_router() {
     let histories: Vec<History> = writers.into_iter().map(|w| w.join().unwrap()).collect();
 
     let fresh = shared(&robots[0], &space);
-    let copies: Vec<&Index> = indexes.iter().chain([&reader, &fresh]).collect();
-    wait_for_all(&fresh, &States::new(space.clone(), 99).row(), &copies);
-    let stored = content(&shared(&robots[1], &space));
-    check_copies(&stored, &space, &copies);
-    let mut expected = Content::new();
+    let copies: Vec<&Index> = [&fresh, &reader].into_iter().chain(&indexes).collect();
+    check_all(&copies, || shared(&robots[1], &space), &common, &histories);
     for history in &histories {
-        expected.extend(history.points());
         history.check_prefixes(&of_reader);
     }
-    let is_stored = |(id, point): (&u64, _)| stored.get(id) == Some(point);
-    assert!(expected.iter().all(is_stored));
-    // The last point, which the copies waited for, is no writer's.
-    let others = |id: &&u64| !expected.contains_key(id) && !common.contains(id);
-    assert_eq!(stored.keys().filter(others).count(), 1);
-    let given: Vec<u64> = histories.iter().flat_map(|h| h.assigned.clone()).collect();
-    let distinct: BTreeSet<u64> = given.iter().copied().collect();
-    assert_eq!(given.len(), distinct.len(), "an id was given twice");
-    println!("{} points given, {} stored", given.len(), stored.len());
 }

@@ -7,8 +7,9 @@ use wayfold_index::Space;
 use wayfold_tests::{Signal, States};
 
 use super::{
+    checks::{check_silence, wait_for_status},
     history::{check_copies, content, wait_for_all},
-    open, shared, wait_for_status,
+    open, shared,
 };
 use crate::robot::{Robot, router, server, server_behind};
 
@@ -72,41 +73,9 @@ async fn a_deleted_index_and_one_of_another_space_end_the_copy() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn pending_writes_are_bounded_while_the_server_is_silent() {
-    const TIMEOUT: Duration = Duration::from_secs(1);
-    const MAX_PENDING_BYTES: usize = 100_000;
-    /// An insert into the plane holds an id, a tag and two coordinates at least.
-    const MIN_STEP_BYTES: usize = 32;
     let (server, locator) = server();
-    let space: Space = "R2".parse().unwrap();
     let robot = Robot::connect(&locator).await;
-    let other = shared(&robot, &space);
-    let index = open(&robot.session, "wayfold/v1").timeout(TIMEOUT);
-    let index = index.max_pending_bytes(MAX_PENDING_BYTES).open().unwrap();
-
-    server.process().signal(Signal::Pause);
-    let mut inserted = Vec::new();
-    let error = loop {
-        match index.insert([inserted.len() as f64, 0.0]) {
-            Ok(id) => inserted.push(id),
-            Err(error) => break error,
-        }
-    };
-    assert!(matches!(error, Error::Timeout { .. }), "{error}");
-    assert_eq!(index.pending(), inserted.len() as u64);
-    assert!(inserted.len() * MIN_STEP_BYTES <= MAX_PENDING_BYTES);
-    wait_for_status(&index, |status| match status {
-        ConnectionStatus::Disconnected { why, .. } => why.code() == Code::DeadlineExceeded,
-        _ => false,
-    });
-
-    server.process().signal(Signal::Resume);
-    while index.pending() > 0 {
-        std::thread::yield_now();
-    }
-    wait_for_all(&other, &[0.0, 2.0], &[&index, &other]);
-    check_copies(&content(&shared(&robot, &space)), &space, &[&index, &other]);
-    wait_for_status(&index, |status| {
-        matches!(status, ConnectionStatus::Following { .. })
-    });
-    assert_eq!(index.close(TIMEOUT), []);
+    let index = open(&robot.session, "wayfold/v1");
+    let open = || shared(&robot, &"R2".parse().unwrap());
+    check_silence(&server, index, Duration::from_secs(1), open);
 }
