@@ -133,9 +133,7 @@ fn insert(
     points.push(id as u64, 0, revision, row);
     forest.apply(revision, points, &[])?;
     if id.is_multiple_of(64) {
-        while let Some(merge) = forest.begin_merge() {
-            forest.finish_merge(merge.run());
-        }
+        forest.settle();
     }
     Ok(())
 }
