@@ -1,14 +1,46 @@
-//! Logs for unit tests, and the number of their cases.
+//! Logs and servers for unit tests, and the number of their cases.
 
 use std::{sync::Arc, time::SystemTime};
 
 use proptest::{prelude::ProptestConfig, test_runner::RngSeed};
 use wayfold_index::PointRef;
 
-use crate::log::{
-    Catalogue, Effects, Entry, Journal, MemoryLog, Operation, Outcome, PointStore, Record,
-    Retention, Uid,
+use crate::{
+    log::{
+        Catalogue, Effects, Entry, Journal, Log, MemoryLog, Operation, Outcome, PointStore, Record,
+        Retention, Uid,
+    },
+    registry::{Registry, RegistryOptions},
+    service::{Limits, Service},
 };
+
+/// Forwards `submit` and `read` of a `Journal` that other servers share to the field of a log.
+macro_rules! forward_journal {
+    ($field:ident) => {
+        fn submit(
+            &self,
+            uid: Uid,
+            record: Arc<$crate::log::Record>,
+        ) -> Result<$crate::log::Receipt, LogError> {
+            self.$field.submit(uid, record)
+        }
+
+        fn read(
+            &self,
+            uid: Uid,
+            after: Option<u64>,
+            max_bytes: usize,
+        ) -> Result<Vec<Arc<$crate::log::Record>>, LogError> {
+            self.$field.read(uid, after, max_bytes)
+        }
+
+        fn is_shared(&self) -> bool {
+            true
+        }
+    };
+}
+
+pub(crate) use forward_journal;
 
 /// A new index `arm` of R1.
 pub(crate) fn arm() -> Entry {
@@ -76,6 +108,29 @@ pub(crate) fn trim_all(log: &MemoryLog, uid: Uid) {
         operation_bytes: usize::MAX,
     };
     log.trim(uid, &retention).expect("an index");
+}
+
+/// A registry that has replayed `local`, and takes its records from another journal.
+pub(crate) fn registry(
+    journal: &Arc<impl Journal + 'static>,
+    local: &Arc<MemoryLog>,
+    options: RegistryOptions,
+) -> Registry {
+    let log = Log {
+        journal: Arc::clone(journal) as Arc<dyn Journal>,
+        ..Log::from(Arc::clone(local))
+    };
+    let registry = Registry::new(log, options);
+    registry.replay().expect("the indices");
+    registry
+}
+
+/// The service of a server with such a registry, which is ready.
+pub(crate) fn server(journal: &Arc<impl Journal + 'static>, local: &Arc<MemoryLog>) -> Service {
+    let registry = registry(journal, local, RegistryOptions::default());
+    let service = Service::new(registry, Limits::default());
+    service.set_ready();
+    service
 }
 
 /// Property tests run `cases` cases, the same ones in every run.

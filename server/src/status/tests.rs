@@ -211,6 +211,23 @@ fn every_error_has_its_code_and_details() {
             .collect();
         let expected: BTreeSet<&str> = ["ErrorInfo"].into_iter().chain(detail).collect();
         assert_eq!(kinds, expected, "{error:?}");
+        match detail {
+            Some("ResourceInfo") => {
+                let resource: pb::ResourceInfo = decoded(&status, "ResourceInfo");
+                let name = match &*resource.resource_type {
+                    "wayfold.v1.Point" => "3",
+                    _ => "arm",
+                };
+                assert_eq!(resource.resource_name, name, "{error:?}");
+            }
+            Some("PreconditionFailure") => {
+                let failure: pb::PreconditionFailure = decoded(&status, "PreconditionFailure");
+                let violation = &failure.violations[0];
+                assert_eq!(violation.r#type, error.reason());
+                assert_eq!(violation.subject, "arm");
+            }
+            _ => {}
+        }
     }
 }
 
@@ -233,8 +250,17 @@ fn fields_ids_and_limits_can_be_read_by_a_program() {
         ids: (0..100).collect(),
     });
     let metadata = decoded::<pb::ErrorInfo>(&status, "ErrorInfo").metadata;
+    assert_eq!(metadata["index"], "arm");
     assert!(metadata["ids"].starts_with("0,1,2,"));
     assert_eq!(metadata["ids_total"], "100");
+
+    let status = from_error(&Error::UidMismatch {
+        index: "arm".into(),
+        requested: "a".into(),
+        found: "b".into(),
+    });
+    let metadata = decoded::<pb::ErrorInfo>(&status, "ErrorInfo").metadata;
+    assert_eq!((&*metadata["requested"], &*metadata["found"]), ("a", "b"));
 
     let status = from_error(&Error::LimitExceeded {
         limit: "max_k",
@@ -245,6 +271,8 @@ fn fields_ids_and_limits_can_be_read_by_a_program() {
     let violations = decoded::<pb::QuotaFailure>(&status, "QuotaFailure").violations;
     assert_eq!(violations[0].subject, "max_k");
     assert_eq!(violations[0].quota_value, 10);
+    let metadata = decoded::<pb::ErrorInfo>(&status, "ErrorInfo").metadata;
+    assert_eq!((&*metadata["value"], &*metadata["requested"]), ("10", "11"));
 }
 
 #[test]

@@ -41,8 +41,8 @@ use proptest::prelude::*;
 use wayfold_index::PointRef;
 use wayfold_proto::v1::PayloadEncoding;
 use wayfold_server::log::{
-    Catalogue, Effects, Entry, Journal, LogError, MemoryLog, Outcome, PointStore, Receipt, Record,
-    RecordPosition, RecordStream, Retention, StoredPoint, Uid, View,
+    Catalogue, Effects, Entry, LogError, Outcome, PointStore, Receipt, Record, RecordPosition,
+    RecordStream, Retention, StoredPoint, Uid, View,
 };
 
 use test_log::TestLog;
@@ -174,20 +174,6 @@ fn check_uids(log: &dyn Engine) {
     assert!(log.view(uid).is_err());
     log.create(entry.clone()).unwrap();
     assert_eq!(log.create(entry), Err(LogError::UidTaken { uid }));
-}
-
-#[test]
-fn a_follower_gets_the_newest_record_of_any_size() {
-    let log = MemoryLog::new();
-    let entry = entry("arm");
-    let uid = entry.uid;
-    log.create(entry).unwrap();
-    for revision in 1..=2 {
-        submit(&log, uid, revision - 1, effects(revision, &[1], &[])).unwrap();
-        log.trim(uid, &retention(0)).unwrap();
-        let tail = log.read(uid, Some(revision - 1), usize::MAX).unwrap();
-        assert_eq!(tail[0].revision(), revision);
-    }
 }
 
 /// A view that is held while a writer goes on shows exactly one revision.

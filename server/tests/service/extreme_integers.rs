@@ -9,39 +9,18 @@ use std::{
     task::{Context, Poll, Wake, Waker},
 };
 
-use prost_reflect::ReflectMessage;
 use wayfold_proto::{
     snapshot::{Header, Writer},
     v1,
 };
-use wayfold_server::service::{Call, Code, Error, Service};
+use wayfold_server::service::{Code, Error, Service};
 
 use crate::{
-    extremes::{EXTREMES, requests, variants},
-    quiet::{deadline, quietly, two_points},
+    extremes::EXTREMES,
+    quiet::{quietly, two_points},
     restores::restores,
     support::*,
 };
-
-/// Zenoh's `log` is the only verb that gRPC lacks.
-#[tokio::test(start_paused = true)]
-async fn a_log_is_answered_or_refused_with_extreme_integers() {
-    let (service, uid) = two_points().await;
-    let mut requests = requests(&uid).into_iter();
-    let good = requests.find(|request| request.descriptor().name() == "WatchRequest");
-    for (what, variant) in variants(&good.unwrap()) {
-        println!("{what}");
-        let call = Call {
-            deadline: Some(deadline()),
-            ..Call::default()
-        };
-        let request = variant.transcode_to().unwrap();
-        if let Err(error) = quietly(service.log(&call, request)).await {
-            assert_ne!(error.code(), Code::Internal, "{error}");
-            assert_ne!(error.code(), Code::DataLoss, "{error}");
-        }
-    }
-}
 
 /// Restores an index, and inserts a point into it.
 async fn restore_and_insert(

@@ -66,7 +66,8 @@ async fn an_index_keeps_the_payload_encoding_that_it_was_created_with() {
     let error = create("roadmap", Edges.into()).await.unwrap_err();
     assert_eq!(error.reason(), "INDEX_EXISTS");
     let text = error.to_string();
-    let differ = "the payload encoding PAYLOAD_ENCODING_WEIGHTED_EDGES, not PAYLOAD_ENCODING_EDGES";
+    let differ = "index \"roadmap\" exists with the payload encoding PAYLOAD_ENCODING_WEIGHTED_EDGES, \
+        not PAYLOAD_ENCODING_EDGES";
     assert!(text.contains(differ), "{text}");
     let unknown = refusal(create("roadmap", 3).await);
     let expected = (Code::InvalidArgument, "UNKNOWN_VALUE", "payload_encoding");

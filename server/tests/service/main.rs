@@ -11,6 +11,7 @@ mod concurrent;
 mod copied;
 mod durability;
 mod extreme_integers;
+#[expect(dead_code, reason = "only other suites vary the request of every verb")]
 #[path = "../extremes/mod.rs"]
 mod extremes;
 #[path = "../log/fault/mod.rs"]
@@ -30,6 +31,7 @@ mod log;
 mod merging;
 mod model;
 mod operations;
+#[expect(dead_code, reason = "only other suites set a deadline")]
 #[path = "../extremes/quiet.rs"]
 mod quiet;
 mod quotas;

@@ -12,9 +12,9 @@ use tokio_stream::wrappers::UnboundedReceiverStream;
 
 use super::*;
 use crate::{
-    log::{Catalogue, Journal, Log, Operation, PointStore, Uid},
+    log::{Journal, Operation, Uid},
     registry::{CommitOutcome, Registry, RegistryOptions, in_flight::Decision},
-    testing::recorded,
+    testing::{self, recorded},
 };
 
 type Sent = Result<Vec<Arc<Record>>, LogError>;
@@ -83,18 +83,11 @@ impl Server {
             brings: Mutex::default(),
             followed: watch::Sender::default(),
         });
-        let local = recorded(0);
-        let log = Log {
-            journal: Arc::clone(&journal) as Arc<dyn Journal>,
-            points: Arc::clone(&local) as Arc<dyn PointStore>,
-            catalogue: local as Arc<dyn Catalogue>,
-        };
         let options = RegistryOptions {
             window_bytes,
             ..RegistryOptions::default()
         };
-        let registry = Registry::new(log, options);
-        registry.replay().unwrap();
+        let registry = testing::registry(&journal, &recorded(0), options);
         Self {
             journal,
             hosted: registry.get("arm").unwrap(),

@@ -12,11 +12,11 @@ use wayfold_index::PointRef;
 use super::*;
 use crate::{
     log::{
-        Catalogue, Effects, Journal, Log, MemoryLog, Origin, Outcome, PointStore, Receipt, Record,
+        Catalogue, Effects, Journal, Log, MemoryLog, Origin, Outcome, PointStore, Record,
         RecordPosition, RecordStream, Sessions, Uid,
     },
     registry::{CommitOutcome, RegistryOptions, in_flight::Decision},
-    testing::recorded,
+    testing::{self, forward_journal, recorded},
 };
 
 const APPLIED: u64 = 3;
@@ -33,9 +33,7 @@ struct SetBack {
 }
 
 impl Journal for SetBack {
-    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
-        self.local.submit(uid, record)
-    }
+    forward_journal!(local);
 
     fn follow(&self, uid: Uid, after: u64) -> RecordStream {
         self.follows.fetch_add(1, SeqCst);
@@ -51,21 +49,8 @@ impl Journal for SetBack {
         stream::once(async { Err(behind) }).boxed()
     }
 
-    fn read(
-        &self,
-        uid: Uid,
-        after: Option<u64>,
-        max_bytes: usize,
-    ) -> Result<Vec<Arc<Record>>, LogError> {
-        self.local.read(uid, after, max_bytes)
-    }
-
     fn newest(&self, _: Uid) -> Result<u64, LogError> {
         Ok(self.head.load(SeqCst))
-    }
-
-    fn is_shared(&self) -> bool {
-        true
     }
 
     fn repair(&self, uid: Uid) -> Result<u64, LogError> {
@@ -94,13 +79,8 @@ async fn stopped(is_other: bool) -> (Arc<SetBack>, Arc<Registry>, Arc<Hosted>) {
         head: AtomicU64::new(1),
         follows: AtomicU64::new(0),
     });
-    let log = Log {
-        journal: Arc::clone(&journal) as Arc<dyn Journal>,
-        points: Arc::clone(&local) as Arc<dyn PointStore>,
-        catalogue: local,
-    };
-    let registry = Arc::new(Registry::new(log, RegistryOptions::default()));
-    registry.replay().unwrap();
+    let registry = testing::registry(&journal, &local, RegistryOptions::default());
+    let registry = Arc::new(registry);
     let hosted = registry.get("arm").unwrap();
     assert!(hosted.reached(u64::MAX).await.is_err());
     assert!(hosted.is_ahead());

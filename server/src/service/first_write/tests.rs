@@ -12,16 +12,12 @@ use wayfold_proto::v1;
 use super::*;
 use crate::{
     identity::Caller,
-    log::{
-        Catalogue, Effects, Entry, Journal, Log, LogError, MemoryLog, PointStore, Receipt, Record,
-        RecordStream, Uid,
-    },
-    registry::{Registry, RegistryOptions},
+    log::{Effects, Entry, Journal, LogError, MemoryLog, PointStore, Record, RecordStream, Uid},
     service::{
-        Code, Limits, NotForwarded, Owners,
+        Code, NotForwarded, Owners,
         member::{CopyParts, CopyRequest, StoredResponse, Unanswered},
     },
-    testing::{arm, log_with},
+    testing::{self, arm, forward_journal, log_with},
 };
 
 const RECORDS: u64 = 4;
@@ -122,9 +118,7 @@ struct Shared {
 }
 
 impl Journal for Shared {
-    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
-        self.log.submit(uid, record)
-    }
+    forward_journal!(log);
 
     fn follow(&self, uid: Uid, after: u64) -> RecordStream {
         let is_set_back = Arc::clone(&self.is_set_back);
@@ -138,21 +132,8 @@ impl Journal for Shared {
         records.chain(stream::iter([Err(behind)])).boxed()
     }
 
-    fn read(
-        &self,
-        uid: Uid,
-        after: Option<u64>,
-        max_bytes: usize,
-    ) -> Result<Vec<Arc<Record>>, LogError> {
-        self.log.read(uid, after, max_bytes)
-    }
-
     fn newest(&self, uid: Uid) -> Result<u64, LogError> {
         self.log.newest(uid)
-    }
-
-    fn is_shared(&self) -> bool {
-        true
     }
 }
 
@@ -187,15 +168,7 @@ impl Server {
             log: Arc::clone(&own),
             is_set_back: Arc::clone(&is_set_back),
         };
-        let log = Log {
-            journal: Arc::new(journal),
-            points: Arc::clone(&own) as Arc<dyn PointStore>,
-            catalogue: Arc::clone(&own) as Arc<dyn Catalogue>,
-        };
-        let registry = Registry::new(log, RegistryOptions::default());
-        registry.replay().unwrap();
-        let service = Service::new(registry, Limits::default());
-        service.set_ready();
+        let service = testing::server(&Arc::new(journal), &own);
         let others = Arc::new(OtherMembers {
             changes: AtomicU64::new(1),
             requests: AtomicUsize::new(0),

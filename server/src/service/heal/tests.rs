@@ -9,13 +9,13 @@ use futures_util::{FutureExt, future::BoxFuture, stream};
 
 use super::*;
 use crate::{
-    log::{Catalogue, Entry, Journal, Log, MemoryLog, Origin, PointStore, Sessions, StoredPoint},
-    registry::{Hosted, RegistryError, RegistryOptions},
+    log::{Entry, Journal, MemoryLog, Origin, PointStore, Sessions, StoredPoint},
+    registry::{Hosted, RegistryError},
     service::{
-        CopyOutcome, Limits,
+        CopyOutcome,
         member::{CopyPart, StoredRequest, StoredResponse, Unanswered},
     },
-    testing::{arm, log_with, submit, trim_all},
+    testing::{arm, log_with, server, submit, trim_all},
 };
 
 const RECORDS: u64 = 20;
@@ -25,20 +25,6 @@ fn engine(entry: &Entry, records: u64) -> Arc<MemoryLog> {
     let engine = log_with(entry, &[]);
     (0..records).for_each(|_| submit(&engine, entry.uid));
     engine
-}
-
-/// A server with this journal and these points.
-fn server(journal: &Arc<MemoryLog>, points: &Arc<MemoryLog>) -> Service {
-    let log = Log {
-        journal: Arc::clone(journal) as Arc<dyn Journal>,
-        points: Arc::clone(points) as Arc<dyn PointStore>,
-        catalogue: Arc::clone(points) as Arc<dyn Catalogue>,
-    };
-    let registry = Registry::new(log, RegistryOptions::default());
-    registry.replay().unwrap();
-    let service = Service::new(registry, Limits::default());
-    service.set_ready();
-    service
 }
 
 fn hosted(service: &Service) -> Arc<Hosted> {
@@ -55,18 +41,18 @@ async fn stopped(journal: &Arc<MemoryLog>, points: &Arc<MemoryLog>) -> (Service,
     (service, stopped.pop().unwrap())
 }
 
-/// One other member, whose copies end after some parts.
+/// The other members by name, whose copies end after some parts.
 struct Peer {
-    service: Service,
+    members: Vec<(&'static str, Service)>,
     most_parts: AtomicUsize,
-    /// The number of times that it was asked for a copy.
+    /// The number of times that they were asked for a copy.
     asked: AtomicUsize,
 }
 
 impl Peer {
     fn new(service: Service) -> Self {
         Self {
-            service,
+            members: vec![("peer", service)],
             most_parts: AtomicUsize::new(usize::MAX),
             asked: AtomicUsize::new(0),
         }
@@ -75,7 +61,8 @@ impl Peer {
 
 impl Peers for Peer {
     fn peers(&self, _: Uid) -> Vec<String> {
-        vec!["peer".into()]
+        let names = self.members.iter().map(|(name, _)| name.to_string());
+        names.collect()
     }
 
     fn all(&self) -> Vec<String> {
@@ -97,13 +84,15 @@ impl Peers for Peer {
 
     fn copy<'a>(
         &'a self,
-        _: &'a str,
+        member: &'a str,
         request: CopyRequest,
     ) -> BoxFuture<'a, Result<CopyParts, Unanswered>> {
         self.asked.fetch_add(1, SeqCst);
         let most = self.most_parts.load(SeqCst);
+        let mut members = self.members.iter();
+        let (_, service) = members.find(|(name, _)| *name == member).unwrap();
         async move {
-            let parts = match self.service.copy_index(request).await.unwrap() {
+            let parts = match service.copy_index(request).await.unwrap() {
                 CopyOutcome::None(kind) => {
                     let only = CopyPart { kind: Some(kind) };
                     stream::iter([Ok(only)]).boxed()
@@ -158,7 +147,7 @@ async fn a_copy_that_is_cut_short_changes_nothing() {
     // The start, the header, points in several parts, the trailer, the operations.
     assert!(whole > Some(5), "{whole:?}");
     assert!(service.registry().unwrap().stopped().is_empty() && !service.has_damage());
-    let (found, expected) = (hosted(&service), hosted(&peer.service));
+    let (found, expected) = (hosted(&service), hosted(&peer.members[0].1));
     let (found, operations) = tokio::task::spawn_blocking(move || found.with_operations())
         .await
         .unwrap()
@@ -234,45 +223,6 @@ async fn a_contradiction_is_the_end() {
     }
 }
 
-/// Two members: the first to be asked does not know the newest record of the asker any more, and the second does.
-struct TwoMembers {
-    forgetful: Peer,
-    remembering: Peer,
-}
-
-impl Peers for TwoMembers {
-    fn peers(&self, _: Uid) -> Vec<String> {
-        vec!["forgetful".into(), "remembering".into()]
-    }
-
-    fn all(&self) -> Vec<String> {
-        Vec::new()
-    }
-
-    fn wait_for_members(&self) -> BoxFuture<'_, ()> {
-        ready(()).boxed()
-    }
-
-    fn stored<'a>(
-        &'a self,
-        member: &'a str,
-        request: StoredRequest,
-    ) -> BoxFuture<'a, Result<StoredResponse, Unanswered>> {
-        self.forgetful.stored(member, request)
-    }
-
-    fn copy<'a>(
-        &'a self,
-        member: &'a str,
-        request: CopyRequest,
-    ) -> BoxFuture<'a, Result<CopyParts, Unanswered>> {
-        match member {
-            "forgetful" => self.forgetful.copy(member, request),
-            _ => self.remembering.copy(member, request),
-        }
-    }
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn a_member_that_can_compare_speaks_first() {
     let entry = arm();
@@ -281,21 +231,22 @@ async fn a_member_that_can_compare_speaks_first() {
     let forgetful = engine(&entry, 0);
     forgetful.apply(entry.uid, &records).unwrap();
     trim_all(&forgetful, entry.uid);
-    let peers = |remembering: &Arc<MemoryLog>| TwoMembers {
-        forgetful: Peer::new(server(&forgetful, &forgetful)),
-        remembering: Peer::new(server(remembering, remembering)),
+    // The first to be asked does not know the newest record of the asker any more, and the second does.
+    let peers = |remembering: &Arc<MemoryLog>| {
+        let mut peers = Peer::new(server(&forgetful, &forgetful));
+        let remembering = server(remembering, remembering);
+        peers.members.push(("remembering", remembering));
+        peers
     };
     // Its first records are others than those of the journal.
     let (service, index) = stopped(&journal, &engine(&entry, 5)).await;
-    let registry = service.registry().unwrap();
-    let healed = heal_index(registry, &service, &peers(&journal), &index).await;
+    let healed = heal(&service, &peers(&journal), &index).await;
     assert!(healed.unwrap_err().contains("another record"));
     assert_eq!(hosted(&service).published().revision, 5);
 
     // Where no member can compare, a copy is better than none.
     let (service, index) = stopped(&journal, &engine(&entry, 5)).await;
-    let registry = service.registry().unwrap();
-    let healed = heal_index(registry, &service, &peers(&forgetful), &index).await;
+    let healed = heal(&service, &peers(&forgetful), &index).await;
     healed.unwrap();
     assert_eq!(hosted(&service).published().revision, RECORDS);
 }

@@ -10,10 +10,8 @@ use tokio::sync::Mutex;
 
 use super::*;
 use crate::{
-    log::{Journal, Log, LogError, MemoryLog, PointStore, Receipt, Record, RecordStream, Uid},
-    registry::{Registry, RegistryOptions},
-    service::Limits,
-    testing::recorded,
+    log::{Journal, LogError, MemoryLog, RecordStream, Uid},
+    testing::{self, forward_journal, recorded},
 };
 
 /// A journal that other servers share, and that sends nothing yet.
@@ -27,21 +25,10 @@ struct Silent {
 }
 
 impl Journal for Silent {
-    fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
-        self.local.submit(uid, record)
-    }
+    forward_journal!(local);
 
     fn follow(&self, _: Uid, _: u64) -> RecordStream {
         stream::pending().boxed()
-    }
-
-    fn read(
-        &self,
-        uid: Uid,
-        after: Option<u64>,
-        max_bytes: usize,
-    ) -> Result<Vec<Arc<Record>>, LogError> {
-        self.local.read(uid, after, max_bytes)
     }
 
     fn oldest(&self, _: Uid) -> Result<Option<u64>, LogError> {
@@ -52,10 +39,6 @@ impl Journal for Silent {
 
     fn newest(&self, uid: Uid) -> Result<u64, LogError> {
         self.local.newest(uid)
-    }
-
-    fn is_shared(&self) -> bool {
-        true
     }
 }
 
@@ -68,16 +51,7 @@ fn server(records: u64, oldest: Option<u64>) -> (Service, Arc<Silent>) {
         gate: Mutex::default(),
         requests: AtomicUsize::new(0),
     });
-    let log = Log {
-        journal: Arc::clone(&journal) as Arc<dyn Journal>,
-        points: Arc::clone(&local) as Arc<dyn PointStore>,
-        catalogue: local,
-    };
-    let registry = Registry::new(log, RegistryOptions::default());
-    registry.replay().unwrap();
-    let service = Service::new(registry, Limits::default());
-    service.set_ready();
-    (service, journal)
+    (testing::server(&journal, &local), journal)
 }
 
 /// A read that names no revision.
@@ -138,4 +112,16 @@ async fn a_read_waits_for_the_journal_until_its_deadline() {
     assert!(matches!(late, Error::DeadlineExceeded { .. }), "{late}");
     drop(locked);
     assert_eq!(read(&service, &Call::default()).await.unwrap(), 0);
+}
+
+#[tokio::test]
+async fn another_uid_is_refused_with_the_one_of_the_index() {
+    let (service, _) = server(0, None);
+    let hosted = service.registry().unwrap().get("arm").unwrap();
+    let mismatch = Error::UidMismatch {
+        index: "arm".into(),
+        requested: "another".into(),
+        found: hosted.uid().to_string(),
+    };
+    assert_eq!(check_uid(&hosted, "another"), Err(mismatch));
 }
