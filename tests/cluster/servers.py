@@ -3,26 +3,16 @@
 import contextlib
 import json
 import os
-import pathlib
 import socket
 import subprocess
 import time
 import urllib.request
 
-ROOT = pathlib.Path(__file__).resolve().parents[2]
+PROGRAMS = ["server-process", "cli-process", "inserters"]
 INDEX = "cost"
 SPACE = "R3*SO3:0.15"
 SERVERS = 3
 READY_SECONDS = 60
-
-
-def built():
-    """The directory of the programs."""
-    programs = [f"--bin={name}" for name in ("server-process", "cli-process", "inserters")]
-    command = ["cargo", "build", "--release", "--package=wayfold-tests", "--message-format=json", *programs]
-    lines = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout.splitlines()
-    executables = [message["executable"] for message in map(json.loads, lines) if message.get("executable")]
-    return pathlib.Path(executables[0]).parent
 
 
 def wait(process, seconds):

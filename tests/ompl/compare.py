@@ -12,7 +12,7 @@ import numpy as np
 import problems
 import reflection
 from oracle import Figures, Mismatch, Oracle
-from service import Server, generate_stubs
+from processes import Server, generate_stubs
 
 SE3_VERTICES = 10_000
 QUERIES = 3_000
@@ -27,7 +27,7 @@ class Client:
     """The calls of the comparison, on generated stubs."""
 
     def __init__(self, channel, modules):
-        self.indexes_pb, indexes_grpc, self.points_pb, points_grpc, self.types_pb = modules
+        self.indexes_pb, self.points_pb, self.types_pb, indexes_grpc, points_grpc = modules
         self.indexes = indexes_grpc.IndexServiceStub(channel)
         self.points = points_grpc.PointServiceStub(channel)
 
@@ -127,7 +127,7 @@ def main():
     arguments = parser.parse_args()
     problems.seed()
     with tempfile.TemporaryDirectory() as directory:
-        modules = generate_stubs(directory)
+        modules = generate_stubs(directory, "index_service", "point_service")
         with Server(arguments.server) as server, grpc.insecure_channel(server.address) as channel:
             client = Client(channel, modules)
             print(f"grpcurl: {reflection.drive(server.address)}")

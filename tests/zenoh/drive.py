@@ -14,7 +14,7 @@ import zenoh
 import mixed
 from faces import PREFIX, Json, Protobuf, Refused, connect, only
 from planner import entry
-from processes import MAX_WAIT_S, Server, generate_stubs, load_stubs
+from processes import MAX_WAIT_S, Server, generate_stubs
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 # The server's address in the README.
@@ -190,8 +190,7 @@ def main():
     programs = arguments.programs.resolve()
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as directory, Server(programs / "server-process") as server:
-        generate_stubs(directory)
-        index_pb, pb, types = load_stubs(directory)
+        index_pb, pb, types = generate_stubs(directory)
         session = connect(server.locator)
         for face in (Json(session), Protobuf(session, types.Status)):
             drive(face, index_pb, pb, types)
