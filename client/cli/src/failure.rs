@@ -1,6 +1,7 @@
 //! The failure of a command: the message, the exit status, and the error as a line of JSON.
 
 mod json;
+mod stopped;
 
 use std::{io, path::PathBuf, time::Duration};
 
@@ -10,6 +11,7 @@ use wayfold::{Code, Error, SnapshotError};
 use crate::{input::InputError, load::LoadError, status::Status};
 
 pub(super) use json::{ErrorLine, usage_line};
+pub(super) use stopped::stopped;
 
 #[derive(Debug, Error)]
 pub(super) enum Failure {

@@ -83,7 +83,11 @@ fn run(args: Args) -> Result<(), Failure> {
         .worker_threads(2)
         .enable_all()
         .build();
-    runtime.map_err(Failure::Runtime)?.block_on(execute(args))
+    let runtime = runtime.map_err(Failure::Runtime)?;
+    let done = runtime.block_on(execute(args));
+    // A thread that reads standard input may wait for longer than the outcome.
+    runtime.shutdown_background();
+    done
 }
 
 /// The connections and the output that every verb works with.

@@ -94,6 +94,7 @@ fn refusal(error: &Error) -> Option<&Refusal> {
     match error {
         Error::Refused(refusal) => Some(refusal),
         Error::Partial { source, .. } => refusal(source),
+        Error::WritesRefused { why } | Error::Ended { why } => refusal(why),
         _ => None,
     }
 }
@@ -131,6 +132,7 @@ fn of_client(error: &Error) -> (&str, &str) {
     match error {
         Error::Refused(refusal) => (refusal.code_name(), &refusal.reason),
         Error::Partial { source, .. } => of_client(source),
+        Error::WritesRefused { why } | Error::Ended { why } => of_client(why),
         Error::Address { .. } => ("INVALID_ARGUMENT", "ADDRESS"),
         Error::Width { .. } | Error::Layout { .. } | Error::Argument { .. } => {
             ("INVALID_ARGUMENT", "ARGUMENT")
@@ -140,7 +142,7 @@ fn of_client(error: &Error) -> (&str, &str) {
         Error::Handshake { .. } => ("UNAVAILABLE", "HANDSHAKE"),
         Error::Timeout { .. } => ("DEADLINE_EXCEEDED", "TIMEOUT"),
         Error::Protocol { .. } => ("INTERNAL", "PROTOCOL"),
-        // The errors of indices in a planner's process; the command opens none.
+        // Other errors of a shared index, which `load` opens.
         _ => ("UNKNOWN", "UNKNOWN"),
     }
 }

@@ -1,6 +1,6 @@
 //! `wayfold insert`
 
-use std::path::PathBuf;
+use std::{ops::Range, path::PathBuf};
 
 use clap::ArgGroup;
 use serde::Serialize;
@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::neighbors::{NeighborFields, neighbor_table};
 use crate::{
     Context,
-    failure::Failure,
+    failure::{Failure, stopped},
     input::{self, Columns, Source, Table},
     options::{self, Column, RadiusArgs},
     output::{Format, JsonId, JsonRevision, Output},
@@ -16,8 +16,7 @@ use crate::{
     progress,
 };
 use wayfold::{
-    Error, Include, IndexHandle, Inserted, NeighborSpec, Neighbors, Outcome, Revision,
-    StateNeighbors,
+    Include, IndexHandle, Inserted, NeighborSpec, Neighbors, Outcome, Revision, StateNeighbors,
 };
 
 const EXAMPLES: &str = "\
@@ -143,7 +142,7 @@ pub(crate) async fn insert(args: InsertArgs, context: &mut Context) -> Result<()
                     // The refusal says more than an output that is closed.
                     let _ = summary.print(&index.revision(), &mut context.output);
                 }
-                return Err(stopped(start, rows, failure));
+                return Err(stopped(start..end, rows, failure));
             }
         };
         if let (Some(neighbors), true) = (&inserted.neighbors, is_read) {
@@ -158,7 +157,7 @@ pub(crate) async fn insert(args: InsertArgs, context: &mut Context) -> Result<()
             ) {
                 // A closed pipe ends the output, not the insert.
                 Err(failure) if failure.is_broken_pipe() => is_read = false,
-                printed => printed?,
+                printed => printed.map_err(|failure| stopped(end..end, rows, failure))?,
             }
         }
         summary.add(&inserted);
@@ -174,7 +173,7 @@ async fn send(
     args: &InsertArgs,
     spec: Option<NeighborSpec>,
     table: &Table,
-    rows: std::ops::Range<usize>,
+    rows: Range<usize>,
 ) -> Result<Inserted, Failure> {
     let ids = table.ids.get(rows.clone()).unwrap_or_default();
     let tags = match args.tag {
@@ -193,23 +192,6 @@ async fn send(
         insert = insert.neighbors(spec);
     }
     Ok(insert.await?)
-}
-
-/// Adds the number of rows of the file that took effect before the failure in the call from row `start`.
-fn stopped(start: usize, rows: usize, failure: Failure) -> Failure {
-    let (done, source) = match failure {
-        Failure::Client(Error::Partial { done, source, .. }) => {
-            (start + done, Failure::Client(*source))
-        }
-        failure => (start, failure),
-    };
-    match done {
-        0 => source,
-        _ => Failure::Stopped {
-            done: format!("the first {done} of {rows} rows took effect"),
-            source: Box::new(source),
-        },
-    }
 }
 
 #[derive(Serialize)]

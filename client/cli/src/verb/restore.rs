@@ -18,8 +18,9 @@ Examples:
   wayfold --server far:50051 restore arm-2 arm.snapshot
 
 The index has the points, ids, tags, payloads, revisions and writer sessions of the snapshot, and a uid
-of its own. The server checks the file while it reads it, and creates the index at the end: a command
-that fails leaves nothing. After exit status 4 or an interrupt at the end, the index may be there, whole.";
+of its own. The server checks the file while it reads it, and creates the index at the end: a refusal of
+the file or of the name leaves nothing. After any other failure, or an interrupt at the end, the index may
+be there, whole: `wayfold info NAME` says so.";
 
 /// Creates an index from a snapshot
 #[derive(Debug, clap::Args)]

@@ -7,7 +7,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use clap::{Subcommand, ValueEnum, builder::NonEmptyStringValueParser};
+use clap::{Subcommand, ValueEnum};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use time::{OffsetDateTime, format_description::well_known::Rfc3339};
@@ -23,7 +23,8 @@ Examples:
   wayfold --token-file cell-3.token knn cell-3-arm --state 0,0,0,0,0,0,1
 
 The entry goes to standard output, for the file of the setting access.identities; the server reads it
-within a second. It has only the SHA-256 of the token. Without --to the token goes to standard error.";
+within a second. It has only the SHA-256 of the token. Without --to the token goes to standard error, or
+with --output json to the field token of standard output: keep that secret.";
 
 /// Makes tokens for the identities of a server
 #[derive(Debug, clap::Args)]
@@ -39,10 +40,19 @@ enum TokenCommand {
     Create(CreateArgs),
 }
 
+/// A name that the server accepts: it refuses the whole file for another one.
+fn identity_name(text: &str) -> Result<String, &'static str> {
+    match text {
+        "" => Err("a name is not empty"),
+        _ if text.contains(char::is_control) => Err("a name has no control characters"),
+        _ => Ok(text.to_owned()),
+    }
+}
+
 #[derive(Debug, clap::Args)]
 struct CreateArgs {
     /// The name of the identity, which log lines show
-    #[arg(value_parser = NonEmptyStringValueParser::new())]
+    #[arg(value_parser = identity_name)]
     name: String,
     /// The rights: read; write, which includes read; admin, which includes both
     #[arg(long, value_enum)]

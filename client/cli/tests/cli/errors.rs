@@ -23,6 +23,7 @@ fn wrong_usage_is_status_2() {
         &["insert", "arm", "a.csv", "--min-separation", "nan"],
         &["get", "arm", "9223372036854775808"],
         &["get", "arm"],
+        &["token", "create", "cell\t3", "--role", "read"],
         &["scan", "arm", "a.npy"],
         &["list", "--timeout", "5"],
         &["list", "--output", "xml"],

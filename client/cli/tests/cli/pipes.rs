@@ -8,7 +8,10 @@ use std::{
 use serde_json::json;
 use wayfold::Client;
 
-use crate::{process::command, server::Server};
+use crate::{
+    process::{command, shell},
+    server::Server,
+};
 
 #[test]
 fn a_row_in_a_pipe_is_answered_before_the_next_is_written() {
@@ -100,4 +103,18 @@ async fn a_closed_pipe_does_not_end_an_insert() {
     assert!(insert.wait().unwrap().success());
     let client = Client::connect(&server.uri).await.unwrap();
     assert_eq!(client.index_info("line").await.unwrap().point_count, 5000);
+}
+
+#[test]
+fn an_insert_whose_answers_cannot_be_written_says_what_is_stored() {
+    let server = Server::start();
+    server.run(&["create", "line", "--space", "R1"]);
+    let script = "seq 3000 | \"$0\" insert line - --knn 3 > /dev/full";
+    let full = shell(&server.uri, script);
+    let stored = full
+        .error(3)
+        .contains("the first 1000 of 3000 rows took effect");
+    assert!(stored, "{}", full.stderr);
+    let info = server.json(&["info", "line"]).line();
+    assert_eq!(info["point_count"], 1000);
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use tokio::runtime::Runtime;
+use tokio::{runtime::Runtime, time};
 use wayfold::{
     Client, Error, Filter, Include, IndexHandle, Neighbor, RetryPolicy, ServerInfo, Space,
 };
@@ -17,6 +17,8 @@ pub(crate) struct GrpcTarget {
     index: IndexHandle,
     /// For what is no part of the measurement.
     patient: IndexHandle,
+    /// The time for the answers of a stream, which has none of its own.
+    timeout: Duration,
 }
 
 impl GrpcTarget {
@@ -43,6 +45,7 @@ impl GrpcTarget {
             client,
             index: once,
             patient,
+            timeout,
         })
     }
 
@@ -122,7 +125,14 @@ impl Target for GrpcTarget {
                 let query = index.query(rows.chunks_exact(width), radius);
                 self.runtime.block_on(query.into_future()).map(drop)
             }
-            Request::Stream { rows, k } => self.runtime.block_on(self.stream(rows, k)),
+            Request::Stream { rows, k } => self.runtime.block_on(async {
+                let answered = time::timeout(self.timeout, self.stream(rows, k)).await;
+                answered.unwrap_or(Err(Error::Timeout {
+                    call: "stream_knn",
+                    timeout: self.timeout,
+                    earlier: None,
+                }))
+            }),
             Request::Get { ids } => {
                 let get = index.get(ids).into_future();
                 self.runtime.block_on(get).map(drop)
