@@ -41,7 +41,14 @@ mod unclean_marker;
 mod usage;
 mod view;
 
-use std::{io, mem, path::Path, sync::Arc};
+use std::{
+    io, mem,
+    path::Path,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    },
+};
 
 use futures_util::{StreamExt, stream};
 use parking_lot::{Mutex, RwLock};
@@ -78,6 +85,8 @@ pub struct FjallLog {
     opened: RwLock<Result<Arc<Engine>, LogError>>,
     /// True once it is closed for good. Locked while the store is reopened.
     is_closed: Mutex<bool>,
+    /// True once it is to be closed: reads of all points end early.
+    is_closing: AtomicBool,
     options: StoreOptions,
     directory: Arc<Directory>,
 }
@@ -110,6 +119,7 @@ impl FjallLog {
         Ok(Self {
             opened: RwLock::new(opened.map(Arc::new)),
             is_closed: Mutex::default(),
+            is_closing: AtomicBool::default(),
             options,
             directory,
         })
@@ -172,6 +182,7 @@ impl FjallLog {
     /// Syncs the applied records and closes the store for good: every later call fails. An orderly stop closes it while
     /// others still hold it. Blocks.
     pub fn close(&self) {
+        self.is_closing.store(true, Relaxed);
         *self.is_closed.lock() = true;
         if let Ok(engine) = mem::replace(&mut *self.opened.write(), Err(LogError::Closed)) {
             engine.shut();
@@ -229,6 +240,10 @@ impl PointStore for FjallLog {
 
     fn load(&self, uid: Uid, visit: &mut PointVisitor<'_>) -> Result<Arc<dyn View>, LogError> {
         let engine = self.engine()?;
+        let visit = &mut |point: &_| match self.is_closing.load(Relaxed) {
+            true => Err(LogError::Closed),
+            false => visit(point),
+        };
         let loaded = engine.index(uid)?.load(&engine.store, visit);
         // A disk that fails while an index is loaded has failed: the store is reopened, and the index loaded again.
         loaded.map_err(|error| engine.failure.note(error))
