@@ -157,8 +157,9 @@ impl Tls {
             info!("certificates read");
             Ok::<_, TlsError>(())
         };
-        let report = (is_wrong, "the certificates stay as they were");
-        follow(self.first, || self.files.stamps(), read, report).await;
+        let look = || self.files.stamps();
+        let consequence = "the certificates stay as they were";
+        follow(self.first, look, read, is_wrong, consequence).await;
     }
 }
 

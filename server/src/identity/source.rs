@@ -72,7 +72,8 @@ pub(crate) async fn follow<State: PartialEq, Error: fmt::Display>(
     mut known: State,
     look: impl Fn() -> State,
     read: impl Fn() -> Result<(), Error>,
-    (is_wrong, consequence): (Gauge, &str),
+    is_wrong: Gauge,
+    consequence: &str,
 ) {
     let mut wrong: Option<String> = None;
     let mut checks = interval(CHECK_INTERVAL);
@@ -158,8 +159,9 @@ impl Identities {
             return;
         };
         let look = || Stamp::of(&source.file);
-        let report = (is_wrong, "the identities stay as they were");
-        follow(source.first, look, || source.read_again(), report).await;
+        let read = || source.read_again();
+        let consequence = "the identities stay as they were";
+        follow(source.first, look, read, is_wrong, consequence).await;
     }
 }
 
@@ -201,7 +203,7 @@ mod tests {
                 _ => Ok(()),
             }
         };
-        let following = follow(0, || 1, read, (is_wrong.clone(), "nothing changes"));
+        let following = follow(0, || 1, read, is_wrong.clone(), "nothing changes");
         timeout(10 * CHECK_INTERVAL, following).await.unwrap_err();
         assert_eq!((reads.get(), is_wrong.get()), (3, 0));
     }

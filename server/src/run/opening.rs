@@ -56,7 +56,7 @@ impl OpenedStore {
         opened.unwrap_or(Err(ServerError::Ended))
     }
 
-    /// Closes the store. A replay, and the pages and calls that were cut, may hold it for longer than the process lives.
+    /// Closes the store. The pages and calls that were cut may hold it for longer than the process lives.
     pub(super) async fn close(self) {
         let close = move || {
             if let Some(store) = self.0.lock().take() {

@@ -56,7 +56,7 @@ pub(crate) fn with_batch(
     effects
 }
 
-/// Copies a directory that a server of this version wrote, and that stands beside these tests.
+/// Copies the directory beside these tests that a server of this version wrote.
 pub(crate) fn of_version(version: u32) -> TempDir {
     let kept = format!("{}/tests/log/version-{version}", env!("CARGO_MANIFEST_DIR"));
     let copy = copied(Path::new(&kept));

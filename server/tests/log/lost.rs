@@ -3,8 +3,9 @@
 use std::{fs, slice};
 
 use bytes::Bytes;
+use tempfile::TempDir;
 use wayfold_server::log::{
-    Catalogue, Durability, Journal, LogError, Origin, PointStore, Sessions, StoredPoint,
+    Catalogue, Durability, Entry, Journal, LogError, Origin, PointStore, Sessions, StoredPoint,
 };
 
 use super::{
@@ -14,10 +15,10 @@ use super::{
     effects, entry, submit,
 };
 
-#[test]
-fn a_journal_without_its_synced_end_is_named() {
+/// A log whose journal has lost its end, with the revisions 1 to 3 of `arm` and an idle index; and the error of `arm`.
+fn without_its_end(durability: Durability) -> (TempDir, [Entry; 2], LogError) {
     let directory = tempfile::tempdir().unwrap();
-    let log = open(directory.path());
+    let log = open_at(directory.path(), durability);
     let (arm, idle) = (entry("arm"), entry("idle"));
     for entry in [&arm, &idle] {
         log.create(entry.clone()).unwrap();
@@ -28,12 +29,17 @@ fn a_journal_without_its_synced_end_is_named() {
     drop(log);
     let journal = JournalFile::of(directory.path());
     let damaged = journal.cut(journal.used - 1);
-
     let lost = LogError::Lost {
         uid: arm.uid,
         first: 3,
         last: 3,
     };
+    (damaged, [arm, idle], lost)
+}
+
+#[test]
+fn a_journal_without_its_synced_end_is_named() {
+    let (damaged, [arm, idle], lost) = without_its_end(Durability::Fsync);
     // The index stays lost, and the other index is unaffected.
     for _ in 0..2 {
         let log = open(damaged.path());
@@ -51,24 +57,8 @@ fn a_journal_without_its_synced_end_is_named() {
 /// The system was restarted under a server without fsync, and the journal has lost more than such a server may lose.
 #[test]
 fn an_index_that_lost_revisions_stays_lost_after_an_unclean_shutdown() {
-    let directory = tempfile::tempdir().unwrap();
-    let log = open_at(directory.path(), Durability::Os);
-    let (arm, idle) = (entry("arm"), entry("idle"));
-    for entry in [&arm, &idle] {
-        log.create(entry.clone()).unwrap();
-    }
-    for revision in 1..=3 {
-        append(&log, arm.uid, revision);
-    }
-    drop(log);
-    let journal = JournalFile::of(directory.path());
-    let damaged = journal.cut(journal.used - 1);
+    let (damaged, [arm, idle], lost) = without_its_end(Durability::Os);
     fs::write(damaged.path().join("unsynced"), "os another").unwrap();
-    let lost = LogError::Lost {
-        uid: arm.uid,
-        first: 3,
-        last: 3,
-    };
     for _ in 0..2 {
         let log = open_at(damaged.path(), Durability::Os);
         assert_eq!(log.view(arm.uid).err(), Some(lost.clone()));

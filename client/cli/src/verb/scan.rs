@@ -26,9 +26,9 @@ Examples:
   wayfold scan arm new.csv --since 42 --include states,tags
 
 CSV has a header line, then one row a point: its id and the columns of --include, by default its
-state in canonical form. `wayfold insert NAME FILE --ids id` reads a file of states, with --tags tag if the
-tags are included. A file is always CSV; it gets its name once it is whole, and an error or an interrupt leaves
-an existing file as it was. On standard output, with --output json, a point is a line
+state in canonical form. `wayfold insert NAME FILE --ids id` reads a file of states, with --tags tag if
+the tags are included. A file is always CSV; it gets its name once it is whole, and an error or an
+interrupt leaves an existing file as it was. On standard output, with --output json, a point is a line
 {\"id\":...,\"state\":[...],\"tag\":...,\"revision\":{\"uid\":...,\"number\":N}}. All points are of one revision, in the
 order of their ids.";
 

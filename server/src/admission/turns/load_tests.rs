@@ -115,14 +115,14 @@ fn run(mut callers: Vec<Caller>, flows: u64, slice: Duration, time: Duration) ->
                 turns.release(turn.flow, turn.size, took, began + at);
                 caller.end(at);
             } else {
-                let stage = match caller.work - caller.left < MAX_WHOLE {
-                    _ if caller.at_once >= MAX_AT_ONCE => Stage::Demoted,
-                    true => Stage::Begun,
-                    false => Stage::Resumed,
-                };
-                if stage == Stage::Demoted {
+                let stage = if caller.at_once >= MAX_AT_ONCE {
                     caller.at_once = Duration::ZERO;
-                }
+                    Stage::Demoted
+                } else if caller.work - caller.left < MAX_WHOLE {
+                    Stage::Begun
+                } else {
+                    Stage::Resumed
+                };
                 match turns.yield_turn(turn, took, stage, began + at) {
                     TurnRequest::Granted(turn) => computing.push_back((number, turn)),
                     TurnRequest::Waits(granted) => waiting.push((number, granted)),

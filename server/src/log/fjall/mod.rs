@@ -83,10 +83,10 @@ const MARKS: &str = "marks";
 pub struct FjallLog {
     /// The open store, or the error of every call. Dropped before the directory is unlocked.
     opened: RwLock<Result<Arc<Engine>, LogError>>,
-    /// True once it is closed for good. Locked while the store is reopened.
-    is_closed: Mutex<bool>,
-    /// True once it is to be closed: reads of all points end early.
-    is_closing: AtomicBool,
+    /// Held while the store is reopened or closed.
+    reopening: Mutex<()>,
+    /// True once it is closed for good, or about to be: reads of all points end early, and it is not reopened.
+    is_closed: AtomicBool,
     options: StoreOptions,
     directory: Arc<Directory>,
 }
@@ -118,8 +118,8 @@ impl FjallLog {
         }
         Ok(Self {
             opened: RwLock::new(opened.map(Arc::new)),
-            is_closed: Mutex::default(),
-            is_closing: AtomicBool::default(),
+            reopening: Mutex::default(),
+            is_closed: AtomicBool::default(),
             options,
             directory,
         })
@@ -182,8 +182,8 @@ impl FjallLog {
     /// Syncs the applied records and closes the store for good: every later call fails. An orderly stop closes it while
     /// others still hold it. Blocks.
     pub fn close(&self) {
-        self.is_closing.store(true, Relaxed);
-        *self.is_closed.lock() = true;
+        self.is_closed.store(true, Relaxed);
+        let _alone = self.reopening.lock();
         if let Ok(engine) = mem::replace(&mut *self.opened.write(), Err(LogError::Closed)) {
             engine.shut();
         }
@@ -240,7 +240,7 @@ impl PointStore for FjallLog {
 
     fn load(&self, uid: Uid, visit: &mut PointVisitor<'_>) -> Result<Arc<dyn View>, LogError> {
         let engine = self.engine()?;
-        let visit = &mut |point: &_| match self.is_closing.load(Relaxed) {
+        let visit = &mut |point: &_| match self.is_closed.load(Relaxed) {
             true => Err(LogError::Closed),
             false => visit(point),
         };
@@ -292,8 +292,8 @@ impl PointStore for FjallLog {
     }
 
     fn reopen(&self) -> Result<(), LogError> {
-        let is_closed = self.is_closed.lock();
-        if *is_closed {
+        let _alone = self.reopening.lock();
+        if self.is_closed.load(Relaxed) {
             return Err(LogError::Closed);
         }
         let Some(failure) = self.failure() else {

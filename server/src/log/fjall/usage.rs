@@ -11,7 +11,7 @@ use crate::log::StoreUsage;
 /// The directory of the store's tables.
 const TABLES: &str = "keyspaces";
 
-/// The bytes that the files in `directory` take on the disk. The few small files beside the journal count as its own.
+/// The bytes that the files in `directory` take on the disk. The journal's bytes include the few small files beside it.
 pub(super) fn disk(directory: &Path) -> StoreUsage {
     let store = directory.join(STORE);
     let tables = taken_in(&store.join(TABLES));
