@@ -2,7 +2,7 @@
 
 use std::{io::Read, sync::Arc};
 
-use csv::{Reader, ReaderBuilder, StringRecord, Trim};
+use csv::{Reader, ReaderBuilder, StringRecord, Terminator, Trim};
 use wayfold::Space;
 
 use super::{
@@ -18,11 +18,13 @@ pub(super) fn rows(
     space: &Space,
     columns: Columns<'_>,
 ) -> Result<Rows, InputError> {
+    // A record ends at the end of its line, also the last one and with CRLF, so that its line is known: see `read`.
     let mut reader = ReaderBuilder::new()
         .has_headers(false)
         .flexible(true)
         .trim(Trim::All)
-        .from_reader(input);
+        .terminator(Terminator::Any(b'\n'))
+        .from_reader(input.chain(&b"\n"[..]));
     let mut first = StringRecord::new();
     let is_empty = !read(name, &mut reader, &mut first)?;
     let has_header = !is_empty && is_header(&first);
@@ -99,22 +101,28 @@ fn find(file: &str, header: &StringRecord, column: &str) -> Result<usize, InputE
         })
 }
 
-/// Reads the next record that is not an empty line; false at the end.
+/// Reads the next record that is not an empty line, with the line where it ends as its position; false at the end.
 fn read(
     file: &str,
     reader: &mut Reader<impl Read>,
     record: &mut StringRecord,
 ) -> Result<bool, InputError> {
-    reader.read_record(record).map_err(|error| {
-        let position = match error.position() {
-            Some(position) => format!("{file}:{}", position.line()),
-            None => file.to_owned(),
-        };
-        InputError::Format {
-            position,
+    loop {
+        let found = reader.read_record(record);
+        let mut end = reader.position().clone();
+        end.set_line(end.line().saturating_sub(1));
+        let found = found.map_err(|error| InputError::Format {
+            position: match error.position() {
+                Some(_) => format!("{file}:{}", end.line()),
+                None => file.to_owned(),
+            },
             problem: error.to_string(),
+        })?;
+        record.set_position(Some(end));
+        if !found || record.len() > 1 || record.get(0) != Some("") {
+            return Ok(found);
         }
-    })
+    }
 }
 
 struct CsvRows<R> {
