@@ -96,6 +96,8 @@ impl Turns {
                 was_empty: Instant::now(),
                 trend: Trend::new(Instant::now()),
                 stands_until: None,
+                late: None,
+                others_late: None,
                 next_flow: 0,
                 refused: 0,
             }),

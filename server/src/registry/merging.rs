@@ -52,11 +52,11 @@ impl Hosted {
         // The apply loop waits for the forest in turn: a merge waits for one batch of records at most.
         let mut applied = self.applied.lock().await;
         applied.mergers -= 1;
+        let published = self.published();
         match merged {
             Ok(merged) => {
                 applied.forest.finish_merge(merged);
                 debug!(index = self.name(), rows, "merged levels");
-                let published = self.published();
                 self.publish(&Arc::new(Published {
                     snapshot: applied.forest.snapshot(),
                     revision: published.revision,
@@ -68,7 +68,10 @@ impl Hosted {
         }
         self.start_merging(&mut applied);
         drop(applied);
-        // The merged levels are freed by now, unless a search holds them.
-        tokio::task::spawn_blocking(release_if_grown);
+        // What was published holds the merged levels. A search may hold them for longer.
+        tokio::task::spawn_blocking(move || {
+            drop(published);
+            release_if_grown();
+        });
     }
 }

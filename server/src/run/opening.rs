@@ -1,6 +1,6 @@
 //! The log of a server: opened and replayed at its start, and closed at its end, also if it ends before it serves.
 
-use std::sync::Arc;
+use std::{mem, sync::Arc};
 
 use parking_lot::Mutex;
 use tracing::error;
@@ -18,7 +18,15 @@ use crate::{
 
 /// The store on disk, once it is open. Clones share it.
 #[derive(Clone, Default)]
-pub(super) struct OpenedStore(Arc<Mutex<Option<Arc<FjallLog>>>>);
+pub(super) struct OpenedStore(Arc<Mutex<Stage>>);
+
+#[derive(Default)]
+enum Stage {
+    #[default]
+    Waiting,
+    Open(Arc<FjallLog>),
+    Closed,
+}
 
 impl OpenedStore {
     /// Opens the log and replays it into a registry, on a blocking thread. Returns the connection to NATS if the journal
@@ -39,10 +47,13 @@ impl OpenedStore {
                         is_copy: cluster.is_some(),
                     };
                     // A server that stops meanwhile waits for this lock, and then closes the store.
-                    let mut opened = self.0.lock();
+                    let mut stage = self.0.lock();
+                    if matches!(*stage, Stage::Closed) {
+                        return Err(ServerError::Ended);
+                    }
                     let local = Arc::new(FjallLog::open(directory, options)?);
-                    *opened = Some(Arc::clone(&local));
-                    drop(opened);
+                    *stage = Stage::Open(Arc::clone(&local));
+                    drop(stage);
                     log_over(local, cluster.as_ref())?
                 }
                 None => log_over(Arc::new(MemoryLog::new()), cluster.as_ref())?,
@@ -56,10 +67,10 @@ impl OpenedStore {
         opened.unwrap_or(Err(ServerError::Ended))
     }
 
-    /// Closes the store. The pages and calls that were cut may hold it for longer than the process lives.
+    /// Closes the store, which does not open any more. The pages and calls that were cut may hold it for longer than the process lives.
     pub(super) async fn close(self) {
         let close = move || {
-            if let Some(store) = self.0.lock().take() {
+            if let Stage::Open(store) = mem::replace(&mut *self.0.lock(), Stage::Closed) {
                 store.close();
             }
         };
@@ -80,5 +91,29 @@ where
     match cluster {
         None => Ok((Log::from(local), None)),
         Some(options) => connect_nats(options, local).map(|(log, nats)| (log, Some(nats))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::Durability;
+
+    #[tokio::test]
+    async fn a_closed_store_does_not_open() {
+        let directory = tempfile::tempdir().unwrap();
+        let data = DataConfig {
+            dir: directory.path().to_str().unwrap().into(),
+            durability: Durability::Fsync,
+        };
+        let store = OpenedStore::default();
+        store.clone().close().await;
+        let opened = store.open_registry(
+            RegistryOptions::default(),
+            (data, None),
+            Watermarks::default(),
+        );
+        assert!(matches!(opened.await, Err(ServerError::Ended)));
+        assert_eq!(directory.path().read_dir().unwrap().count(), 0);
     }
 }

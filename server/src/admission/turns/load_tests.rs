@@ -258,6 +258,14 @@ fn under_lasting_load_calls_wait_for_about_the_target() {
     }
 }
 
+/// Calls that are polled whole are alone in the queue for most of the time.
+#[test]
+fn long_calls_of_many_flows_wait_for_about_the_target_too() {
+    let outcomes = simulate(150 * MS, steady(115 * MS, 120 * BURST));
+    let p90 = outcomes.waits[outcomes.waits.len() * 9 / 10];
+    assert!(p90 <= TARGET * 3 / 4, "{p90:?}");
+}
+
 /// After a pause, a burst is a burst again.
 #[test]
 fn load_that_ends_is_forgotten() {

@@ -43,6 +43,9 @@ pub(super) struct State {
     pub(super) trend: Trend,
     /// The queue stands until then.
     pub(super) stands_until: Option<Instant>,
+    /// The last flow with a late call, and when; then when another one before it had one.
+    pub(super) late: Option<(FlowNumber, Instant)>,
+    pub(super) others_late: Option<Instant>,
     pub(super) next_flow: FlowNumber,
     /// The calls that were refused.
     pub(super) refused: u64,
@@ -235,10 +238,15 @@ impl State {
         self.stands_until.max(flow.stands_until) > Some(now)
     }
 
-    /// Lets the queue of this flow stand if it does already or no other flow waits, and that of all otherwise.
+    /// Lets the queue of this flow stand if it does already, or no other flow waits and none had a late call for the time of
+    /// a burst; that of all otherwise.
     pub(super) fn stand(&mut self, number: FlowNumber, burst: Duration, now: Instant) {
-        let is_alone = self.is_alone(number);
+        if let Some((_, at)) = self.late.filter(|(last, _)| *last != number) {
+            self.others_late = Some(at);
+        }
+        self.late = Some((number, now));
         let until = Some(now + burst);
+        let is_alone = self.is_alone(number) && self.others_late.map(|at| at + burst) <= Some(now);
         match self.flows.get_mut(&number) {
             Some(flow) if is_alone || flow.stands_until > Some(now) => flow.stands_until = until,
             _ => self.stands_until = until,
