@@ -58,8 +58,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                     .iter()
                     .for_each(|row| drop(inline.nearest(&row[..])))
             }));
-            mix.bare.push(time(|| drop(bare_mix(&space, &states))));
-            let (index, inline) = (Index::in_memory(&space)?, Index::in_memory_inline(&space)?);
+            let (mut forest, index, inline) = (
+                empty(&space),
+                Index::in_memory(&space)?,
+                Index::in_memory_inline(&space)?,
+            );
+            mix.bare.push(time(|| bare_mix(&mut forest, &states)));
             mix.index.push(time(|| index_mix(&index, &states)));
             mix.inline.push(time(|| index_mix(&inline, &states)));
         }
@@ -113,8 +117,12 @@ fn time(work: impl FnOnce()) -> Duration {
     start.elapsed()
 }
 
+fn empty(space: &Space) -> Forest {
+    Forest::new(space.clone(), ForestOptions::for_space(space))
+}
+
 fn bare(space: &Space, rows: &[Vec<f64>]) -> Result<Forest, Box<dyn std::error::Error>> {
-    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
+    let mut forest = empty(space);
     let mut points = Points::with_capacity(space.coordinates(), 1);
     for (id, row) in rows.iter().enumerate() {
         insert(&mut forest, &mut points, id, row)?;
@@ -138,14 +146,13 @@ fn insert(
     Ok(())
 }
 
-fn bare_mix(space: &Space, rows: &[Vec<f64>]) -> Result<Forest, Box<dyn std::error::Error>> {
-    let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
-    let mut points = Points::with_capacity(space.coordinates(), 1);
+fn bare_mix(forest: &mut Forest, rows: &[Vec<f64>]) {
+    let mut points = Points::with_capacity(forest.space().coordinates(), 1);
     for (id, row) in rows.iter().enumerate() {
-        forest.search(row, &Search::nearest_k(1))?;
-        insert(&mut forest, &mut points, id, row)?;
+        let nearest = forest.search(row, &Search::nearest_k(1));
+        drop(nearest.expect("a state"));
+        insert(forest, &mut points, id, row).expect("a state");
     }
-    Ok(forest)
 }
 
 fn index_mix(index: &Index, rows: &[Vec<f64>]) {

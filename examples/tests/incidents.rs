@@ -170,7 +170,7 @@ fn a_killed_worker_changes_nothing_but_speed() {
 }
 
 fn a_killed_server_costs_a_pause_and_nothing_else() {
-    let mut server = ServerProcess::durable().unwrap();
+    let mut server = ServerProcess::start().unwrap();
     let (runtime, uri) = (runtime(), server.uri().to_owned());
     let index = runtime.block_on(index(&uri));
     let workers_report = run(&jobs(&uri, 3), Incident::ServerRestarted(&mut server)).unwrap();

@@ -61,7 +61,6 @@ async fn run(options: &Options) -> Result<(), PlanningError> {
     let drawn = (!options.until_solved && !options.scaling).then_some(picture);
     can_write(options.json.as_deref().into_iter().chain(drawn))?;
     let mut own = match options.server {
-        None if options.restart => Some(ServerProcess::durable()?),
         None => Some(ServerProcess::start()?),
         Some(_) => None,
     };

@@ -2,7 +2,6 @@
 
 use std::{
     env,
-    ffi::OsStr,
     io::{self, BufRead, BufReader},
     process::{self, Child, ChildStdout, Command, ExitCode, Stdio},
     thread,
@@ -37,25 +36,16 @@ pub struct ServerProcess {
     uri: String,
     /// Kept open, because later output of the server would meet a closed pipe.
     _output: Option<BufReader<ChildStdout>>,
-    /// Its data directory, removed when it is dropped; None if it keeps its indices in memory.
-    data: Option<TempDir>,
+    /// Its data directory, removed when it is dropped.
+    data: TempDir,
 }
 
 impl ServerProcess {
-    /// Starts a server with its indices in memory, and returns once it answers.
-    pub fn start() -> Result<ServerProcess, PlanningError> {
-        ServerProcess::listening("127.0.0.1:0", None)
-    }
-
     /// Starts a server with its indices on disk for the life of this value, and returns once it answers.
-    pub fn durable() -> Result<ServerProcess, PlanningError> {
+    pub fn start() -> Result<ServerProcess, PlanningError> {
         let data = TempDir::new().map_err(PlanningError::Server)?;
-        ServerProcess::listening("127.0.0.1:0", Some(data))
-    }
-
-    fn listening(address: &str, data: Option<TempDir>) -> Result<ServerProcess, PlanningError> {
         let mut started = ServerProcess {
-            child: spawn(address, data.as_ref())?,
+            child: spawn("127.0.0.1:0", &data)?,
             uri: String::new(),
             _output: None,
             data,
@@ -91,13 +81,12 @@ impl ServerProcess {
     /// Restarts it after its end, with the same data and the same address; returns once it answers.
     pub fn start_again(&mut self) -> Result<(), PlanningError> {
         let address = self.uri.trim_start_matches("http://");
-        self.child = spawn(address, self.data.as_ref())?;
+        self.child = spawn(address, &self.data)?;
         self.listened()
     }
 }
 
-fn spawn(address: &str, data: Option<&TempDir>) -> Result<Child, PlanningError> {
-    let data = data.map_or(OsStr::new("memory"), |data| data.path().as_os_str());
+fn spawn(address: &str, data: &TempDir) -> Result<Child, PlanningError> {
     let program = env::current_exe().map_err(PlanningError::Server)?;
     let child = Command::new(program)
         .env(ROLE, "server")
@@ -105,7 +94,7 @@ fn spawn(address: &str, data: Option<&TempDir>) -> Result<Child, PlanningError> 
             "--grpc", address, "--zenoh", "off", "--http", "off", "--log", "warn",
         ])
         .arg("--data")
-        .arg(data)
+        .arg(data.path())
         // The child's handle holds it, and the system closes it if this process is killed.
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())

@@ -83,7 +83,7 @@ struct WriterRates {
     processors: f64,
 }
 
-/// Inserts into an index in memory, `batch` states per call. Each call requests the nearest neighbour of each state.
+/// Inserts into an index in memory, `batch` states per call. Each call requests the ten nearest neighbours of each state.
 async fn write(batch: usize, round: u64) -> WriterRates {
     let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
     registry.replay().expect("an empty log");

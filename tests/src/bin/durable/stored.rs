@@ -38,6 +38,8 @@ pub(crate) async fn measure(
     let directory = base.create();
     let data = directory.path();
     fill(data, points).await;
+    let (all, files) = used(data);
+    let (journals, _) = journals(&data.join(STORE));
 
     report.section(&format!("restart with {points} points"), "scan + build");
     let (mut ours, mut bare) = (Vec::new(), Vec::new());
@@ -57,14 +59,12 @@ pub(crate) async fn measure(
     );
 
     report.section(&format!("disk, {points} points"), "the numbers");
-    let (all, files) = used(data);
     report.note(
         "the whole directory as it was left",
         per(all, points),
         "bytes/point",
     );
     report.note("  files", files as f64, "");
-    let (journals, _) = journals(&data.join(STORE));
     report.note("  of it journals", per(journals, points), "bytes/point");
     let (database, keyspace) = open(&data.join(STORE));
     let snapshot = database.snapshot();

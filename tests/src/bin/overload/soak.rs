@@ -4,7 +4,7 @@
 
 mod writers;
 
-use std::{process::ExitCode, time::Duration};
+use std::{process::ExitCode, thread, time::Duration};
 
 use tokio::time::Instant;
 use wayfold_tests::{
@@ -66,6 +66,7 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     for (quarter, name) in (1..).zip(QUARTERS) {
         progress(&format!("soak: {name}"));
         let mut resident = Vec::new();
+        let mut in_quarter = LoadPhases::default();
         while second < arguments.seconds * quarter / 4 {
             second += 1;
             let due = began + Duration::from_secs(u64::from(second));
@@ -74,11 +75,14 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
             if second % KILL_EVERY == 0 {
                 // The oldest is the first.
                 let killed = loaders.remove(0).stop(Signal::Kill);
-                load.add(&killed.stdout);
+                in_quarter.add(&killed.stdout);
                 loaders.push(start());
             }
         }
-        table.column(name, memory(&resident));
+        let mut figures = memory(&resident);
+        figures.add("answered in time, of the peak", in_quarter.in_time() / peak);
+        table.column(name, figures);
+        load.join(&in_quarter);
     }
     let health = health.finish(Instant::now());
     for loader in loaders {
@@ -88,7 +92,7 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     server.settle();
     let after: Vec<u64> = resident_bytes(server.id()).into_iter().collect();
     table.column("after", memory(&after));
-    report.table("soak, memory", &table);
+    report.table("soak, by quarter", &table);
     let (figures, wrong) = written.compare(&server, arguments.points);
     let mut all = load.figures(peak);
     all.extend(health);
@@ -129,13 +133,18 @@ pub(crate) fn load() -> ExitCode {
         requests: knn_frames(REQUESTS, goodput::ROWS, 10),
         deadline: None,
     };
+    let due = move |n| Duration::from_secs_f64(n as f64 * gap);
     loop {
-        let due = move |n| Duration::from_secs_f64(n as f64 * gap);
-        let tally = goodput::on_schedule(load.clone(), PHASE, due);
-        let seconds = PHASE.as_secs_f64();
-        let offered = tally.offered as f64 / seconds;
-        let refused = tally.refusals() as f64 / seconds;
-        println!("{offered} {} {refused}", tally.rate());
+        let load = load.clone();
+        // The next phase begins while the last calls of this one are answered, so that the load goes on.
+        thread::spawn(move || {
+            let tally = goodput::on_schedule(load, PHASE, due);
+            let seconds = PHASE.as_secs_f64();
+            let offered = tally.offered as f64 / seconds;
+            let refused = tally.refusals() as f64 / seconds;
+            println!("{offered} {} {refused}", tally.rate());
+        });
+        pause(PHASE);
     }
 }
 
@@ -160,9 +169,25 @@ impl LoadPhases {
         }
     }
 
-    /// The rates of all loaders together.
+    fn join(&mut self, other: &Self) {
+        self.phases += other.phases;
+        for (sum, other) in self.sums.iter_mut().zip(other.sums) {
+            *sum += other;
+        }
+    }
+
+    /// The calls a second offered, answered in time, and refused, by all loaders together.
+    fn rates(&self) -> [f64; 3] {
+        self.sums.map(|sum| sum / self.phases * LOADERS as f64)
+    }
+
+    fn in_time(&self) -> f64 {
+        let [_, in_time, _] = self.rates();
+        in_time
+    }
+
     fn figures(&self, peak: f64) -> Figures {
-        let [offered, in_time, refused] = self.sums.map(|sum| sum / self.phases * LOADERS as f64);
+        let [offered, in_time, refused] = self.rates();
         let mut figures = Figures::default();
         figures.add("phases", self.phases);
         figures.add("peak/s", peak);
