@@ -28,7 +28,7 @@ namespace wayfold {
 // Solves and grows like PRM; use it through this type or a base::Planner, because og::PRM's own methods that grow the
 // roadmap do not report errors of the index. Each planner opens the index for itself: what others stored meanwhile is
 // told once. Start and goal states are vertices of this process alone. An error of the index ends the call, which throws
-// it (wayfold::Error); so do all further calls until `clear`.
+// it (wayfold::Error); so do all further calls until `clear`, except after a `flush` that was late: call it again.
 class SharedPRM : public detail::SharedRoadmap {
     using Condition = ompl::base::PlannerTerminationCondition;
 

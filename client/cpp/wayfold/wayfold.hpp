@@ -249,14 +249,15 @@ public:
         }
         return neighbors;
     }
-    // Writes the neighbours into the caller's buffers, which grow and never shrink, and returns their number.
+    // Writes the neighbours into the caller's buffers, which grow and never shrink, and returns their number. More than
+    // expected are searched for again, and a timeout of the search begins again.
     // `distances` and `read_revision` may be null.
     std::size_t search_into(const double *state, const Search &search, std::vector<std::uint64_t> &ids,
                             std::vector<double> *distances = nullptr, std::uint64_t *read_revision = nullptr) const {
         std::size_t capacity = std::max<std::size_t>({ids.size(), 16});
-        if (search.raw().k > capacity) {
-            capacity = std::min<std::size_t>(search.raw().k, std::max<std::size_t>(size(), 16));
-        }
+        // A call for the size of a remote index would have a timeout of its own.
+        constexpr std::size_t MOST_AT_FIRST = 65'536;
+        capacity = std::max(capacity, std::min<std::size_t>(search.raw().k, MOST_AT_FIRST));
         for (;;) {
             ids.resize(std::max(ids.size(), capacity));
             if (distances != nullptr) {

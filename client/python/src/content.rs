@@ -9,6 +9,7 @@ use wayfold::{Factor, InsertOptions};
 use crate::{
     error::invalid,
     index::{Form, Index},
+    query::later_row,
     space::of_argument,
 };
 
@@ -99,8 +100,10 @@ pub(crate) fn restore(
     }
     let index = Index::in_memory(py, &space, is_inline)?;
     index.call(py, |index| {
-        for ((&id, &tag), row) in ids.iter().zip(&tags).zip(states.chunks_exact(width)) {
-            index.insert_with(row, InsertOptions::new().id(id).tag(tag))?;
+        let rows = states.chunks_exact(width).enumerate();
+        for ((&id, &tag), (number, row)) in ids.iter().zip(&tags).zip(rows) {
+            let inserted = index.insert_with(row, InsertOptions::new().id(id).tag(tag));
+            inserted.map_err(|error| later_row(error, number))?;
         }
         for (id, payload) in payloads {
             index.set_payload(id, payload)?;

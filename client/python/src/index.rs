@@ -19,7 +19,7 @@ use crate::{
         Changes, ConnectionStatus, InsertedPoint, MeanwhileAnswers, Neighbor, SearchResult,
         StoredPoint, StoredPoints, UnsentWrite,
     },
-    query,
+    query::{self, workers_of},
     rows::Rows,
     search::{Radius, Search, id_of, k_of, seconds, since_of, tag_of},
     space::{Space, of_argument},
@@ -179,9 +179,12 @@ impl Index {
     }
 
     /// The `k` nearest points, nearest first.
-    fn nearest_k(&self, state: &Bound<'_, PyAny>, k: i64) -> PyResult<SearchResult> {
-        let search = wayfold::Search::k(k_of(state.py(), k)?);
-        self.found(state, &search)
+    fn nearest_k(
+        &self,
+        state: &Bound<'_, PyAny>,
+        #[pyo3(from_py_with = k_of)] k: u32,
+    ) -> PyResult<SearchResult> {
+        self.found(state, &wayfold::Search::k(k))
     }
 
     /// All points at distance `radius` or nearer, nearest first.
@@ -255,9 +258,8 @@ impl Index {
         k: Option<&Bound<'py, PyAny>>,
         eps: f64,
         distance_upper_bound: f64,
-        workers: i64,
+        #[pyo3(from_py_with = workers_of)] workers: usize,
     ) -> PyResult<Bound<'py, PyTuple>> {
-        let workers = query::workers(x.py(), workers)?;
         query::nearest(
             self,
             x,
@@ -277,11 +279,10 @@ impl Index {
         x: &Bound<'py, PyAny>,
         r: &Bound<'py, PyAny>,
         eps: f64,
-        workers: i64,
+        #[pyo3(from_py_with = workers_of)] workers: usize,
         return_sorted: Option<bool>,
         return_length: bool,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let workers = query::workers(x.py(), workers)?;
         let ball = query::Ball {
             eps,
             workers,

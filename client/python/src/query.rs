@@ -5,7 +5,7 @@ use std::{num::NonZero, ops::Range, panic, sync::Arc, thread};
 use numpy::{PyArrayDyn, ndarray::ArrayD};
 use pyo3::{
     IntoPyObjectExt,
-    exceptions::PyMemoryError,
+    exceptions::{PyMemoryError, PyTypeError},
     prelude::*,
     sync::PyOnceLock,
     types::{PyList, PyTuple},
@@ -17,7 +17,7 @@ use crate::{
     index::{Form, Index},
     points::column,
     rows::Rows,
-    search::k_of,
+    search::{k_of, saturated},
 };
 
 /// The arguments of `query` besides the states and `k`.
@@ -162,11 +162,12 @@ enum Ranks {
 impl Ranks {
     fn of(k: &Bound<'_, PyAny>) -> PyResult<Ranks> {
         let py = k.py();
-        let one = |k: i64| k_of(py, k).map(|k| k as usize);
-        if let Ok(k) = k.extract() {
-            return Ok(Ranks::First(one(k)?));
+        let one = |k: &Bound<'_, PyAny>| k_of(k).map(|k| k as usize);
+        match one(k) {
+            Err(error) if error.is_instance_of::<PyTypeError>(py) => {}
+            one => return one.map(Ranks::First),
         }
-        let ranks = k.try_iter()?.map(|k| one(k?.extract()?));
+        let ranks = k.try_iter()?.map(|k| one(&k?));
         let ranks = ranks.collect::<PyResult<Vec<_>>>()?;
         match ranks.is_empty() {
             true => Err(invalid(py, "k: an empty list")),
@@ -270,12 +271,12 @@ fn check_number(py: Python<'_>, field: &str, number: f64) -> PyResult<()> {
 }
 
 /// The number of threads of an argument `workers`.
-pub(crate) fn workers(py: Python<'_>, workers: i64) -> PyResult<usize> {
-    match workers {
+pub(crate) fn workers_of(workers: &Bound<'_, PyAny>) -> PyResult<usize> {
+    match saturated(workers)? {
         -1 => Ok(thread::available_parallelism().map_or(1, NonZero::get)),
-        1.. => Ok(usize::try_from(workers).unwrap_or(usize::MAX)),
+        number @ 1.. => Ok(usize::try_from(number).unwrap_or(usize::MAX)),
         _ => Err(invalid(
-            py,
+            workers.py(),
             &format!("workers: {workers}; it is -1, for all processors, or at least 1"),
         )),
     }
@@ -333,7 +334,7 @@ fn by_workers(
 }
 
 /// The error of a part whose first row is row `first` of the call.
-fn later_row(error: Error, first: usize) -> Error {
+pub(crate) fn later_row(error: Error, first: usize) -> Error {
     match error {
         Error::State { row, error } => Error::State {
             row: row + first,

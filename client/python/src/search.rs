@@ -20,7 +20,7 @@ impl Search {
     #[expect(clippy::too_many_arguments, reason = "each has a name in Python")]
     fn new(
         py: Python<'_>,
-        k: Option<i64>,
+        k: Option<&Bound<'_, PyAny>>,
         k_factor: Option<f64>,
         radius: Option<Radius<'_>>,
         #[pyo3(from_py_with = tag_of)] tag: Option<(u64, u64)>,
@@ -31,7 +31,7 @@ impl Search {
         let radius = radius.map(wayfold::Radius::from);
         let mut search = match (k, k_factor) {
             (Some(_), Some(_)) => return Err(invalid(py, "k, k_factor: a search has one of them")),
-            (Some(k), None) => wayfold::Search::k(k_of(py, k)?),
+            (Some(k), None) => wayfold::Search::k(k_of(k)?),
             (None, Some(factor)) => wayfold::Search::k_factor(factor),
             (None, None) => match radius {
                 Some(radius) => wayfold::Search::within(radius),
@@ -133,11 +133,28 @@ impl Scaling {
 }
 
 /// A number of neighbours.
-pub(crate) fn k_of(py: Python<'_>, k: i64) -> PyResult<u32> {
-    match u32::try_from(k) {
+pub(crate) fn k_of(k: &Bound<'_, PyAny>) -> PyResult<u32> {
+    let number = saturated(k)?;
+    match u32::try_from(number) {
         Ok(k) if k > 0 => Ok(k),
-        _ if k > 0 => Err(invalid(py, &format!("k: {k}; it is at most {}", u32::MAX))),
-        _ => Err(invalid(py, &format!("k: {k}; it is at least 1"))),
+        _ if number > 0 => Err(invalid(
+            k.py(),
+            &format!("k: {k}; it is at most {}", u32::MAX),
+        )),
+        _ => Err(invalid(k.py(), &format!("k: {k}; it is at least 1"))),
+    }
+}
+
+/// A whole number, or the nearest one of 64 bits.
+pub(crate) fn saturated(number: &Bound<'_, PyAny>) -> PyResult<i64> {
+    match number.extract::<i64>() {
+        Err(error) if error.is_instance_of::<PyOverflowError>(number.py()) => {
+            Ok(match number.lt(0)? {
+                true => i64::MIN,
+                false => i64::MAX,
+            })
+        }
+        extracted => extracted,
     }
 }
 

@@ -125,8 +125,9 @@ def test_a_saved_file_has_the_permissions_of_any_other(tmp_path: Path) -> None:
     assert len(wayfold.Index.load(link)) == len(index)
 
 
-def test_no_point_has_a_negative_id() -> None:
+def test_no_point_has_an_id_out_of_range() -> None:
     index = plane()
+    assert all(id not in index for id in (2**63, 2**64 - 1, 2**64))
     _, ids = index.query([0.0, 0.0], len(index) + 2)
     assert ids[-1] == -1 and ids[-1] not in index
     assert index.payloads(ids)[-2:] == [None, None]
@@ -148,6 +149,10 @@ def test_a_number_out_of_range_is_named(wrong: int) -> None:
     for field, call in calls.items():
         with pytest.raises(wayfold.InvalidArgument, match=f"{field}: {wrong}; numbers are at least 0"):
             call()
+    k = rf"k: {wrong}; it is at (least 1|most 4294967295)"
+    for search in (lambda: wayfold.Search(wrong), lambda: index.nearest_k([0, 0], wrong), lambda: index.query([0, 0], wrong)):
+        with pytest.raises(wayfold.InvalidArgument, match=k):
+            search()
     with pytest.raises(wayfold.InvalidArgument, match=f"tag: {wrong};"):
         index.set_tag(0, wrong)
     with pytest.raises(wayfold.InvalidArgument, match=rf"tag: \({wrong}, 5\);"):
@@ -175,6 +180,13 @@ def test_a_wrong_file_is_refused(tmp_path: Path) -> None:
     with open(path, "wb") as file:
         np.savez(file, states=np.zeros(3))
     with pytest.raises(ValueError, match="not the file of an index"):
+        wayfold.Index.load(path)
+    plane().save(path)
+    content = dict(np.load(path))
+    content["states"][1, 1] = np.nan
+    with open(path, "wb") as file:
+        np.savez(file, **content)
+    with pytest.raises(ValueError, match=r"states\[1\]\.coords\[1\]: NaN"):
         wayfold.Index.load(path)
 
 

@@ -38,6 +38,14 @@ def test_a_translation_and_a_rotation_are_a_state_of_se3() -> None:
     assert index.insert_many([([0, 0, 0], turn), ([1, 1, 1], turn)]).shape == (2,)
 
 
+def test_a_tuple_of_rotations_is_a_state_of_as_many() -> None:
+    index = wayfold.Index("SO3*SO3")
+    one, two = Rotation.from_euler("xz", [[10, 0], [0, 20]], degrees=True)
+    assert index.insert_many([(one, two), (two, one)]).tolist() == [0, 1]
+    assert index.query((two, one))[1] == 1
+    assert index.query((Rotation.concatenate([two, one]), one))[1].tolist() == [1, 0]
+
+
 def test_rigid_transforms_of_scipy_are_states_of_se3() -> None:
     index = wayfold.Index(spaces.SE3())
     turns = Rotation.from_euler("z", [[0], [90]], degrees=True)

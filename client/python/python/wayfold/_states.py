@@ -15,9 +15,9 @@ _QUATERNION = ("qx", "qy", "qz", "qw")
 
 def to_array(states: Any, names: tuple[str, ...]) -> npt.NDArray[np.float64]:
     """The states as an array of shape (..., m). `names` are the names of the coordinates of the space."""
-    if _has_rotation(states):
+    if _has_rotation(states, names):
         return _compose(states, names)
-    if isinstance(states, (list, tuple)) and any(map(_has_rotation, states)):
+    if isinstance(states, (list, tuple)) and any(_has_rotation(state, names) for state in states):
         return np.stack([to_array(state, names) for state in states])
     try:
         # Aligned numbers in the byte order of this machine.
@@ -42,8 +42,8 @@ def array_of_lists(lists: list[list[int]], shape: Sequence[int]) -> npt.NDArray[
     return array.reshape(tuple(shape))
 
 
-def _has_rotation(state: Any) -> bool:
-    return _is_rotation(state) or _is_transform(state) or _is_composed(state)
+def _has_rotation(state: Any, names: tuple[str, ...]) -> bool:
+    return _is_rotation(state) or _is_transform(state) or _is_composed(state, names)
 
 
 def _is_rotation(state: Any) -> bool:
@@ -55,9 +55,12 @@ def _is_transform(state: Any) -> bool:
     return hasattr(state, "as_components")
 
 
-def _is_composed(state: Any) -> bool:
+def _is_composed(state: Any, names: tuple[str, ...]) -> bool:
     """True for the parts of a state, one of which is a rotation: a translation and a rotation."""
-    return isinstance(state, tuple) and any(map(_is_rotation, state)) and not all(map(_is_rotation, state))
+    if not isinstance(state, tuple) or not any(map(_is_rotation, state)):
+        return False
+    # Rotations alone are as many states, unless a state has as many of them.
+    return not all(map(_is_rotation, state)) or len(names) == len(_QUATERNION) * len(state) > len(_QUATERNION)
 
 
 def _compose(state: Any, names: tuple[str, ...]) -> npt.NDArray[np.float64]:
