@@ -88,14 +88,20 @@ impl Remote {
     /// The points of these ids with some columns, or none if the id is not stored.
     fn point(&self, id: u64, include: Include) -> Result<Option<crate::Points>, Error> {
         let index = self.index.clone();
-        let read = wait_for(async move { index.get([id]).include(include).await });
-        found(read)
+        found(id, async move { index.get([id]).include(include).await })
     }
 }
 
-/// None if the answer is that an id is not stored.
-fn found<T>(answer: Result<T, Error>) -> Result<Option<T>, Error> {
-    match answer {
+/// Makes a call about the point of this id; None if there is none.
+fn found<T: Send + 'static>(
+    id: u64,
+    call: impl Future<Output = Result<T, Error>> + Send + 'static,
+) -> Result<Option<T>, Error> {
+    // The server refuses the ids that no point can have.
+    if id >= wayfold_proto::END_OF_IDS {
+        return Ok(None);
+    }
+    match wait_for(call) {
         Err(error)
             if error.code() == Code::NotFound && error.reason() == Some("POINTS_NOT_FOUND") =>
         {
@@ -229,19 +235,18 @@ impl NearestNeighbors for Remote {
 
     fn remove(&self, id: u64) -> Result<bool, Error> {
         let remove = self.index.remove([id]);
-        Ok(wait_for(async move { remove.await })?.removed_count > 0)
+        let removed = found(id, async move { remove.await })?;
+        Ok(removed.is_some_and(|removed| removed.removed_count > 0))
     }
 
     fn set_tag(&self, id: u64, tag: u64) -> Result<bool, Error> {
         let update = self.index.update([id]).tags([tag]);
-        let updated = wait_for(async move { update.await });
-        Ok(found(updated)?.is_some())
+        Ok(found(id, async move { update.await })?.is_some())
     }
 
     fn set_payload(&self, id: u64, payload: &[u8]) -> Result<bool, Error> {
         let update = self.index.update([id]).payloads([payload.to_vec()]);
-        let updated = wait_for(async move { update.await });
-        Ok(found(updated)?.is_some())
+        Ok(found(id, async move { update.await })?.is_some())
     }
 
     fn get(&self, id: u64) -> Result<Option<Point>, Error> {

@@ -123,8 +123,9 @@ impl Link {
     pub(super) fn may_lag(&self, error: &Error) -> bool {
         let has_others = match &self.transport {
             Transport::Grpc(client) => client.connections().are_several(),
+            // A prefix may be that of a cluster.
             #[cfg(feature = "zenoh")]
-            Transport::Zenoh(_) => false,
+            Transport::Zenoh(_) => true,
         };
         let is_missing = error.code() == Code::NotFound;
         has_others && (is_missing || error.reason() == Some("UID_MISMATCH"))

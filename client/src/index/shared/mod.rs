@@ -246,7 +246,7 @@ impl NearestNeighbors for SharedIndex {
     fn payloads(&self, ids: &[u64]) -> Result<Vec<Option<Vec<u8>>>, Error> {
         self.core.check_readable()?;
         let mut payloads = vec![None; ids.len()];
-        let (mut positions, mut missing) = (Vec::new(), Vec::new());
+        let mut missing = Vec::new();
         {
             let writer = self.core.writer.lock();
             let points = self.core.points.read();
@@ -259,21 +259,27 @@ impl NearestNeighbors for SharedIndex {
                 let payload = pending.get(&id).copied().flatten();
                 payloads[at] = payload.map(<[u8]>::to_vec);
                 if payloads[at].is_none() {
-                    positions.push(at);
-                    missing.push(id);
+                    missing.push((id, at));
                 }
             }
         }
         if missing.is_empty() {
             return Ok(payloads);
         }
+        // The server answers each id once.
+        missing.sort_unstable();
+        let mut ids: Vec<u64> = missing.iter().map(|(id, _)| *id).collect();
+        ids.dedup();
         let core = Arc::clone(&self.core);
-        let answers = wait_for(async move {
+        let (ids, answers) = wait_for(async move {
             let (index, at) = core.published.lock().clone();
-            core.link.payloads(&index, at, &missing).await
+            let answers = core.link.payloads(&index, at, &ids).await?;
+            Ok((ids, answers))
         })?;
-        for (at, answer) in positions.into_iter().zip(answers) {
-            payloads[at] = answer;
+        let mut answers = ids.into_iter().zip(answers).peekable();
+        for (id, at) in missing {
+            while answers.next_if(|(answered, _)| *answered < id).is_some() {}
+            payloads[at] = answers.peek().and_then(|(_, payload)| payload.clone());
         }
         Ok(payloads)
     }

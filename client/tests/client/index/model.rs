@@ -2,7 +2,7 @@
 
 mod states;
 
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
@@ -74,6 +74,14 @@ impl Model {
             Some(&id) if self.rng.random_bool(0.9) => id,
             // Far from the ids that an index assigns.
             _ => (1 << 40) + self.rng.random_range(0..2_000),
+        }
+    }
+
+    /// An id that a call may name; no point can have some.
+    fn named_id(&mut self) -> u64 {
+        match self.rng.random_bool(0.05) {
+            true => (1 << 63) + self.rng.random_range(0..2),
+            false => self.some_id(),
         }
     }
 
@@ -162,7 +170,7 @@ impl Model {
     }
 
     fn remove(&mut self) {
-        let id = self.some_id();
+        let id = self.named_id();
         let removed = self.index.remove(id).unwrap();
         assert_eq!(removed, self.points.remove(id));
         self.payloads.remove(&id);
@@ -173,7 +181,7 @@ impl Model {
     }
 
     fn replace(&mut self) {
-        let (id, state) = (self.some_id(), self.state());
+        let (id, state) = (self.named_id(), self.state());
         let row = self.canonical(&state);
         if self.points.get(id).is_some_and(|point| point.row == row) {
             // The forms differ in whether that is a change.
@@ -190,7 +198,7 @@ impl Model {
     }
 
     fn set_tag(&mut self) {
-        let (id, tag) = (self.some_id(), self.rng.random_range(0..4));
+        let (id, tag) = (self.named_id(), self.rng.random_range(0..4));
         let is_stored = self.index.set_tag(id, tag).unwrap();
         let point = self.points.get(id).map(PointRef::to_point);
         assert_eq!(is_stored, point.is_some());
@@ -201,7 +209,7 @@ impl Model {
     }
 
     fn set_payload(&mut self) {
-        let (id, payload) = (self.some_id(), self.payload());
+        let (id, payload) = (self.named_id(), self.payload());
         let old = self.payloads.get(&id).cloned().unwrap_or_default();
         if old == payload {
             // The forms differ in whether that is a change.
@@ -217,7 +225,7 @@ impl Model {
     }
 
     fn get(&mut self) {
-        let id = self.some_id();
+        let id = self.named_id();
         let found = self.index.get(id).unwrap();
         let found = found
             .as_ref()
@@ -232,8 +240,7 @@ impl Model {
             .get(id)
             .map(|_| self.payloads.get(&id).cloned().unwrap_or_default());
         assert_eq!(self.index.payload(id).unwrap(), payload);
-        let ids = BTreeSet::from([id, self.some_id(), self.some_id()]);
-        let ids = Vec::from_iter(ids);
+        let ids = [id, self.named_id(), id, self.named_id()];
         let payloads = ids.iter().map(|&id| {
             let stored = self.points.get(id);
             stored.map(|_| self.payloads.get(&id).cloned().unwrap_or_default())
