@@ -50,6 +50,7 @@ mod sessions;
 mod slow_disk;
 mod snapshot;
 mod storage_failure;
+mod store;
 mod support;
 #[path = "../log/tables.rs"]
 mod tables;

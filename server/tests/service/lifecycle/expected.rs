@@ -7,10 +7,9 @@ use rand::{RngExt, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
 use wayfold_proto::{snapshot::Header, space, v1};
 
-use super::mutation::{Mutation, Reply};
 use crate::{
     model::Model,
-    random::Requests,
+    random::{Mutation, Reply, Requests},
     support::revision,
     support::snapshots::{SnapshotContent, read},
 };

@@ -2,24 +2,24 @@
 //! the models.
 
 mod expected;
-mod mutation;
 mod server_run;
-mod store;
 
-use std::{env, ops::Range, sync::Arc};
+use std::{env, ops::Range};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold_server::{
-    log::MemoryLog,
     registry::RegistryOptions,
     service::{Limits, Service},
 };
 
-use crate::{fault::FaultLog, support::*};
+use crate::{
+    fault::FaultLog,
+    store::{End, Store},
+    support::*,
+};
 use expected::Expected;
 use server_run::ServerRun;
-use store::{End, Store};
 
 const SERVER_RUNS: u64 = 6;
 
@@ -85,9 +85,7 @@ fn run_all(place: &str, usual: u64, store: impl Fn(u64) -> Store) {
 
 #[test]
 fn indices_agree_with_their_models_in_memory() {
-    run_all("in memory", 40, |_| {
-        Store::Memory(Arc::new(MemoryLog::new()))
-    });
+    run_all("in memory", 40, |_| Store::in_memory());
 }
 
 #[test]

@@ -5,13 +5,10 @@ use wayfold_index::Space;
 use wayfold_proto::v1;
 use wayfold_server::service::{Code, Restoring, Service, Snapshot};
 
-use super::{
-    expected::{Expected, Operation, TakenSnapshot, assert_holds, described},
-    mutation::Mutation,
-};
+use super::expected::{Expected, Operation, TakenSnapshot, assert_holds, described};
 use crate::{
     model::Model,
-    random::{assert_same, compare},
+    random::{assert_same, compare, refused},
     support::snapshots::{settled, verification, verify},
     support::*,
     verify::hash_of,
@@ -144,14 +141,8 @@ impl<'a> ServerRun<'a> {
         let kept = self.world.indexes.get_mut(name).unwrap();
         // These ids occur in copies and in former states of the index too.
         let operation_id = format!("op {}", kept.operations.len());
-        let mutation = Mutation::draw(
-            &mut self.world.random,
-            &mut requests,
-            kept.model.revision,
-            operation_id,
-        );
         kept.operations.push(Operation {
-            mutation,
+            mutation: requests.mutation(kept.model.revision, operation_id),
             reply: None,
             changed: false,
         });
@@ -182,7 +173,7 @@ impl<'a> ServerRun<'a> {
     async fn send(&mut self, name: &str, at: usize) {
         let kept = self.world.indexes.get_mut(name).unwrap();
         let mutation = kept.operations[at].mutation.clone();
-        let reply = mutation.send(&self.service).await;
+        let reply = refused(mutation.send(&self.service).await);
         assert_eq!(reply, kept.apply(at), "{mutation:?}");
     }
 

@@ -1,21 +1,18 @@
-//! Several sessions write random batches beside plain calls. Each answer, read and mutation of the feed equals the
-//! model's. Batches are retried, and the server restarts meanwhile.
+//! Random plain calls, alone or beside several sessions that write batches. Each answer, read and mutation of the feed
+//! equals the model's. Batches are retried, scans are paused, and the server restarts meanwhile.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{collections::BTreeMap, mem};
 
 use rand::RngExt;
 use wayfold_index::Space;
 use wayfold_proto::v1::{self, StepKind};
-use wayfold_server::{
-    log::{Durability, FjallLog, Log, MemoryLog},
-    service::{Code, Error, Limits, Service},
-};
+use wayfold_server::service::{Code, Error, Limits, Scan, Service};
 
 use super::{Opened, batch, model::SessionModel, open, refused_batch};
 use crate::{
-    copied::copied,
     model::{Model, Point},
-    random::{Requests, assert_same, compare},
+    random::{Mutation, Requests, assert_same, compare, refused},
+    store::{End, Store},
     support::*,
 };
 
@@ -160,49 +157,16 @@ async fn feed(
     mutations
 }
 
-/// A service over a log, and what its restart needs.
-struct Store {
-    log: Log,
-    /// The directories of the log and of its predecessors, which their services still have open.
-    directories: Vec<tempfile::TempDir>,
-    on_disk: bool,
+/// Finishes a scan that began when the index had the content of `expected`.
+async fn finish((mut scan, expected): (Scan, v1::ScanResponse)) {
+    assert_same(scan.next().await.unwrap(), Ok(expected), "a scan");
+    assert!(scan.next().await.is_none());
 }
 
-impl Store {
-    fn new(on_disk: bool) -> Self {
-        let directory = tempfile::tempdir().unwrap();
-        let log = match on_disk {
-            true => open_log(&directory),
-            false => Arc::new(MemoryLog::new()).into(),
-        };
-        let directories = vec![directory];
-        Self {
-            log,
-            directories,
-            on_disk,
-        }
-    }
-
-    /// A service over the records that the last one left, as a crash leaves them.
-    fn restart(&mut self) -> Service {
-        if self.on_disk
-            && let Some(newest) = self.directories.last()
-        {
-            let copy = copied(newest.path());
-            self.log = open_log(&copy);
-            self.directories.push(copy);
-        }
-        restarted(self.log.clone())
-    }
-}
-
-fn open_log(directory: &tempfile::TempDir) -> Log {
-    Arc::new(FjallLog::open(directory.path(), Durability::Fsync).unwrap()).into()
-}
-
-async fn run(space: &str, seed: u64, on_disk: bool, steps: usize) {
-    let mut store = Store::new(on_disk);
-    let mut service = service_with(store.log.clone(), Limits::default());
+async fn run(space: &str, seed: u64, sessions: bool, mut store: Store) {
+    // Former services may still have their stores open.
+    let mut former = Vec::new();
+    let mut service = restarted(store.open());
     let uid = create(&service, "arm", space).await;
     let space: Space = space.parse().unwrap();
     let mut requests = Requests::new(seed, &space, &uid);
@@ -212,24 +176,29 @@ async fn run(space: &str, seed: u64, on_disk: bool, steps: usize) {
         idle_seconds: Limits::default().max_session_idle_seconds,
     };
     let mut history: History = vec![Entry::default()];
-    let first = v1::InsertRequest {
-        index_name: "arm".into(),
-        states: requests.states(1),
-        ids: vec![FIRST_RESERVED - 1],
-        ..Default::default()
-    };
-    service.insert(&CALL, first.clone()).await.unwrap();
-    model.model.insert(&first).unwrap();
-    history.push(Entry {
-        points: model.model.points.clone(),
-        ..Entry::default()
-    });
+    if sessions {
+        let first = Mutation::Insert(v1::InsertRequest {
+            index_name: "arm".into(),
+            states: requests.states(1),
+            ids: vec![FIRST_RESERVED - 1],
+            ..Default::default()
+        });
+        let answer = refused(first.send(&service).await);
+        assert_eq!(answer, first.apply(&mut model.model));
+        history.push(Entry {
+            points: model.model.points.clone(),
+            ..Entry::default()
+        });
+    }
     let mut writers: Vec<Writer> = Vec::new();
+    let mut scans = Vec::new();
+    // The kinds of steps below 11 need sessions, so a run without them takes fewer steps.
+    let (first_kind, steps) = if sessions { (0, 110) } else { (11, 66) };
     for _ in 0..steps {
         let revision = model.model.revision;
         let mut made_by = (0, 0);
         let at = requests.random.random_range(0..writers.len().max(1));
-        match requests.random.random_range(0..16) {
+        match requests.random.random_range(first_kind..22) {
             0 => {
                 let reserve_count = requests.random.random_range(0..5);
                 let (opened, response) = open(&service, &uid, reserve_count).await;
@@ -276,34 +245,29 @@ async fn run(space: &str, seed: u64, on_disk: bool, steps: usize) {
                     assert_eq!(refused, (Code::FailedPrecondition, "BATCH_OUT_OF_ORDER"));
                 }
             }
-            11 | 12 => {
-                let request = requests.insert(revision);
-                let answer = service.insert(&CALL, request.clone()).await;
-                assert_same(
-                    answer,
-                    model.model.insert(&request),
-                    &format!("{request:?}"),
-                );
+            11..=18 => {
+                let mutation = requests.mutation(revision, String::new());
+                let answer = refused(mutation.send(&service).await);
+                assert_eq!(answer, mutation.apply(&mut model.model), "{mutation:?}");
             }
-            13 => {
-                let request = requests.update(revision);
-                let answer = service.update(&CALL, request.clone()).await;
-                assert_same(
-                    answer,
-                    model.model.update(&request),
-                    &format!("{request:?}"),
-                );
+            19 => {
+                let request = requests.scan(revision);
+                let scan = service.scan(&CALL, request.clone()).await.unwrap();
+                scans.push((scan, model.model.scan(&request)));
             }
-            14 => {
-                let request = requests.remove();
-                let answer = service.remove(&CALL, request.clone()).await;
-                assert_same(
-                    answer,
-                    Ok(model.model.remove(&request)),
-                    &format!("{request:?}"),
-                );
+            20 if !scans.is_empty() => {
+                let at = requests.random.random_range(0..scans.len());
+                finish(scans.swap_remove(at)).await;
             }
-            _ if requests.random.random_bool(0.3) => service = store.restart(),
+            21 if requests.random.random_bool(0.3) => {
+                for scan in scans.drain(..) {
+                    finish(scan).await;
+                }
+                if let Some(left) = store.left(End::Crash) {
+                    former.push(mem::replace(&mut store, left));
+                }
+                service = restarted(store.open());
+            }
             _ => {}
         }
         if model.model.revision > revision {
@@ -317,6 +281,9 @@ async fn run(space: &str, seed: u64, on_disk: bool, steps: usize) {
         }
         compare(&service, &model.model, &mut requests).await;
     }
+    for scan in scans {
+        finish(scan).await;
+    }
     assert_same(
         Ok(everything(&service).await),
         Ok(model.model.scan(&scanning())),
@@ -325,21 +292,29 @@ async fn run(space: &str, seed: u64, on_disk: bool, steps: usize) {
     compare_feed(&service, &uid, &history, &writers).await;
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn every_answer_to_a_session_is_the_models() {
-    for space in ["R1", "R2*SO2", "sum(R2, SO3)"] {
-        for seed in 0..40 {
+async fn run_all(spaces: &[&str], seeds: u64, sessions: bool, store: fn() -> Store) {
+    for space in spaces {
+        for seed in 0..seeds {
             // The output is shown only if the test fails.
             println!("space {space}, seed {seed}");
-            run(space, seed, false, 80).await;
+            run(space, seed, sessions, store()).await;
         }
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_answer_is_the_models() {
+    let spaces = ["R1", "SO2[1]", "R2*SO2", "R3*SO3:0.15", "sum(R2, SO3)"];
+    run_all(&spaces, 40, false, Store::in_memory).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_answer_to_a_session_is_the_models() {
+    let spaces = ["R1", "R2*SO2", "sum(R2, SO3)"];
+    run_all(&spaces, 40, true, Store::in_memory).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_answer_is_the_models_on_a_disk_too() {
-    for seed in 0..4 {
-        println!("seed {seed}");
-        run("R2*SO2", seed, true, 80).await;
-    }
+    run_all(&["R2*SO2"], 4, true, Store::on_disk).await;
 }

@@ -6,9 +6,9 @@ use wayfold_server::log::{Durability, FjallLog, Log, MemoryLog};
 
 use crate::{copied::copied, fault::FaultLog};
 
-pub(super) enum Store {
-    /// The store on disk outlives the servers over it.
+pub(crate) enum Store {
     Memory(Arc<MemoryLog>),
+    /// The store on disk outlives the servers over it.
     Disk(tempfile::TempDir),
     /// A log in memory that can lose its power.
     Faulty(FaultLog),
@@ -16,17 +16,21 @@ pub(super) enum Store {
 
 /// The end of a server.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum End {
+pub(crate) enum End {
     Orderly,
     Crash,
 }
 
 impl Store {
-    pub(super) fn on_disk() -> Self {
+    pub(crate) fn in_memory() -> Self {
+        Self::Memory(Arc::new(MemoryLog::new()))
+    }
+
+    pub(crate) fn on_disk() -> Self {
         Self::Disk(tempfile::tempdir().unwrap())
     }
 
-    pub(super) fn open(&self) -> Log {
+    pub(crate) fn open(&self) -> Log {
         match self {
             Self::Memory(log) => Arc::clone(log).into(),
             Self::Disk(directory) => {
@@ -37,7 +41,7 @@ impl Store {
     }
 
     /// The store that is left if the server ends in its present state. The server still runs.
-    pub(super) fn left(&self, end: End) -> Option<Self> {
+    pub(crate) fn left(&self, end: End) -> Option<Self> {
         match (self, end) {
             (Self::Disk(directory), End::Crash) => Some(Self::Disk(copied(directory.path()))),
             _ => None,
@@ -45,7 +49,7 @@ impl Store {
     }
 
     /// Closes the store; call it once the server has ended.
-    pub(super) fn close(&self, end: End) {
+    pub(crate) fn close(&self, end: End) {
         match (self, end) {
             (Self::Faulty(log), End::Crash) => log.cut(),
             (Self::Faulty(log), End::Orderly) => log.close_and_open(),
