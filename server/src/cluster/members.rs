@@ -18,7 +18,7 @@ use futures_util::{StreamExt, stream};
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use tokio::{
-    sync::watch,
+    sync::{broadcast, watch},
     time::{MissedTickBehavior, interval, timeout},
 };
 use tokio_util::task::AbortOnDropHandle;
@@ -38,6 +38,9 @@ const MAX_HEARING_TIME: Duration = Duration::from_secs(5);
 
 /// A member that has not announced itself for this long is gone.
 const LEASE: Duration = Duration::from_secs(2);
+
+/// The members that may become silent at once before a call that waits for an answer hears of it.
+const MAX_SILENT: usize = 64;
 
 /// A member's announcement.
 #[derive(Debug, Serialize, Deserialize)]
@@ -66,6 +69,8 @@ pub(super) struct Members {
 /// What the task that follows the members notes.
 struct Shared {
     live: watch::Sender<Live>,
+    /// The members that have become silent.
+    silent: broadcast::Sender<String>,
     /// True if all live members have been heard.
     hears_all: watch::Sender<bool>,
     /// The number of times that they changed, from 1 on.
@@ -80,6 +85,7 @@ impl Members {
         let run = Uid::unique().to_string();
         let shared = Arc::new(Shared {
             live: watch::Sender::default(),
+            silent: broadcast::Sender::new(MAX_SILENT),
             hears_all: watch::Sender::new(false),
             changes: AtomicU64::new(1),
             is_serving: AtomicBool::new(false),
@@ -154,11 +160,11 @@ impl Members {
         let _ = timeout(MAX_HEARING_TIME, hears_all.wait_for(|it| *it)).await;
     }
 
-    /// Waits until a member is gone.
-    pub(super) async fn departure(&self, member: &str) {
-        let mut live = self.shared.live.subscribe();
+    /// Waits until a member is not heard any more. One that says that it leaves ends its calls first.
+    pub(super) async fn silence(&self, member: &str) {
+        let mut silent = self.shared.silent.subscribe();
         // The sender lives as long as this.
-        let _ = live.wait_for(|live| !live.contains_key(member)).await;
+        while silent.recv().await.as_deref() != Ok(member) {}
     }
 }
 
@@ -191,6 +197,7 @@ async fn follow(
 ) {
     let Shared {
         live,
+        silent,
         hears_all,
         changes,
         is_serving,
@@ -235,8 +242,13 @@ async fn follow(
             }
         }
         let now = Instant::now();
-        if expire(live, now) {
+        let expired = expire(live, now);
+        if !expired.is_empty() {
             changes.fetch_add(1, Relaxed);
+        }
+        for member in expired {
+            // Nobody may wait for it.
+            let _ = silent.send(member);
         }
         hears_itself_since = match live.borrow().contains_key(&own.address) {
             true => hears_itself_since.or(Some(now)),
@@ -274,19 +286,21 @@ fn note(live: &watch::Sender<Live>, member: Announcement, is_own: bool) -> bool 
     })
 }
 
-/// Forgets the members that have been silent for too long; true if there are such.
-fn expire(live: &watch::Sender<Live>, now: Instant) -> bool {
+/// Forgets the members that have been silent for too long, and returns them.
+fn expire(live: &watch::Sender<Live>, now: Instant) -> Vec<String> {
+    let mut expired = Vec::new();
     live.send_if_modified(|live| {
-        let before = live.len();
         live.retain(|address, heard| {
             let is_live = now.saturating_duration_since(*heard) < LEASE;
             if !is_live {
                 info!(address, "a server of the cluster is not heard");
+                expired.push(address.clone());
             }
             is_live
         });
-        live.len() < before
-    })
+        !expired.is_empty()
+    });
+    expired
 }
 
 #[cfg(test)]
@@ -326,9 +340,9 @@ mod tests {
         assert!(!note(&live, said("b:1", true), false));
         assert!(note(&live, said("b:1", false), false));
         assert_eq!(live.borrow().keys().collect::<Vec<_>>(), ["a:1"]);
-        assert!(!expire(&live, Instant::now()));
+        assert_eq!(expire(&live, Instant::now()), [""; 0]);
         assert_eq!(live.borrow().len(), 1);
-        assert!(expire(&live, Instant::now() + LEASE));
+        assert_eq!(expire(&live, Instant::now() + LEASE), ["a:1"]);
         assert!(live.borrow().is_empty());
     }
 }

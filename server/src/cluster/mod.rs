@@ -142,9 +142,9 @@ impl Owners for Cluster {
         Box::pin(async move {
             tokio::select! {
                 answered = self.client.forward(owner, rpc, call, request) => answered,
-                () = self.members.departure(owner) => {
+                () = self.members.silence(owner) => {
                     self.client.forget(owner);
-                    Err(NotForwarded::Unknown { what: "it left the cluster".into() })
+                    Err(NotForwarded::Unknown { what: "it is not heard any more".into() })
                 }
             }
         })

@@ -8,7 +8,7 @@ use super::{
     Hosted, IndexState, Registry, RegistryError, Restore, replay::replay_or_damaged,
     restore::unloaded,
 };
-use crate::log::{Operation, Origin, Sessions, Uid};
+use crate::log::{Operation, Origin, RecordPosition, Sessions, Uid};
 
 impl Registry {
     /// Begins to replace an index by the points of another server at a later revision. `origin` has the digest of the record
@@ -33,11 +33,13 @@ impl Registry {
     }
 
     /// Hosts the copy of [`Registry::replace`], which has all its points, with these writer sessions and these operations,
-    /// oldest first. It follows the journal from there on. The calls that wait for the old index fail and can be retried.
-    /// Blocks on the log and on building the forest.
+    /// oldest first. `compared` is the newest record that the index had when the other server compared it, if it was served:
+    /// [`RegistryError::Follows`] if it has others now, which the copy may lack. The copy follows the journal from there on.
+    /// The calls that wait for the old index fail and can be retried. Blocks on the log and on building the forest.
     pub fn host_replaced(
         &self,
         restore: Restore,
+        compared: Option<RecordPosition>,
         sessions: Sessions,
         operations: Vec<Arc<Operation>>,
     ) -> Result<Arc<Hosted>, RegistryError> {
@@ -56,7 +58,9 @@ impl Registry {
         match &state {
             Some(state) if state.uid() != entry.uid => return Err(RegistryError::Deleted),
             // From here on the old index does not touch the store.
-            Some(IndexState::Hosted(old)) if !old.retire() => return Err(RegistryError::Follows),
+            Some(IndexState::Hosted(old)) if !old.retire(compared) => {
+                return Err(RegistryError::Follows);
+            }
             Some(_) => {}
             None => return Err(RegistryError::Deleted),
         }
@@ -118,8 +122,13 @@ mod tests {
         }
     }
 
-    /// A copy of all that a peer has.
-    fn copy(registry: &Registry, peer: &MemoryLog, uid: Uid) -> Result<Arc<Hosted>, RegistryError> {
+    /// A copy of all that a peer has, which has compared the records up to this one.
+    fn copy(
+        registry: &Registry,
+        peer: &MemoryLog,
+        uid: Uid,
+        compared: RecordPosition,
+    ) -> Result<Arc<Hosted>, RegistryError> {
         let view = peer.view(uid).unwrap();
         let position = view.position();
         let origin = Origin {
@@ -132,7 +141,7 @@ mod tests {
             restore.add(std::slice::from_ref(&*point))?;
         }
         let operations = peer.operations(uid).unwrap();
-        registry.host_replaced(restore, view.sessions().clone(), operations)
+        registry.host_replaced(restore, Some(compared), view.sessions().clone(), operations)
     }
 
     #[tokio::test(flavor = "multi_thread")]
@@ -160,12 +169,16 @@ mod tests {
             "{trimmed:?}"
         );
         catalogue.registry.set(Arc::downgrade(&registry)).unwrap();
-        let copying = {
+        let copying = |compared: RecordPosition| {
             let (registry, peer) = (Arc::clone(&registry), Arc::clone(&peer));
-            move || copy(&registry, &peer, uid)
+            tokio::task::spawn_blocking(move || copy(&registry, &peer, uid, compared))
         };
-        let again = copying.clone();
-        let hosted = tokio::task::spawn_blocking(copying).await.unwrap().unwrap();
+        let compared = old.published().view.position();
+        // It has other records than those that were compared.
+        let other = peer.view(uid).unwrap().position();
+        let refused = copying(other).await.unwrap().err();
+        assert_eq!(refused, Some(RegistryError::Follows));
+        let hosted = copying(compared).await.unwrap().unwrap();
         assert_eq!(hosted.published().revision, 5);
         assert_eq!(hosted.published().snapshot.len(), 5);
         for revision in 1..=5 {
@@ -185,7 +198,7 @@ mod tests {
         // It follows from the copy on, and no other copy takes its place.
         submit(&peer, uid);
         assert_eq!(hosted.reached(6).await.unwrap().snapshot.len(), 6);
-        let refused = tokio::task::spawn_blocking(again).await.unwrap().err();
+        let refused = copying(compared).await.unwrap().err();
         assert_eq!(refused, Some(RegistryError::Follows));
         assert!(!catalogue.is_unlocked.load(Relaxed));
     }

@@ -213,16 +213,18 @@ impl Hosted {
         )
     }
 
-    /// Ends a closed index for good, because a copy takes its place; false if the index is not closed. Blocks.
-    pub(super) fn retire(&self) -> bool {
+    /// Ends a closed index for good, because a copy takes its place; false if the index is not closed, or has other records
+    /// than those up to `compared`. Blocks.
+    pub(super) fn retire(&self, compared: Option<RecordPosition>) -> bool {
         let _writer = Arc::clone(&self.writer).blocking_lock_owned();
         let _applied = Arc::clone(&self.applied).blocking_lock_owned();
-        let is_closed = self.is_closed();
-        if is_closed {
+        let is_same = compared == Some(self.published().view.position());
+        let is_retired = is_same && self.is_closed();
+        if is_retired {
             self.is_retired.store(true, Relaxed);
             self.close(RegistryError::Log(LogError::Closed));
         }
-        is_closed
+        is_retired
     }
 
     /// True if it applies the records of its journal.

@@ -61,7 +61,7 @@ const REASONS_OF_OWNER: [&str; 14] = [
     "DISK_FULL",
     "STARTING",
     "STOPPING",
-    // The owner has not heard of the index, or of its deletion.
+    // The owner has not heard of the index, or of its deletion, or its index has stopped.
     "INDEX_NOT_FOUND",
     "UID_MISMATCH",
     "NOT_LOADED",

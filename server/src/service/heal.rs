@@ -242,7 +242,7 @@ async fn copy_from(
             "the journal does not have its record of revision {revision}"
         )));
     }
-    let mut draft = Draft::new(service, index.uid, position);
+    let mut draft = Draft::new(service, index, position);
     while !draft.is_whole(start.operations) {
         let part = next(&mut parts).await?;
         let read = tokio::task::spawn_blocking(move || draft.read(part).map(|()| draft));

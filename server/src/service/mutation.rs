@@ -134,8 +134,15 @@ impl Service {
                     "while waiting for other mutations of the index",
                     hosted.write(),
                 )
-                .await?
-                .map_err(|error| registry_error(hosted.name(), error))?;
+                .await?;
+            let writer = match writer {
+                // The index takes no records here: the server that forwarded the call goes on.
+                Err(_) if call.is_forwarded => {
+                    let name = hosted.name().into();
+                    return Err(Error::IndexNotFound { name });
+                }
+                writer => writer.map_err(|error| registry_error(hosted.name(), error))?,
+            };
             if !self.is_compared(hosted) {
                 // The members changed while this call waited for others.
                 continue;

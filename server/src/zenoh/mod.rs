@@ -59,7 +59,7 @@ pub(crate) struct ZenohFace {
     /// True if other servers under the prefix share the indices.
     in_cluster: bool,
     announcing: Option<AbortOnDropHandle<()>>,
-    _servers: Option<ServerWatch>,
+    _servers: ServerWatch,
     _links: Option<AbortOnDropHandle<()>>,
 }
 
@@ -98,10 +98,7 @@ impl ZenohFace {
             true => None,
             false => Some(take_queries(&session, &queries).await?),
         };
-        let servers = match in_cluster {
-            true => None,
-            false => Some(ServerWatch::watch(&session, &config.prefix).await?),
-        };
+        let servers = ServerWatch::watch(&session, &config.prefix, !in_cluster).await?;
         let links = connects_to.map(|endpoints| {
             let reporting = peers::report_links(session.clone(), endpoints);
             AbortOnDropHandle::new(tokio::spawn(reporting))

@@ -4,7 +4,9 @@ use std::time::Duration;
 
 use tokio::time::{Instant, interval_at};
 use tracing::{info, warn};
-use zenoh::{Session, liveliness::LivelinessToken, pubsub::Subscriber, sample::SampleKind};
+use zenoh::{
+    Session, config::WhatAmI, liveliness::LivelinessToken, pubsub::Subscriber, sample::SampleKind,
+};
 
 use super::ZenohError;
 use crate::observe::SparseLines;
@@ -16,21 +18,31 @@ const MAX_ID_BYTES: usize = 32;
 const CHECK_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Announces this server to others under the same prefix, and watches for them. If two servers share routers and a
-/// prefix, but no indices, either one takes a query. Both warn in their logs. Servers of a cluster do not need it.
+/// prefix, but no indices, either one takes a query. Servers without a cluster warn of all others in their logs.
 pub(super) struct ServerWatch {
     _token: LivelinessToken,
-    _others: Subscriber<()>,
+    _others: Option<Subscriber<()>>,
 }
 
 impl ServerWatch {
-    /// Warns of every other server until dropped.
-    pub(super) async fn watch(session: &Session, prefix: &str) -> Result<Self, ZenohError> {
+    /// Is announced until dropped, and `warns` of every other server.
+    pub(super) async fn watch(
+        session: &Session,
+        prefix: &str,
+        warns: bool,
+    ) -> Result<Self, ZenohError> {
         let own = session.zid().to_string();
         let token = session
             .liveliness()
             .declare_token(format!("{prefix}/@server/{own}"))
             .await
             .map_err(ZenohError::declare)?;
+        if !warns {
+            return Ok(Self {
+                _token: token,
+                _others: None,
+            });
+        }
         let under = prefix.to_owned();
         // A stranger may declare any number of them.
         let lines = SparseLines::new();
@@ -50,7 +62,7 @@ impl ServerWatch {
                         prefix = under,
                         other,
                         left_out,
-                        "another server answers under this prefix, and each query reaches only one of them: set a \
+                        "another server answers under this prefix, and a query may reach either: set a \
                          zenoh.prefix for each server that shares routers with another, or a cluster for both"
                     );
                 }
@@ -59,7 +71,7 @@ impl ServerWatch {
             .map_err(ZenohError::declare)?;
         Ok(Self {
             _token: token,
-            _others: others,
+            _others: Some(others),
         })
     }
 }
@@ -70,7 +82,9 @@ pub(super) async fn report_links(session: Session, endpoints: String) {
     let mut warned = false;
     loop {
         checks.tick().await;
-        if session.info().transports().await.next().is_some() {
+        // Clients that have connected to this server are none.
+        let mut transports = session.info().transports().await;
+        if transports.any(|it| it.whatami() != WhatAmI::Client) {
             break;
         }
         if session.is_closed() {

@@ -15,7 +15,7 @@ use wayfold_server::{
         Catalogue, Durability, Effects, Entry, FjallLog, Journal, Outcome, PointStore, Record, Uid,
     },
     registry::{Registry, RegistryError},
-    service::{Code, Limits, Service},
+    service::{Call, Code, Limits, Service},
 };
 
 use crate::{copied::copied, journal_end::newest_journal, support::*, tables::move_to_tables};
@@ -100,6 +100,13 @@ async fn a_failed_disk_refuses_writes_and_serves_reads_until_it_recovers() {
         unavailable(service.insert(&CALL, operation(id)).await);
         // This call was refused before anything was written.
         unavailable(service.insert(&CALL, operation(99)).await);
+        // Another server of a cluster learns that nothing was.
+        let forwarded = Call {
+            is_forwarded: true,
+            ..Call::default()
+        };
+        let refused = service.insert(&forwarded, operation(99)).await.unwrap_err();
+        assert_eq!(refused.reason(), "INDEX_NOT_FOUND");
         unavailable(service.create_index(&CALL, creation("new", "R1")).await);
         let delete = v1::DeleteIndexRequest {
             index_name: "idle".into(),

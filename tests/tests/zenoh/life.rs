@@ -92,13 +92,19 @@ async fn stopped_under_load() {
         }
     }
     println!("{finished} finished");
+    let mut refused = 0;
     while let Some(results) = later.join_next().await {
         if let Ok(reply) = results.unwrap() {
             let refusal = reply.into_result().unwrap_err();
             let refusal = serde_json::from_slice(&refusal.payload().to_bytes()).unwrap();
             assert_eq!(reason(&refusal), (14, "STOPPING"));
+            refused += 1;
         }
     }
+    assert!(
+        refused > 0,
+        "a later query gets a refusal in place of no reply"
+    );
     let ended = tokio::task::spawn_blocking(|| server.finish())
         .await
         .unwrap();

@@ -4,9 +4,12 @@ use std::sync::{Arc, atomic::Ordering::Relaxed};
 
 use super::{ApplyLoop, Hosted, Published};
 use crate::{
-    log::View,
+    log::{LogError, Record, View},
     registry::{RegistryError, in_flight::notify},
 };
+
+/// The bytes of records that are read at once.
+const READ_BYTES: usize = 1 << 20;
 
 impl Hosted {
     /// Resumes after the log was reopened, from its points `view`. Returns false if these are not the published points
@@ -28,21 +31,17 @@ impl Hosted {
             }));
             stored == position
         } else if let Some(later) = stored.revision.checked_sub(position.revision) {
-            let journal = &self.host.log.journal;
-            let records = journal.read(self.uid, Some(position.revision), usize::MAX);
-            records.is_ok_and(|mut records| {
-                // A journal elsewhere may have more than the store.
-                records.truncate(later as usize);
-                let last = records.last().map(|last| last.position());
-                let applied = || self.apply_now(applied, &records, |_| Ok(Arc::clone(view)));
-                last == Some(stored) && applied().is_ok()
-            })
+            let records = self.read_after(position.revision, later as usize);
+            let last = records.last().map(|last| last.position());
+            let applied = || self.apply_now(applied, &records, |_| Ok(Arc::clone(view)));
+            last == Some(stored) && applied().is_ok()
         } else {
             false
         };
         if is_resumed {
             // The index may not have closed: no receipt will decide the records in flight.
-            let why = self.closed().unwrap_or(RegistryError::Stopped);
+            let why = self.closed();
+            let why = why.unwrap_or(RegistryError::Log(LogError::Closed));
             let (failed, refusals) = {
                 let mut in_flight = self.in_flight.lock();
                 (in_flight.fail(&why), in_flight.refusals())
@@ -61,6 +60,21 @@ impl Hosted {
             self.state.send_modify(|state| state.closed = None);
         }
         is_resumed
+    }
+
+    /// The next `count` records of the journal after a revision, or fewer. A journal elsewhere may have far more.
+    fn read_after(&self, revision: u64, count: usize) -> Vec<Arc<Record>> {
+        let journal = &self.host.log.journal;
+        let mut records: Vec<Arc<Record>> = Vec::new();
+        while records.len() < count {
+            let after = records.last().map_or(revision, |last| last.revision());
+            match journal.read(self.uid, Some(after), READ_BYTES) {
+                Ok(read) if !read.is_empty() => records.extend(read),
+                _ => break,
+            }
+        }
+        records.truncate(count);
+        records
     }
 
     /// Closes the index, because its apply loop of this number has ended.
@@ -107,13 +121,68 @@ impl Hosted {
 
 #[cfg(test)]
 mod tests {
-    use std::thread;
+    use std::{sync::atomic::AtomicUsize, thread};
 
     use super::*;
     use crate::{
+        log::{Journal, MemoryLog, Receipt, RecordStream, Uid},
         registry::{Registry, RegistryOptions},
-        testing::recorded,
+        testing::{arm, log_with, recorded, registry, submit},
     };
+
+    /// Counts the records that are read.
+    struct Counted {
+        local: Arc<MemoryLog>,
+        read: AtomicUsize,
+    }
+
+    impl Journal for Counted {
+        fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+            self.local.submit(uid, record)
+        }
+
+        fn read(
+            &self,
+            uid: Uid,
+            after: Option<u64>,
+            max_bytes: usize,
+        ) -> Result<Vec<Arc<Record>>, LogError> {
+            let read = self.local.read(uid, after, max_bytes)?;
+            self.read.fetch_add(read.len(), Relaxed);
+            Ok(read)
+        }
+
+        fn follow(&self, uid: Uid, after: u64) -> RecordStream {
+            self.local.follow(uid, after)
+        }
+
+        fn newest(&self, uid: Uid) -> Result<u64, LogError> {
+            self.local.newest(uid)
+        }
+    }
+
+    /// A journal of NATS may have hours of records that a store which comes back lacks.
+    #[tokio::test]
+    async fn few_records_beyond_those_of_the_store_are_read() {
+        let entry = arm();
+        let local = log_with(&entry, &[]);
+        (0..100).for_each(|_| submit(&local, entry.uid));
+        let journal = Arc::new(Counted {
+            local: Arc::clone(&local),
+            read: AtomicUsize::new(0),
+        });
+        let registry = registry(&journal, &local, RegistryOptions::default());
+        let hosted = registry.get("arm").unwrap();
+        for (after, count) in [(0, 3), (50, 45), (95, 5)] {
+            journal.read.store(0, Relaxed);
+            let revisions = hosted.read_after(after, count);
+            let revisions = revisions.iter().map(|record| record.revision());
+            let count = count as u64;
+            assert!(revisions.eq(after + 1..=after + count));
+            assert!(journal.read.load(Relaxed) as u64 <= count + READ_BYTES as u64 / 30_000);
+        }
+        assert_eq!(hosted.read_after(95, 9).len(), 5);
+    }
 
     /// A writer with the new count and an open index would add a record that nothing decides.
     #[tokio::test]

@@ -10,7 +10,7 @@ use wayfold_proto::{
 use super::{Failure, out_of_order};
 use crate::{
     log::{Operation, Origin, RecordPosition, Sessions, Uid},
-    registry::Restore,
+    registry::{Restore, Stopped},
     service::{
         Service,
         member::{CopyKind, CopyOperations},
@@ -24,6 +24,8 @@ pub(super) struct Draft {
     service: Service,
     uid: Uid,
     position: RecordPosition,
+    /// The newest record of the index that the member has compared, if it is served.
+    compared: Option<RecordPosition>,
     reader: Reader,
     /// Set by the header.
     restore: Option<Restore>,
@@ -33,11 +35,12 @@ pub(super) struct Draft {
 
 impl Draft {
     /// Nothing has arrived of a copy of this index, whose newest record is at `position`.
-    pub(super) fn new(service: &Service, uid: Uid, position: RecordPosition) -> Self {
+    pub(super) fn new(service: &Service, index: &Stopped, position: RecordPosition) -> Self {
         Self {
             service: service.clone(),
-            uid,
+            uid: index.uid,
             position,
+            compared: index.position,
             reader: Reader::new(),
             restore: None,
             sessions: Sessions::default(),
@@ -104,7 +107,7 @@ impl Draft {
     pub(super) fn host(self) -> Result<(), Failure> {
         let restore = self.restore.ok_or_else(out_of_order)?;
         let registry = self.service.registry()?;
-        registry.host_replaced(restore, self.sessions, self.operations)?;
+        registry.host_replaced(restore, self.compared, self.sessions, self.operations)?;
         Ok(())
     }
 }

@@ -6,7 +6,10 @@ mod writers;
 
 use std::{process::ExitCode, thread, time::Duration};
 
-use tokio::time::Instant;
+use tokio::{
+    runtime,
+    time::{Instant, sleep_until},
+};
 use wayfold_tests::{
     Process, Signal,
     figures::{median, resident_bytes},
@@ -88,6 +91,7 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
     for loader in loaders {
         load.add(&loader.stop(Signal::Kill).stdout);
     }
+    assert!(load.phases > 0.0, "no loader has finished a phase");
     let written = writers.finish();
     server.settle();
     let after: Vec<u64> = resident_bytes(server.id()).into_iter().collect();
@@ -134,6 +138,8 @@ pub(crate) fn load() -> ExitCode {
         deadline: None,
     };
     let due = move |n| Duration::from_secs_f64(n as f64 * gap);
+    let runtime = runtime::Builder::new_current_thread().enable_time().build();
+    let runtime = runtime.expect("a runtime");
     loop {
         let load = load.clone();
         // The next phase begins while the last calls of this one are answered, so that the load goes on.
@@ -144,7 +150,7 @@ pub(crate) fn load() -> ExitCode {
             let refused = tally.refusals() as f64 / seconds;
             println!("{offered} {} {refused}", tally.rate());
         });
-        pause(PHASE);
+        runtime.block_on(async { sleep_until(Instant::now() + PHASE).await });
     }
 }
 
