@@ -197,7 +197,7 @@ public:
     }
     // Empty if the point has none; nothing if there is no such point.
     std::optional<std::string> payload(std::uint64_t id) const { return payloads({id})[0]; }
-    // The payloads of the points with these ids, each id once; nothing in place of one if there is no such point. A
+    // The payloads of the points with these ids; nothing in place of one if there is no such point. A
     // shared index asks its server once for a thousand of them.
     std::vector<std::optional<std::string>> payloads(const std::vector<std::uint64_t> &ids) const {
         wayfold_payloads *raw_payloads = nullptr;

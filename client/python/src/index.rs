@@ -163,7 +163,7 @@ impl Index {
         Ok(payload.map(|payload| PyBytes::new(py, &payload)))
     }
 
-    /// The payloads of the points with these ids, each id once, in their order: None if there is no such point.
+    /// The payloads of the points with these ids, in their order: None if there is no such point.
     fn payloads(&self, py: Python<'_>, ids: Vec<GivenId>) -> PyResult<Vec<Option<Vec<u8>>>> {
         let points: Vec<u64> = ids.iter().filter_map(GivenId::point).collect();
         let mut payloads = self.call(py, |index| index.payloads(&points))?.into_iter();

@@ -220,7 +220,7 @@ impl Index {
         self.form.payload(id)
     }
 
-    /// The payloads of the points with these ids, each id once, in their order: empty if a point has none, `None` if
+    /// The payloads of the points with these ids, in their order: empty if a point has none, `None` if
     /// there is no such point. A shared index asks the server once for a thousand of them.
     ///
     /// # Errors

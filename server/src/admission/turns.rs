@@ -11,8 +11,9 @@
 //!   work, and these and the others of the flow take turns: a short call does not wait for all long ones.
 //! - *Measured:* a call that has not begun is refused once it has waited for too long: for the time of a burst, or for
 //!   the target while the queue stands. It stands once all calls are late and it gets no [shorter](trend), or once it was
-//!   not empty for the time of a burst; until no call has waited for half of the target for that time. If the calls
-//!   of one flow wait and no others do, only the queue of that flow stands: fair turns keep it from delaying others.
+//!   not empty for the time of a burst; until no call has waited for half of the target for that time. If only the
+//!   calls of one flow wait, and no others were late for the time of a burst, only the queue of that flow stands: fair
+//!   turns keep it from delaying others.
 //!   Bytes that a connection has not read yet wait too. B. Maurer, *Fail at Scale*, ACM Queue 13(8), 2015, after CoDel.
 //!
 //! The target is for long calls only: to refuse a short one costs as much as to answer it.

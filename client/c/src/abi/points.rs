@@ -153,7 +153,7 @@ pub unsafe extern "C" fn wayfold_points_free(points: *mut WayfoldPoints) {
 /// Payloads of points.
 pub struct WayfoldPayloads(Vec<Option<Vec<u8>>>);
 
-/// Reads the payloads of the points with these ids, each id once: a shared index asks its server once for a thousand of
+/// Reads the payloads of the points with these ids: a shared index asks its server once for a thousand of
 /// them. Free them with `wayfold_payloads_free`.
 ///
 /// Thread-safe.

@@ -2,11 +2,12 @@
 
 use std::{io::Read, sync::Arc};
 
-use csv::{Reader, ReaderBuilder, StringRecord, Terminator, Trim};
+use csv::{Reader, ReaderBuilder, StringRecord, Trim};
 use wayfold::Space;
 
 use super::{
     Columns, InputError, Row, Rows,
+    lines::Lines,
     position::{File, InputPosition},
 };
 use crate::parse;
@@ -18,13 +19,11 @@ pub(super) fn rows(
     space: &Space,
     columns: Columns<'_>,
 ) -> Result<Rows, InputError> {
-    // A record ends at the end of its line, also the last one and with CRLF, so that its line is known: see `read`.
     let mut reader = ReaderBuilder::new()
         .has_headers(false)
         .flexible(true)
         .trim(Trim::All)
-        .terminator(Terminator::Any(b'\n'))
-        .from_reader(input.chain(&b"\n"[..]));
+        .from_reader(Lines::new(input));
     let mut first = StringRecord::new();
     let is_empty = !read(name, &mut reader, &mut first)?;
     let has_header = !is_empty && is_header(&first);
@@ -101,28 +100,29 @@ fn find(file: &str, header: &StringRecord, column: &str) -> Result<usize, InputE
         })
 }
 
-/// Reads the next record that is not an empty line, with the line where it ends as its position; false at the end.
+/// Reads the next record that is not an empty line; false at the end. The position of a record is that of its line: the
+/// reader has the empty lines before it as a part of it.
 fn read(
     file: &str,
     reader: &mut Reader<impl Read>,
     record: &mut StringRecord,
 ) -> Result<bool, InputError> {
-    loop {
-        let found = reader.read_record(record);
-        let mut end = reader.position().clone();
-        end.set_line(end.line().saturating_sub(1));
-        let found = found.map_err(|error| InputError::Format {
-            position: match error.position() {
-                Some(_) => format!("{file}:{}", end.line()),
-                None => file.to_owned(),
-            },
-            problem: error.to_string(),
-        })?;
-        record.set_position(Some(end));
-        if !found || record.len() > 1 || record.get(0) != Some("") {
-            return Ok(found);
-        }
+    let found = reader.read_record(record);
+    // The reader is behind the LF of the record's last line.
+    let last_line = reader.position().line().saturating_sub(1).max(1);
+    let found = found.map_err(|error| InputError::Format {
+        position: match error.position() {
+            Some(_) => format!("{file}:{last_line}"),
+            None => file.to_owned(),
+        },
+        problem: error.to_string(),
+    })?;
+    let is_one_line = !record.iter().any(|field| field.contains('\n'));
+    if let Some(mut position) = record.position().cloned().filter(|_| is_one_line) {
+        position.set_line(last_line);
+        record.set_position(Some(position));
     }
+    Ok(found)
 }
 
 struct CsvRows<R> {
@@ -228,5 +228,43 @@ impl<R> CsvRows<R> {
                 false => "",
             },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_line_of_an_error_is_that_of_an_editor() {
+        for (text, expected) in [
+            ("0,0\n0,x\n", "file:2:2 (y): \"x\""),
+            ("0,0\n\n\n0,x", "file:4:2 (y): \"x\""),
+            ("x,y\r\n0,0\r\n\r\n0,x\r\n", "file:4:2 (y): \"x\""),
+            ("0,0\r0,x\r0,0\r", "file:2:2 (y): \"x\""),
+            ("0,0\n\"\"\n0,0\n", "file:2: 1 numbers"),
+            ("0,0\n \n0,0\n", "file:2: 1 numbers"),
+            // The quote that opens is wrong, and not the end of the file.
+            ("0,0\n\"0,0\n0,0\n0,0\n", "file:2: 1 numbers"),
+        ] {
+            let rows = plane(text.as_bytes()).unwrap();
+            let error = rows.filter_map(Result::err).next().unwrap().to_string();
+            assert!(error.starts_with(expected), "{text:?}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_read_is_named() {
+        let directory = std::fs::File::open(".").unwrap();
+        let error = plane(directory).err().unwrap().to_string();
+        assert!(error.starts_with("file: "), "{error}");
+    }
+
+    fn plane(input: impl Read + Send + 'static) -> Result<Rows, InputError> {
+        let columns = Columns {
+            ids: None,
+            tags: None,
+        };
+        rows("file", input, &"R2".parse().unwrap(), columns)
     }
 }

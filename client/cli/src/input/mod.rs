@@ -2,6 +2,7 @@
 
 mod csv;
 mod error;
+mod lines;
 mod literal;
 mod npy;
 mod position;

@@ -247,7 +247,7 @@ class Index:
     def payload(self, id: int) -> bytes | None:
         """The payload of a point: empty if it has none, None if there is no such point."""
     def payloads(self, ids: Sequence[int] | _Ids | _Unsigned) -> list[bytes | None]:
-        """The payloads of points, each id once, in their order: empty without one, None if there is no such point."""
+        """The payloads of points, in their order: empty without one, None if there is no such point."""
     def nearest(self, state: _States) -> Neighbor | None:
         """The nearest point; None if there are no points."""
     def nearest_k(self, state: _States, k: int) -> SearchResult:

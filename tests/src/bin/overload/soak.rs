@@ -83,7 +83,10 @@ pub(crate) fn run(arguments: &Arguments, report: &mut Report) {
             }
         }
         let mut figures = memory(&resident);
-        figures.add("answered in time, of the peak", in_quarter.in_time() / peak);
+        if in_quarter.phases > 0.0 {
+            let share = in_quarter.in_time() / peak;
+            figures.add("answered in time, of the peak", share);
+        }
         table.column(name, figures);
         load.join(&in_quarter);
     }
