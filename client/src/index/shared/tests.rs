@@ -11,7 +11,10 @@ use rand_chacha::ChaCha8Rng;
 use wayfold_proto::v1;
 
 use super::{open::tests::core, *};
-use crate::{Code, Index, InsertOptions, Refusal, index::runtime::spawn};
+use crate::{
+    Code, Index, InsertOptions, Refusal, Search,
+    index::{local::NewRow, runtime::spawn},
+};
 
 /// An index that no task serves: a call that waits fails at once. It has the id 7 and these ones to give.
 fn idle(max_pending_bytes: usize, id_count: u64) -> (Arc<Core>, SharedIndex) {
@@ -49,6 +52,32 @@ fn payloads_of_many_pending_inserts_are_read_at_once() {
     };
     let ids: Vec<u64> = payloads.iter().map(insert).collect();
     assert_eq!(index.payloads(&ids).unwrap(), payloads);
+}
+
+/// The record of another writer may give it another payload.
+#[test]
+fn a_point_with_a_pending_write_that_is_stored_again_has_changed() {
+    let (core, shared) = idle(1 << 20, 1);
+    let index = Index::of_shared(shared);
+    let store = |is_new| {
+        let (id, tag, row) = (1, 0, &[1.0][..]);
+        let stored = NewRow {
+            id,
+            tag,
+            row,
+            is_new,
+        };
+        let (mut writer, mut points) = (core.writer.lock(), core.points.write());
+        let applied = writer.apply([stored].into_iter(), &[], &mut points);
+        applied.unwrap();
+    };
+    store(true);
+    assert!(index.set_tag(1, 5).unwrap());
+    let before = index.search([0.0], &Search::k(1)).unwrap().read_revision;
+    store(false);
+    let changes = index.changes(before).unwrap().unwrap();
+    let changed: Vec<u64> = changes.stored.iter().map(|point| point.id).collect();
+    assert_eq!(changed, [1]);
 }
 
 #[test]

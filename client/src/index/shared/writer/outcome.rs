@@ -142,7 +142,7 @@ impl Writer {
                     let was_stored = rebased.base.is_some();
                     self.published_points += usize::from(!was_stored);
                     rebased.base = Some((row.tag, row.row.to_vec()));
-                    show(row.id, rebased, points)?;
+                    show_again(row.id, rebased, points)?;
                 }
             }
         }
@@ -246,12 +246,7 @@ impl Writer {
         // Once an id: this applies all of its other pending writes.
         for (id, is_settled) in given_up {
             if let Some(rebased) = self.rebased.get(&id) {
-                let before = points.read_revision();
-                show(id, rebased, points)?;
-                if points.read_revision() == before {
-                    // Its payload may be the published one again.
-                    points.touch(id)?;
-                }
+                show_again(id, rebased, points)?;
             }
             if is_settled {
                 self.rebased.remove(&id);
@@ -283,6 +278,16 @@ fn show(id: u64, rebased: &RebasedPoint, points: &mut LocalPoints) -> Result<(),
             }
             _ => points.store(id, tag, &row)?,
         },
+    }
+    Ok(())
+}
+
+/// The same, where its payload may be another one: the id counts as changed in any case.
+fn show_again(id: u64, rebased: &RebasedPoint, points: &mut LocalPoints) -> Result<(), Error> {
+    let before = points.read_revision();
+    show(id, rebased, points)?;
+    if points.read_revision() == before {
+        points.touch(id)?;
     }
     Ok(())
 }
