@@ -197,10 +197,6 @@ impl Watch {
                 1.. if session == self.own_session => (v1::Mutation::default(), 0),
                 _ => piece(&record, sent, self.include, &mut left),
             };
-            if piece.continued && pieces == 0 && !message.mutations.is_empty() {
-                // It begins a message, so that every server cuts it into the same pieces.
-                break;
-            }
             let sent_rows = self.sent.0..sent.min(record.effects().stored().len());
             self.replaced.extend(replaced(&record, sent_rows));
             let piece = v1::Mutation {

@@ -157,8 +157,6 @@ async fn a_large_mutation_comes_in_pieces_that_fit() {
             .collect(),
         ..insertion(&cube(1, 300), &(0..300).collect::<Vec<_>>())
     };
-    let small = insertion(&cube(3, 1), &[300]);
-    service.insert(&CALL, small).await.unwrap();
     service.insert(&CALL, large).await.unwrap();
     let ids: Vec<u64> = (0..300).filter(|id| id % 7 > 0).collect();
     service.remove(&CALL, removal(&ids)).await.unwrap();
@@ -169,7 +167,7 @@ async fn a_large_mutation_comes_in_pieces_that_fit() {
     let mut watch = service.watch(&CALL, watching(&uid, 0)).await.unwrap();
     let mut subscriber = Subscriber::default();
     let mut pieces = 0;
-    while subscriber.revision < 4 {
+    while subscriber.revision < 3 {
         let message = message(&mut watch).await;
         assert!(message.encoded_len() <= 20_000, "{}", message.encoded_len());
         pieces += message.mutations.len();
@@ -177,21 +175,6 @@ async fn a_large_mutation_comes_in_pieces_that_fit() {
     }
     assert!(pieces > 5, "{pieces}");
     subscriber.check(&service).await;
-    // A subscriber may get one piece from this server and the next from another, which sent no small mutation before.
-    let mut cut = Vec::new();
-    for after in [0, 1] {
-        let mut watch = service.watch(&CALL, watching(&uid, after)).await.unwrap();
-        let mut pieces = Vec::new();
-        while pieces
-            .last()
-            .is_none_or(|piece: &v1::Mutation| piece.continued)
-        {
-            let mutations = message(&mut watch).await.mutations.into_iter();
-            pieces.extend(mutations.filter(|piece| piece.revision.number() == 2));
-        }
-        cut.push(pieces);
-    }
-    assert_eq!(cut[0], cut[1]);
 }
 
 #[tokio::test]
