@@ -160,7 +160,7 @@ impl Members {
         let _ = timeout(MAX_HEARING_TIME, hears_all.wait_for(|it| *it)).await;
     }
 
-    /// Waits until a member is not heard any more. One that says that it does not serve ends its calls.
+    /// Waits until a member is not heard any more. One that announces its leave still ends its calls.
     pub(super) async fn silence(&self, member: &str) {
         let mut silent = self.shared.silent.subscribe();
         // The sender lives as long as this.

@@ -68,7 +68,7 @@ impl Hosted {
         }
         self.start_merging(&mut applied);
         drop(applied);
-        // What was published holds the merged levels. A search may hold them for longer.
+        // The former publication holds the merged levels, and a search may hold them for longer.
         tokio::task::spawn_blocking(move || {
             drop(published);
             release_if_grown();

@@ -25,7 +25,11 @@ pub use meanwhile::{Meanwhile, MeanwhileAnswers};
 pub use open::OpenShared;
 pub use status::ConnectionStatus;
 
-use std::{fmt, sync::Arc};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fmt,
+    sync::Arc,
+};
 
 use tokio::task::AbortHandle;
 use wayfold_index::{
@@ -267,19 +271,16 @@ impl NearestNeighbors for SharedIndex {
             return Ok(payloads);
         }
         // The server answers each id once.
-        missing.sort_unstable();
-        let mut ids: Vec<u64> = missing.iter().map(|(id, _)| *id).collect();
-        ids.dedup();
+        let ids: BTreeSet<u64> = missing.iter().map(|(id, _)| *id).collect();
+        let ids = Vec::from_iter(ids);
         let core = Arc::clone(&self.core);
-        let (ids, answers) = wait_for(async move {
+        let answers = wait_for(async move {
             let (index, at) = core.published.lock().clone();
             let answers = core.link.payloads(&index, at, &ids).await?;
-            Ok((ids, answers))
+            Ok(BTreeMap::from_iter(ids.into_iter().zip(answers)))
         })?;
-        let mut answers = ids.into_iter().zip(answers).peekable();
         for (id, at) in missing {
-            while answers.next_if(|(answered, _)| *answered < id).is_some() {}
-            payloads[at] = answers.peek().and_then(|(_, payload)| payload.clone());
+            payloads[at] = answers.get(&id).cloned().flatten();
         }
         Ok(payloads)
     }

@@ -40,8 +40,9 @@ impl Hosted {
         };
         if is_resumed {
             // The index may not have closed: no receipt will decide the records in flight.
-            let why = self.closed();
-            let why = why.unwrap_or(RegistryError::Log(LogError::Closed));
+            let why = self
+                .closed()
+                .unwrap_or(RegistryError::Log(LogError::Closed));
             let (failed, refusals) = {
                 let mut in_flight = self.in_flight.lock();
                 (in_flight.fail(&why), in_flight.refusals())

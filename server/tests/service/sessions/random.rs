@@ -1,5 +1,5 @@
-//! Random plain calls, alone or beside several sessions that write batches. Each answer, read and mutation of the feed
-//! equals the model's. Batches are retried, scans are paused, and the server restarts meanwhile.
+//! Random plain calls run alone, or beside sessions that write batches. Each answer, read and mutation of the feed equals
+//! the model's. Batches are retried, scans are paused, and the server restarts meanwhile.
 
 use std::{collections::BTreeMap, mem};
 

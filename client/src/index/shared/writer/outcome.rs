@@ -282,7 +282,7 @@ fn show(id: u64, rebased: &RebasedPoint, points: &mut LocalPoints) -> Result<(),
     Ok(())
 }
 
-/// The same, where its payload may be another one: the id counts as changed in any case.
+/// Does the same, and counts the id as changed in any case: its payload may be another one.
 fn show_again(id: u64, rebased: &RebasedPoint, points: &mut LocalPoints) -> Result<(), Error> {
     let before = points.read_revision();
     show(id, rebased, points)?;
