@@ -239,6 +239,11 @@ impl Status {
                 index,
                 requested,
                 found,
+            }
+            | Error::UidUnknown {
+                index,
+                requested,
+                found,
             } => {
                 self.set("requested", requested);
                 self.set("found", found);

@@ -295,6 +295,11 @@ pub trait Catalogue: Send + Sync {
         None
     }
 
+    /// False if another server may have given this uid to the index of this name after all that this one has heard of.
+    fn knows(&self, _name: &str, _uid: &str) -> bool {
+        true
+    }
+
     /// Notified of the changes that other servers make; None if no other server can.
     fn changes(&self) -> Option<watch::Receiver<()>> {
         None

@@ -34,6 +34,8 @@ pub enum RegistryError {
     OtherUid {
         /// Its uid.
         found: Uid,
+        /// False if the requested one may be newer.
+        is_known: bool,
     },
     /// There are as many indices as a limit allows.
     #[error("there are {max} indices, as many as {setting} allows")]

@@ -207,6 +207,11 @@ impl Hosted {
         &self.uid_text
     }
 
+    /// False if the index may have got this uid at another server since.
+    pub(crate) fn knows(&self, uid: &str) -> bool {
+        self.host.log.catalogue.knows(&self.name, uid)
+    }
+
     /// Its space.
     pub fn space(&self) -> &Space {
         &self.space

@@ -318,8 +318,9 @@ impl Registry {
         let _change = self.change_lock.lock();
         let state = self.indexes.read().get(name).cloned();
         let found = state.as_ref().ok_or(RegistryError::Deleted)?.uid();
-        if uid.is_some_and(|uid| uid != found.to_string()) {
-            return Err(RegistryError::OtherUid { found });
+        if let Some(uid) = uid.filter(|uid| *uid != found.to_string()) {
+            let is_known = self.host.log.catalogue.knows(name, uid);
+            return Err(RegistryError::OtherUid { found, is_known });
         }
         self.host.log.catalogue.delete(found)?;
         self.change(|indexes| indexes.remove(name));

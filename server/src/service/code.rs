@@ -87,9 +87,10 @@ impl Error {
             | Error::IdsExhausted { .. }
             | Error::ScanTooLong { .. }
             | Error::HeldTooLong { .. } => Code::ResourceExhausted,
-            Error::Unavailable { .. } | Error::StorageFailed { .. } | Error::NotLoaded { .. } => {
-                Code::Unavailable
-            }
+            Error::Unavailable { .. }
+            | Error::StorageFailed { .. }
+            | Error::NotLoaded { .. }
+            | Error::UidUnknown { .. } => Code::Unavailable,
             Error::Denied { why } => match why {
                 Denial::Unknown(IdentificationError::TooManyCalls(_)) => Code::ResourceExhausted,
                 Denial::Unknown(_) => Code::Unauthenticated,
@@ -119,6 +120,7 @@ impl Error {
             Error::SessionRefused { .. } => "BATCH_OUT_OF_ORDER",
             Error::BatchMismatch { .. } => "BATCH_MISMATCH",
             Error::UidMismatch { .. } => "UID_MISMATCH",
+            Error::UidUnknown { .. } => "UID_UNKNOWN",
             Error::RevisionConflict { .. } => "REVISION_CONFLICT",
             Error::LimitExceeded { .. } => "LIMIT_EXCEEDED",
             Error::Full { full } => full.resource.reason(),

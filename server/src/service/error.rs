@@ -149,6 +149,18 @@ pub enum Error {
         /// The index's uid.
         found: String,
     },
+    /// The index has another uid at this server of a cluster, which has not heard of the requested one.
+    #[error(
+        "index \"{index}\" has the uid {found} here, and nothing is known here of {requested} yet: try again"
+    )]
+    UidUnknown {
+        /// The index.
+        index: String,
+        /// The requested uid.
+        requested: String,
+        /// The index's uid at this server.
+        found: String,
+    },
     /// Points changed after the revision that the call compares with.
     #[error(
         "index \"{index}\": the points with {} changed after revision {if_revision}: read them again",

@@ -55,7 +55,7 @@ pub enum NotForwarded {
 }
 
 /// The reasons of refusals that lie with the owner and not with the call. None of them changed anything.
-const REASONS_OF_OWNER: [&str; 14] = [
+const REASONS_OF_OWNER: [&str; 15] = [
     // Others may have room.
     "MEMORY_FULL",
     "DISK_FULL",
@@ -64,6 +64,7 @@ const REASONS_OF_OWNER: [&str; 14] = [
     // The owner has not heard of the index, or of its deletion, or its index has stopped.
     "INDEX_NOT_FOUND",
     "UID_MISMATCH",
+    "UID_UNKNOWN",
     "NOT_LOADED",
     // It has other identities, or reads them later. This server has accepted the caller.
     "NO_CREDENTIAL",

@@ -14,7 +14,7 @@ use super::{
     Call, Error, Service,
     check::Violations,
     error_map::{catalog_error, registry_error},
-    read_view::revision,
+    read_view::{other_uid, revision},
 };
 use crate::{
     identity::{Caller, Role},
@@ -230,11 +230,10 @@ impl Service {
             registry.delete(&name, Some(&*uid).filter(|uid| !uid.is_empty()))
         });
         let uid = deleted.await?.map_err(|error| match error {
-            RegistryError::OtherUid { found } => Error::UidMismatch {
-                index: request.index_name.clone(),
-                requested: request.uid.clone(),
-                found: found.to_string(),
-            },
+            RegistryError::OtherUid { found, is_known } => {
+                let found = found.to_string();
+                other_uid(&request.index_name, &request.uid, &found, is_known)
+            }
             error => registry_error(&request.index_name, error),
         })?;
         Ok(v1::DeleteIndexResponse {

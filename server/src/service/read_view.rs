@@ -179,15 +179,29 @@ pub(super) fn revision_number(
 }
 
 /// Fails if the index has another uid; an empty one matches any.
-fn check_uid(hosted: &Hosted, uid: &str) -> Result<(), Error> {
+pub(super) fn check_uid(hosted: &Hosted, uid: &str) -> Result<(), Error> {
     if uid.is_empty() || uid == hosted.uid_text() {
         return Ok(());
     }
-    Err(Error::UidMismatch {
-        index: hosted.name().into(),
-        requested: uid.into(),
-        found: hosted.uid_text().into(),
-    })
+    let is_known = hosted.knows(uid);
+    Err(other_uid(hosted.name(), uid, hosted.uid_text(), is_known))
+}
+
+/// The error of a call that names another uid than the index has here.
+pub(super) fn other_uid(index: &str, requested: &str, found: &str, is_known: bool) -> Error {
+    let [index, requested, found] = [index, requested, found].map(str::to_owned);
+    match is_known {
+        true => Error::UidMismatch {
+            index,
+            requested,
+            found,
+        },
+        false => Error::UidUnknown {
+            index,
+            requested,
+            found,
+        },
+    }
 }
 
 #[cfg(test)]

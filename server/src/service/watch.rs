@@ -6,8 +6,11 @@ use tokio::time::timeout;
 use wayfold_proto::v1;
 
 use super::{
-    Call, Error, Service, answer::PointColumns, check::Violations, error_map::registry_error,
-    read_view::revision,
+    Call, Error, Service,
+    answer::PointColumns,
+    check::Violations,
+    error_map::registry_error,
+    read_view::{check_uid, revision},
 };
 use crate::{
     identity::Role,
@@ -83,8 +86,12 @@ impl Service {
         if after.is_none() {
             self.newest(call, &hosted).await?;
         }
-        let is_other_uid = |after: &v1::Revision| after.uid != hosted.uid_text();
-        let is_other_uid = after.as_ref().is_some_and(is_other_uid);
+        let checked = after
+            .as_ref()
+            .map_or(Ok(()), |it| check_uid(&hosted, &it.uid));
+        if let Err(unknown @ Error::UidUnknown { .. }) = checked {
+            return Err(unknown);
+        }
         Ok(Watch {
             service: self.clone(),
             call: call.clone(),
@@ -98,9 +105,9 @@ impl Service {
             replaced: Vec::new(),
             own_session: request.own_session,
             message_bytes: MESSAGE_BYTES.min(self.limits().max_answer_bytes / 2),
-            state: match is_other_uid {
-                true => State::OtherUid,
-                false => State::Beginning,
+            state: match checked {
+                Ok(()) => State::Beginning,
+                Err(_) => State::OtherUid,
             },
             hosted,
         })

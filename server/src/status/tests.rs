@@ -111,6 +111,15 @@ fn every_error() -> Vec<(Error, Code, Option<&'static str>)> {
             Some("PreconditionFailure"),
         ),
         (
+            Error::UidUnknown {
+                index: index.clone(),
+                requested: "a".into(),
+                found: "b".into(),
+            },
+            Code::Unavailable,
+            Some("PreconditionFailure"),
+        ),
+        (
             Error::RevisionConflict {
                 index: index.clone(),
                 if_revision: 7,

@@ -118,8 +118,7 @@ impl Link {
         policy.endless_pause(failures, error)
     }
 
-    /// True if another server may know better: this one has no index of the name, or another one, as a server may that
-    /// lags behind.
+    /// True if another server may know better: this one has no index of the name, as one may that lags behind.
     pub(super) fn may_lag(&self, error: &Error) -> bool {
         let has_others = match &self.transport {
             Transport::Grpc(client) => client.connections().are_several(),
@@ -127,8 +126,7 @@ impl Link {
             #[cfg(feature = "zenoh")]
             Transport::Zenoh(_) => true,
         };
-        let is_missing = error.code() == Code::NotFound;
-        has_others && (is_missing || error.reason() == Some("UID_MISMATCH"))
+        has_others && error.code() == Code::NotFound
     }
 
     /// Makes the next calls at another server, if there is one.

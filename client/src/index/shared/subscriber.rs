@@ -36,8 +36,6 @@ pub(super) struct Subscriber {
     failures: u32,
     /// The number of reloads since the last mutation.
     reloads: u32,
-    /// The uids that the index had before, and never has again.
-    past_uids: Vec<Arc<str>>,
 }
 
 /// The reason for which following stopped.
@@ -65,7 +63,6 @@ impl Subscriber {
             missing: None,
             failures: 0,
             reloads: 0,
-            past_uids: Vec::new(),
         }
     }
 
@@ -154,10 +151,6 @@ impl Subscriber {
             true => Arc::clone(&self.index),
             false => Arc::new(core.link.index().await?),
         };
-        if self.past_uids.contains(index.uid()) {
-            // This server lags behind the one that named the present uid.
-            return self.index.revision_at(self.revision).check_uid(index.uid());
-        }
         if index.space != core.space {
             return Err(Error::OtherSpace {
                 index: index.name.clone(),
@@ -180,7 +173,6 @@ impl Subscriber {
                 core.refuse(&mut writer, uid.err().unwrap_or(Error::Closed));
             }
             writer.forget_history();
-            self.past_uids.push(Arc::clone(self.index.uid()));
         }
         let mut points = core.points.write();
         let old = points.replace(forest);

@@ -249,6 +249,13 @@ impl Catalogue for NatsCatalogue {
         named.contradicted
     }
 
+    /// A uid is forgotten once [`value::MAX_DELETED`] later ones of its name are deleted.
+    fn knows(&self, name: &str, uid: &str) -> bool {
+        let known = self.bucket.known();
+        let deleted = known.get(name).map(|(named, _)| &named.deleted);
+        deleted.is_some_and(|deleted| deleted.iter().any(|it| it == uid))
+    }
+
     /// The first change is the present state.
     fn changes(&self) -> Option<watch::Receiver<()>> {
         let mut changes = self.bucket.changed.subscribe();

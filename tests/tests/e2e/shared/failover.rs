@@ -5,11 +5,12 @@ use std::{collections::BTreeSet, process::Command, thread, time::Duration};
 
 use tempfile::TempDir;
 use tokio::runtime::Runtime;
-use wayfold::{Client, Code, Index};
+use wayfold::{Client, Code, ConnectionStatus, Index};
 use wayfold_index::Space;
 use wayfold_tests::{Process, ServerProcess, Signal, nats, server};
 
 use super::{
+    checks::wait_for_status,
     history::{check_copies, content, wait_for_all},
     proxy::Proxy,
     shared,
@@ -139,6 +140,42 @@ fn a_server_that_lags_is_not_older_to_its_client() {
         assert_eq!(described.point_count, left.len() as u64);
         assert!(described.revision.number > seen.number);
     });
+    wait_for_all(&copy, &[-1.0, 0.0], &[&copy]);
+    let stored = content(&shared(second.uri(), &space));
+    check_copies(&stored, &space, &[&copy]);
+}
+
+/// The second server hears nothing of NATS while the index is made again, and for a while after the first one has died.
+#[test]
+#[ignore = "needs nats-server"]
+fn a_copy_does_not_go_back_to_the_index_that_was_before_its_own() {
+    let nats = Nats::start();
+    let runtime = Runtime::new().unwrap();
+    let way = runtime.block_on(Proxy::to(&nats.uri()));
+    let first = Nats::server(&nats.address);
+    let second = Nats::server(way.uri.trim_start_matches("http://"));
+    let space: Space = "R2".parse().unwrap();
+    let uris = format!("{},{}", first.uri(), second.uri());
+    drop(shared(first.uri(), &space));
+    wait_for_index(second.uri());
+    way.hold(&nats.uri());
+    runtime.block_on(async {
+        let client = Client::connect(first.uri()).await.unwrap();
+        client.delete_index("arm").await.unwrap();
+    });
+    let copy = shared(&uris, &space);
+    let mut ids = insert(&copy, 0);
+    copy.flush().unwrap();
+    first.stop(Signal::Kill);
+    ids.extend(insert(&copy, POINTS));
+    wait_for_status(&copy, |status| match status {
+        ConnectionStatus::Disconnected { why, .. } => why.reason() == Some("UID_UNKNOWN"),
+        _ => false,
+    });
+    way.lead_to(&nats.uri());
+    copy.flush().unwrap();
+    let stored = content(&shared(second.uri(), &space));
+    assert_eq!(Vec::from_iter(stored.keys().copied()), ids);
     wait_for_all(&copy, &[-1.0, 0.0], &[&copy]);
     let stored = content(&shared(second.uri(), &space));
     check_copies(&stored, &space, &[&copy]);
