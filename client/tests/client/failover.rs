@@ -318,37 +318,6 @@ async fn writes_to_a_server_that_lacks_the_index_go_to_the_next_one() {
     assert_eq!(refused.code(), Code::Unimplemented);
 }
 
-/// The second server has not heard that the index was made again.
-#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
-async fn the_copy_does_not_go_back_to_a_uid_that_its_index_had_before() {
-    const NEW: &str = "the-next-uid";
-    let of_new = |number| fake::revision_of(NEW, number);
-    let reset = |revision| v1::WatchResponse {
-        revision,
-        reset: Some(v1::ResetReason::UidChanged.into()),
-        ..Default::default()
-    };
-    let (first, second) = (Fake::start().await, Fake::start().await);
-    first.describe_as([fake::UID, NEW]);
-    first.scan_answers(vec![scanned(3, &[(1, 0.0)])], true);
-    first.watch_tells(vec![Ok(reset(of_new(1)))]);
-    let mut anew = scanned(1, &[(7, 0.5)]);
-    anew.revision = of_new(1);
-    first.scan_answers(vec![anew], true);
-    first.watch_tells(vec![Err(Answer::unavailable("the server is stopping"))]);
-    second.watch_tells(vec![Ok(reset(fake::revision(3)))]);
-    second.scan_answers(vec![scanned(3, &[(1, 0.0)])], true);
-    let mut next = message(2, vec![piece(2, &[(8, 1.5)], &[], (0, false))]);
-    next.revision = of_new(2);
-    next.mutations[0].revision = of_new(2);
-    first.watch_tells(vec![Ok(next)]);
-
-    let servers = several([&first.uri, &second.uri]);
-    let index = Index::shared(&servers, "line").open().unwrap();
-    wait_for(&index, &[(7, 0.5), (8, 1.5)]);
-    assert_eq!(second.watch_requests().len(), 1);
-}
-
 /// The second of two servers has nothing of the first, and so no index.
 #[tokio::test]
 async fn a_server_that_stops_is_left() {

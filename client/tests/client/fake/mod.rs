@@ -28,12 +28,7 @@ pub(crate) const UID: &str = "the-uid";
 
 /// A revision of the fake's index.
 pub(crate) fn revision(number: u64) -> Option<v1::Revision> {
-    revision_of(UID, number)
-}
-
-/// A revision of an index with this uid.
-pub(crate) fn revision_of(uid: &str, number: u64) -> Option<v1::Revision> {
-    let uid = uid.to_owned();
+    let uid = UID.to_owned();
     Some(v1::Revision { uid, number })
 }
 
@@ -71,8 +66,6 @@ struct Inner {
     limits: Option<v1::Limits>,
     /// The revisions of the next answers; later answers repeat the last.
     revisions: VecDeque<u64>,
-    /// The uids of the next descriptions of its index, [`UID`] after them.
-    uids: VecDeque<&'static str>,
     /// True if calls wait for ever.
     silent: bool,
     /// The parts of the next snapshots; a snapshot that is not ended waits for ever after its last part.
@@ -133,11 +126,6 @@ impl Fake {
     /// Sets the revisions of the next answers; later answers repeat the last.
     pub(crate) fn tell<const N: usize>(&self, revisions: [u64; N]) {
         self.inner.lock().unwrap().revisions = revisions.into();
-    }
-
-    /// Sets the uids of the next descriptions of the index.
-    pub(crate) fn describe_as<const N: usize>(&self, uids: [&'static str; N]) {
-        self.inner.lock().unwrap().uids = uids.into();
     }
 
     pub(crate) fn fall_silent(&self) {
@@ -326,11 +314,10 @@ impl IndexService for Fake {
         request: Request<v1::GetIndexRequest>,
     ) -> Result<Response<v1::GetIndexResponse>, Status> {
         let number = self.enter(&request, 0).await?;
-        let uid = self.inner.lock().unwrap().uids.pop_front();
         let index = v1::Index {
             name: request.into_inner().index_name,
             space: Some(space::to_message(&"R1".parse::<Space>().unwrap())),
-            revision: revision_of(uid.unwrap_or(UID), number),
+            revision: revision(number),
             ..Default::default()
         };
         Ok(Response::new(v1::GetIndexResponse { index: Some(index) }))
