@@ -115,7 +115,13 @@ async fn serve_from(
     let under_way = TaskTracker::new();
     let _reporting = AbortOnDropHandle::new(tokio::spawn(shared.admission.clone().report()));
     let cut = CancellationToken::new();
-    let mut zenoh = ZenohFace::open(&config.zenoh, shared.clone(), config.cluster.is_on()).await?;
+    let mut shutdown = pin!(shutdown);
+    let opening = ZenohFace::open(&config.zenoh, shared.clone(), config.cluster.is_on());
+    let mut zenoh = tokio::select! {
+        opened = opening => opened?,
+        // It may wait for its routers without end.
+        () = &mut shutdown => return Ok(()),
+    };
     let addresses = Addresses {
         grpc: address,
         pages: pages_at,
@@ -138,6 +144,7 @@ async fn serve_from(
                 shared: shared.clone(),
                 phases: lifecycle.watch(),
                 addresses: Arc::new(addresses.clone()),
+                under_way: under_way.clone(),
             },
         )))
     });
@@ -215,7 +222,7 @@ async fn serve_from(
     tokio::select! {
         ended = &mut serving => return ended.map_err(ServerError::from).and(Err(ServerError::Ended)),
         failed = live => match failed? {},
-        () = shutdown => {}
+        () = &mut shutdown => {}
     }
 
     if let Some(cluster) = joined.get() {
@@ -294,15 +301,17 @@ fn check_exposure(
     Ok(warnings)
 }
 
-/// Finishes the accepted calls for at most the grace time, then cuts the rest. `serving` ends once gRPC has stopped.
+/// Finishes the accepted calls for at most the grace time, then cuts the rest. `serving` ends once gRPC has stopped;
+/// `under_way` are the calls of gRPC and of the pages.
 async fn drain(
     serving: impl Future<Output = Result<(), GrpcError>>,
     zenoh: Option<ZenohFace>,
-    grpc: TaskTracker,
+    under_way: TaskTracker,
     cut: CancellationToken,
     grace_ms: u64,
 ) -> Result<(), ServerError> {
-    let faces: Vec<TaskTracker> = [grpc]
+    under_way.close();
+    let faces: Vec<TaskTracker> = [under_way.clone()]
         .into_iter()
         .chain(zenoh.as_ref().map(ZenohFace::under_way))
         .collect();
@@ -316,7 +325,7 @@ async fn drain(
             face.stop().await;
         }
     };
-    let mut stopped = pin!(async { tokio::join!(serving, zenoh_stopped).0 });
+    let mut stopped = pin!(async { tokio::join!(serving, zenoh_stopped, under_way.wait()).0 });
     let calls = tokio::select! {
         drained = &mut stopped => {
             info!("stopped");

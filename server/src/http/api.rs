@@ -18,7 +18,7 @@ use bytes::{Bytes, BytesMut};
 use futures_util::FutureExt;
 use http_body_util::BodyExt;
 use tokio::sync::Semaphore;
-use tokio_util::task::task_tracker::TaskTrackerToken;
+use tokio_util::task::{TaskTracker, task_tracker::TaskTrackerToken};
 use tracing::Instrument;
 
 use super::{Pages, streams::MAX_STREAMS};
@@ -51,6 +51,8 @@ pub(super) struct Api {
     pub(super) calls: Semaphore,
     pub(super) streams: Arc<Semaphore>,
     pub(super) addresses: Arc<Addresses>,
+    /// The calls that a stopping server finishes: no streams.
+    under_way: TaskTracker,
     /// True if this listener speaks TLS.
     pub(super) has_tls: bool,
 }
@@ -61,15 +63,15 @@ pub(super) struct Admitted {
     pub(super) record: CallRecord,
     pub(super) held: HeldBytes,
     pub(super) turns: CallTurns,
-    /// Keeps the connection open.
-    active: Option<TaskTrackerToken>,
+    /// Keeps the connection open, and the server from ending.
+    active: Vec<TaskTrackerToken>,
 }
 
 /// The bytes of an answer that its client has not read. They are dropped once they are written.
 struct UnreadBytes {
     bytes: Vec<u8>,
     _held: HeldBytes,
-    _active: Option<TaskTrackerToken>,
+    _active: Vec<TaskTrackerToken>,
 }
 
 impl AsRef<[u8]> for UnreadBytes {
@@ -79,7 +81,7 @@ impl AsRef<[u8]> for UnreadBytes {
 }
 
 /// Holds the buffer of an answer until it is written, and its connection open. The body of a response ends before that.
-pub(super) fn unread(bytes: Vec<u8>, held: HeldBytes, active: Option<TaskTrackerToken>) -> Bytes {
+pub(super) fn unread(bytes: Vec<u8>, held: HeldBytes, active: Vec<TaskTrackerToken>) -> Bytes {
     held.force_take(bytes.capacity());
     Bytes::from_owner(UnreadBytes {
         bytes,
@@ -97,6 +99,7 @@ impl Api {
             streams: Arc::new(Semaphore::new(MAX_STREAMS)),
             shared: pages.shared.clone(),
             addresses: Arc::clone(&pages.addresses),
+            under_way: pages.under_way.clone(),
             has_tls,
         }
     }
@@ -138,8 +141,12 @@ impl Api {
             record.end(Ending::Failed(status.code));
             return Err(status.into());
         }
+        let mut active = Vec::from_iter(super::active(request));
+        if !is_stream {
+            active.push(self.under_way.token());
+        }
         Ok(Admitted {
-            active: super::active(request),
+            active,
             call,
             record,
             held,
@@ -205,7 +212,7 @@ pub(super) async fn answer(Of(api): Of<Arc<Api>>, request: HttpRequest) -> Respo
         }
         Err(status) => {
             record.end(Ending::Failed(status.code));
-            refusal(&status)
+            refused(&status, unread(text(&status), held, active))
         }
     }
 }
@@ -272,13 +279,13 @@ async fn ask(
 
 /// A refusal, with its status as JSON.
 pub(super) fn refusal(status: &Status) -> Response {
+    refused(status, text(status).into())
+}
+
+fn refused(status: &Status, text: Bytes) -> Response {
     let code = http_code(status.code);
-    let mut response = (
-        code,
-        [(header::CONTENT_TYPE, "application/json")],
-        text(status),
-    )
-        .into_response();
+    let media = [(header::CONTENT_TYPE, "application/json")];
+    let mut response = (code, media, text).into_response();
     if code == StatusCode::UNAUTHORIZED {
         let challenge = header::HeaderValue::from_static("Bearer");
         response

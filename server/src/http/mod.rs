@@ -67,6 +67,8 @@ pub(crate) struct Pages {
     pub(crate) shared: Shared,
     pub(crate) phases: PhaseWatch,
     pub(crate) addresses: Arc<Addresses>,
+    /// The calls that a stopping server finishes.
+    pub(crate) under_way: TaskTracker,
 }
 
 /// Serves the pages on `listener`, over TLS if there is any, until it is dropped.
@@ -148,7 +150,7 @@ async fn metrics(Of(api): Of<Arc<Api>>, request: Parts) -> Response {
         record.end(Ending::Failed(status.code));
         return refusal(&status);
     }
-    let active = active(&request);
+    let active = Vec::from_iter(active(&request));
     let held = api.scrapes.hold();
     if !held.take(CALL_BYTES) {
         return refusal(&status::too_many_bytes(api.scrapes.max_bytes()));

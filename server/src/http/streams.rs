@@ -92,7 +92,11 @@ impl StreamCall {
 
     /// The bytes of `frames`, counted until they are written.
     fn count(&self, frames: Frames) -> Bytes {
-        unread(frames.finish(), self.admitted.held.flow().hold(), None)
+        unread(
+            frames.finish(),
+            self.admitted.held.flow().hold(),
+            Vec::new(),
+        )
     }
 
     pub(super) fn end(&mut self, ending: Ending) {

@@ -94,6 +94,7 @@ fn pages(service: &Service, identities: Identities) -> Pages {
         shared,
         phases,
         addresses,
+        under_way: TaskTracker::new(),
     }
 }
 

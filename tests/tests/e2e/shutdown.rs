@@ -4,6 +4,7 @@ use std::{
     io::{Read, Write},
     net::TcpStream,
     process::Command,
+    thread,
 };
 
 use tonic::{Code, Streaming, transport::Channel};
@@ -97,6 +98,50 @@ async fn an_orderly_stop_keeps_the_mutations_while_a_page_is_open_and_before_it_
         (stored.revision, stored.point_count)
     );
     drop(open);
+}
+
+/// The server waits for the rest of a request to its pages, and answers it.
+#[test]
+fn an_accepted_call_of_the_pages_is_answered_after_sigterm() {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command.args(["--grpc", "127.0.0.1:0", "--http", "127.0.0.1:0"]);
+    command.env("WAYFOLD_DATA__DIR", "memory");
+    let mut server = ServerProcess::ready(Process::spawn(&mut command));
+    let mut call = TcpStream::connect(server.pages()).unwrap();
+    let head = "POST /api/v1/list HTTP/1.1\r\nHost: localhost\r\nContent-Length: 2\r\nConnection: close\r\n\
+        Expect: 100-continue\r\n\r\n";
+    call.write_all(head.as_bytes()).unwrap();
+    let mut accepted = [0; 25];
+    call.read_exact(&mut accepted).unwrap();
+    assert_eq!(&accepted, b"HTTP/1.1 100 Continue\r\n\r\n");
+    server.process().signal(Signal::Terminate);
+    while TcpStream::connect(server.uri().trim_start_matches("http://")).is_ok() {
+        thread::yield_now();
+    }
+    call.write_all(b"{}").unwrap();
+    let mut answer = String::new();
+    call.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 503"), "{answer}");
+    assert!(answer.contains("STOPPING"), "{answer}");
+    let finished = server.finish();
+    assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+}
+
+/// Its router does not answer, and Zenoh waits for it.
+#[test]
+fn sigterm_ends_a_server_that_waits_for_zenoh() {
+    // Nothing listens there, and Zenoh tries again and again.
+    let config =
+        "{ connect: { endpoints: ['tcp/127.0.0.1:1'], timeout_ms: -1, exit_on_failure: true } }";
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command
+        .args(["--grpc", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0"])
+        .args(["--log", "info,zenoh=info", "--data", "memory"])
+        .env("WAYFOLD_ZENOH__CONFIG", config);
+    let mut waiting = Process::spawn(&mut command);
+    waiting.log_until("Using ZID");
+    let finished = waiting.stop(Signal::Terminate);
+    assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
 }
 
 #[tokio::test]

@@ -37,9 +37,14 @@ const MOMENT: Duration = Duration::from_millis(10);
 #[tokio::test]
 async fn an_answer_counts_until_it_is_written() {
     let pages = pages(&service().await, Identities::default());
-    let admission = pages.shared.admission.clone();
+    let (admission, under_way) = (pages.shared.admission.clone(), pages.under_way.clone());
     let mut router = routes(pages, false);
-    for verb in ["list", "arm/scan", "arm/points", "overview"] {
+    for (verb, is_stream) in [
+        ("list", false),
+        ("arm/scan", false),
+        ("arm/points", true),
+        ("overview", true),
+    ] {
         let request = Request::post(format!("/api/v1/{verb}"));
         let answer = ask(&mut router, request, "{}").await;
         assert_eq!(answer.status(), StatusCode::OK, "{verb}");
@@ -48,7 +53,10 @@ async fn an_answer_counts_until_it_is_written() {
         // hyper drops a body once it has its last frame, before it writes it.
         drop(body);
         assert!(admission.bytes().0 >= frame.len() as u64, "{verb}");
+        // A stopping server waits for it, unless it is one of a stream.
+        assert_eq!(under_way.is_empty(), is_stream, "{verb}");
         drop(frame);
+        assert!(under_way.is_empty(), "{verb}");
         assert_eq!(admission.bytes().0, 0, "{verb}");
     }
 }
