@@ -36,10 +36,8 @@ pub fn main() -> ExitCode {
         Err(error) => return refuse(&error).into(),
     };
     let format = args.format();
-    match run(args) {
+    match allow_broken_pipe(run(args)) {
         Ok(()) => Status::Success.into(),
-        // The reader of the output has closed it, as `head` does.
-        Err(failure) if failure.is_broken_pipe() => Status::Success.into(),
         Err(failure) => {
             let mut stderr = io::stderr();
             // The error cannot be reported if standard error is closed.
@@ -50,6 +48,14 @@ pub fn main() -> ExitCode {
             failure.status().into()
         }
     }
+}
+
+/// A reader of the output that has closed it, as `head` does, is no failure.
+fn allow_broken_pipe(printed: Result<(), Failure>) -> Result<(), Failure> {
+    printed.or_else(|failure| match failure.is_broken_pipe() {
+        true => Ok(()),
+        false => Err(failure),
+    })
 }
 
 /// Prints the error of the arguments. Help and version take this way too, and are no errors.

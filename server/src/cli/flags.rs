@@ -182,10 +182,22 @@ pub(super) enum Command {
 impl Flags {
     /// The settings from all layers.
     pub(super) fn settings(&self) -> Result<Config, ConfigError> {
-        // All our variables are Unicode: skip the others.
-        let environment: BTreeMap<String, String> = env::vars_os()
-            .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)))
-            .collect();
+        let mut environment = BTreeMap::new();
+        // All our variables have Unicode names: skip the others.
+        let named =
+            env::vars_os().filter_map(|(name, value)| Some((name.into_string().ok()?, value)));
+        for (name, value) in named {
+            if let Ok(value) = value.into_string() {
+                environment.insert(name, value);
+            } else if name.starts_with("WAYFOLD_") && name.contains("__") {
+                return Err(ConfigError::Value {
+                    origin: "environment".to_owned(),
+                    key: name,
+                    problem: "its value is not UTF-8; set it to UTF-8 text, and rename a path that is not UTF-8"
+                        .to_owned(),
+                });
+            }
+        }
         Config::load(self.config.as_deref(), &environment, &self.layer())
     }
 

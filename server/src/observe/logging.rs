@@ -60,7 +60,7 @@ const SILENCED_LIBRARIES: [&str; 3] = ["zenoh", "fjall", "lsm_tree"];
 pub(crate) fn start(filter: &str, format: LogFormat) -> Result<(), LoggingError> {
     let mut lines = EnvFilter::try_new(filter);
     for library in SILENCED_LIBRARIES {
-        if !filter.contains(library) {
+        if !names(filter, library) {
             let directive = format!("{library}=off").parse();
             lines = lines.and_then(|lines| Ok(lines.add_directive(directive?)));
         }
@@ -81,6 +81,12 @@ pub(crate) fn start(filter: &str, format: LogFormat) -> Result<(), LoggingError>
     Ok(())
 }
 
+/// True if a directive of the filter is for the library or a part of it, and not for a module of the server of this name.
+fn names(filter: &str, library: &str) -> bool {
+    let mut directives = filter.split(',');
+    directives.any(|it| it.trim().starts_with(library))
+}
+
 /// At the levels debug and trace, Zenoh writes its configuration and whole messages, and the client of NATS its address:
 /// passwords and tokens of callers are parts of them. The part of Zenoh that opens links writes their locators at any level,
 /// which may carry a private key; the server's own lines tell the same without it.
@@ -90,4 +96,23 @@ fn has_no_secrets(lines: &Metadata<'_>) -> bool {
     let is_of = |name| library.starts_with(name);
     !is_of(OPENS_LINKS)
         && (*lines.level() < Level::DEBUG || !(is_of("zenoh") || is_of("async_nats")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_module_of_the_server_is_not_the_library_of_this_name() {
+        for (filter, expected) in [
+            ("info", false),
+            ("info,wayfold_server::zenoh=debug", false),
+            ("info,zenoh=warn", true),
+            ("info, zenoh=warn", true),
+            ("zenoh::net=debug", true),
+            ("zenoh_transport=debug,info", true),
+        ] {
+            assert_eq!(names(filter, "zenoh"), expected, "{filter}");
+        }
+    }
 }

@@ -1,6 +1,8 @@
 //! The answers of the command line that need no server: help, version, the default settings, and mistakes.
 
 use std::process::{Command, Output};
+#[cfg(unix)]
+use std::{ffi::OsStr, os::unix::ffi::OsStrExt};
 #[cfg(target_os = "linux")]
 use std::{
     fs,
@@ -94,6 +96,22 @@ fn mistakes_exit_with_2_and_say_where() {
         assert!(stderr.contains(part), "{stderr}");
         assert!(output.stdout.is_empty());
     }
+}
+
+/// A server that ignored the directory would keep its indices in another one.
+#[cfg(unix)]
+#[test]
+fn a_setting_that_is_not_unicode_exits_with_2() {
+    let directory = tempfile::tempdir().unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_wayfold-server"))
+        .args(["repair", "--dry-run"])
+        .current_dir(directory.path())
+        .env("WAYFOLD_DATA__DIR", OsStr::from_bytes(b"/srv/caf\xe9"))
+        .output()
+        .unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("WAYFOLD_DATA__DIR"), "{stderr}");
 }
 
 /// The soft limit of open files of a server that was started with a limit of 256, set by this option of `ulimit`, and its log.

@@ -31,6 +31,7 @@ use std::{
 use tokio::sync::{oneshot, watch};
 
 use crate::{
+    allow_broken_pipe,
     connection::ConnectionArgs,
     failure::Failure,
     interrupt,
@@ -137,19 +138,22 @@ pub(crate) async fn load(
     let report = args.report.as_deref().map(ReportFile::open).transpose()?;
     let (outcome, cleaned) = run_until_signal(plan).await?;
     let reported = tell(&outcome, report, output);
-    // Points that are left behind matter more than figures that cannot be written.
+    // Points that are left behind matter more than figures that cannot be written, and a reader that leaves hides no failure.
+    let reported = allow_broken_pipe(reported);
     cleaned.and(reported).and_then(|()| complete(&outcome))
 }
 
 /// Writes the figures, and the report if there is one.
 fn tell(outcome: &Outcome, report: Option<ReportFile>, output: &mut Output) -> Result<(), Failure> {
     let report = report.map(|report| report.write(&report::page(outcome)));
-    match output.format {
-        Format::Json => output.json(&json::object(outcome))?,
-        Format::Text => table::print(outcome, output)?,
-    }
+    let printed = match output.format {
+        Format::Json => output.json(&json::object(outcome)),
+        Format::Text => table::print(outcome, output),
+    };
     // The figures are printed, even if the page cannot be written.
-    if let (Some(path), Format::Text) = (report.transpose()?, output.format) {
+    let page = report.transpose()?;
+    printed?;
+    if let (Some(path), Format::Text) = (page, output.format) {
         output.text(format_args!("the report is in {}", path.display()))?;
     }
     Ok(())

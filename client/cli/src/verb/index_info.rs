@@ -6,7 +6,7 @@ use indicatif::HumanBytes;
 use serde::Serialize;
 
 use crate::{
-    Context,
+    Context, allow_broken_pipe,
     failure::Failure,
     output::{Column, Format, JsonRevision, Output, table},
 };
@@ -118,26 +118,36 @@ pub(crate) async fn list(context: &mut Context) -> Result<(), Failure> {
     let IndexList {
         indexes, damaged, ..
     } = context.client.list_indexes().await?;
-    let output = &mut context.output;
+    let printed = print_list(&indexes, &damaged, &mut context.output);
+    // A reader that leaves does not hide the damage.
+    allow_broken_pipe(printed.map_err(Failure::from))?;
+    check(indexes.len(), damaged.len())
+}
+
+fn print_list(
+    indexes: &[IndexInfo],
+    damaged: &[DamagedIndex],
+    output: &mut Output,
+) -> io::Result<()> {
     if output.format == Format::Json {
-        for index in &indexes {
+        for index in indexes {
             output.json(&InfoLine::of(index))?;
         }
-        for index in &damaged {
+        for index in damaged {
             output.json(&DamagedLine::of(index))?;
         }
-        return check(indexes.len(), damaged.len());
+        return Ok(());
     }
     if indexes.is_empty() && damaged.is_empty() {
         output.text("no indices; `wayfold create NAME --space SPACE` creates one")?;
     }
     if !indexes.is_empty() {
-        print_table(&indexes, output)?;
+        print_table(indexes, output)?;
     }
-    for index in &damaged {
+    for index in damaged {
         output.text(format_args!("{} is damaged: {}", index.name, index.error))?;
     }
-    check(indexes.len(), damaged.len())
+    Ok(())
 }
 
 /// A damaged index in the list is a failure, so that a script can rely on the exit status.

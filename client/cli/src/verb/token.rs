@@ -100,23 +100,25 @@ pub(crate) fn token(args: &TokenArgs, format: Format) -> Result<(), Failure> {
         None => Some(&*token),
     };
     let mut output = Output::stdout(format);
-    match format {
+    let printed = match format {
         Format::Json => output.json(&Created {
             token: shown,
             entry: &entry,
-        })?,
-        Format::Text => {
-            output.text(entry.trim_end())?;
-            if let Some(token) = shown {
-                let written = writeln!(io::stderr(), "the token, shown only now: {token}");
-                written.map_err(|source| Failure::File {
-                    path: "standard error".into(),
-                    source,
-                })?;
-            }
-        }
+        }),
+        Format::Text => output.text(entry.trim_end()),
+    };
+    let failed = |path: &str, source| Failure::File {
+        path: path.into(),
+        source,
+    };
+    // A broken pipe is a failure here, because the entry is lost.
+    let printed = printed.and_then(|()| output.flush());
+    printed.map_err(|source| failed("standard output", source))?;
+    if let (Format::Text, Some(token)) = (format, shown) {
+        let written = writeln!(io::stderr(), "the token, shown only now: {token}");
+        written.map_err(|source| failed("standard error", source))?;
     }
-    Ok(output.flush()?)
+    Ok(())
 }
 
 /// The entry of the file of identities.

@@ -3,6 +3,7 @@
 use std::{fs, path::Path, sync::Arc};
 
 use serde_json::json;
+use tempfile::TempDir;
 use wayfold::Code;
 use wayfold_proto::v1;
 use wayfold_server::{
@@ -11,7 +12,11 @@ use wayfold_server::{
     service::{Call, Limits, Service},
 };
 
-use crate::{journal_end::newest_journal, server::Server};
+use crate::{
+    journal_end::newest_journal,
+    process::{closed_pipe, command},
+    server::Server,
+};
 
 /// Stores the indices `arm`, `leg` and `rail` in a directory, and then loses the last mutation, which was of `leg`.
 /// Returns the uids of all three.
@@ -53,13 +58,36 @@ fn lose_a_mutation(directory: &Path) -> Vec<String> {
     uids
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn an_index_that_cannot_be_read_is_listed_and_can_be_deleted() {
+/// The data directory of these indices, a server of it, and the uids. The directory comes first, so that it is dropped last.
+async fn damaged_server() -> (TempDir, Server, Vec<String>) {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().to_owned();
     let lose = tokio::task::spawn_blocking(move || lose_a_mutation(&path));
     let uids = lose.await.unwrap();
     let server = Server::with(|config| config.data.dir = directory.path().to_str().unwrap().into());
+    (directory, server, uids)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reader_that_leaves_hides_no_damage() {
+    let (_directory, server, _) = damaged_server().await;
+    // The list is longer than the buffer of the output.
+    let circles: Vec<String> = (1..=120).map(|weight| format!("SO2:{weight}")).collect();
+    for index in 0..16 {
+        let name = format!("wide-{index}");
+        server.index(&name, &circles.join("*")).await;
+    }
+    for format in ["text", "json"] {
+        let mut list = command(&server.uri, &["list", "--output", format]);
+        assert!(list.output().unwrap().stdout.len() > 8192);
+        let output = list.stdout(closed_pipe()).output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{output:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_index_that_cannot_be_read_is_listed_and_can_be_deleted() {
+    let (_directory, server, uids) = damaged_server().await;
     let client = server.client().await;
 
     let list = client.list_indexes().await.unwrap();

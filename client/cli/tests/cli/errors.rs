@@ -5,7 +5,7 @@ use wayfold::Client;
 
 use crate::{
     fake::Fake,
-    process::{command, run_alone},
+    process::{closed_pipe, command, run_alone},
     server::Server,
 };
 
@@ -393,8 +393,6 @@ fn a_token_that_no_one_can_read_is_an_error() {
         "http://127.0.0.1:0",
         &["token", "create", "cell", "--role", "read"],
     );
-    let (read, write) = std::io::pipe().unwrap();
-    drop(read);
-    let output = create.stderr(write).output().unwrap();
+    let output = create.stderr(closed_pipe()).output().unwrap();
     assert_eq!(output.status.code(), Some(3), "{output:?}");
 }

@@ -2,13 +2,16 @@
 
 mod files;
 
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::{
+    fs,
+    sync::atomic::{AtomicUsize, Ordering},
+};
 
 use serde_json::{Value, json};
 
 use crate::{
     fake::Fake,
-    process::{command, run_alone},
+    process::{closed_pipe, command, run_alone},
     server::Server,
 };
 
@@ -188,6 +191,16 @@ async fn every_refusal_of_a_server_is_counted_once() {
     assert_eq!(run.status.code(), Some(3));
     let error = String::from_utf8_lossy(&run.stderr);
     assert!(error.contains("none of 60 calls was answered"), "{error}");
+
+    // Nor does a reader that leaves hide it, with more figures than the buffer of the output holds.
+    let directory = tempfile::tempdir().unwrap();
+    let scenario = directory.path().join("long.toml");
+    fs::write(&scenario, "[[phase]]\nname = \"short\"\n".repeat(40)).unwrap();
+    let args = [&args[..], &["--scenario", scenario.to_str().unwrap()]].concat();
+    let mut long = command(&fake.uri, &args);
+    assert!(long.output().unwrap().stdout.len() > 8192);
+    let run = long.stdout(closed_pipe()).output().unwrap();
+    assert_eq!(run.status.code(), Some(3), "{run:?}");
 }
 
 #[test]

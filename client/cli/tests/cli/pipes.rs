@@ -9,7 +9,7 @@ use serde_json::json;
 use wayfold::Client;
 
 use crate::{
-    process::{command, shell},
+    process::{closed_pipe, command, shell},
     server::Server,
 };
 
@@ -103,6 +103,22 @@ async fn a_closed_pipe_does_not_end_an_insert() {
     assert!(insert.wait().unwrap().success());
     let client = Client::connect(&server.uri).await.unwrap();
     assert_eq!(client.index_info("line").await.unwrap().point_count, 5000);
+}
+
+/// The entry is lost, and a repeat finds that the file of the token exists.
+#[test]
+fn a_token_whose_entry_no_one_reads_is_an_error() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("cell.token");
+    let args = ["token", "create", "cell", "--role", "read", "--to"];
+    let mut create = command(
+        "http://127.0.0.1:0",
+        &[&args[..], &[file.to_str().unwrap()]].concat(),
+    );
+    let output = create.stdout(closed_pipe()).output().unwrap();
+    assert_eq!(output.status.code(), Some(3), "{output:?}");
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(error.contains("standard output"), "{error}");
 }
 
 #[test]

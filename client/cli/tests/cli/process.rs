@@ -1,7 +1,7 @@
 //! The command line as a process.
 
 use std::{
-    io::Write,
+    io::{PipeWriter, Write},
     process::{Child, Command, Stdio},
 };
 
@@ -72,6 +72,12 @@ fn program(program: &str, server: &str, args: &[&str]) -> Command {
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());
     command
+}
+
+/// A pipe whose reader has left.
+pub(crate) fn closed_pipe() -> PipeWriter {
+    let (_, write) = std::io::pipe().unwrap();
+    write
 }
 
 /// Sends `INT` or another signal.
