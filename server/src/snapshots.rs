@@ -8,7 +8,7 @@ mod files;
 use std::{
     fs::{self, File, TryLockError},
     io::{self, BufWriter},
-    path::{Path, PathBuf, absolute},
+    path::{Component, Path, PathBuf, absolute},
     sync::Arc,
     time::{Duration, SystemTime},
 };
@@ -284,12 +284,27 @@ impl Schedule {
     }
 }
 
-/// True if `inner` is `outer` or below it, by their names.
+/// True if `inner` is `outer` or below it.
 fn is_within(inner: &Path, outer: &Path) -> bool {
-    let [inner, outer] = [inner, outer].map(|path| absolute(path).ok());
+    let [inner, outer] = [inner, outer].map(|path| resolved(path).ok());
     inner
         .zip(outer)
         .is_some_and(|(inner, outer)| inner.starts_with(outer))
+}
+
+/// A path without links and `..`. Its end need not exist yet.
+fn resolved(path: &Path) -> io::Result<PathBuf> {
+    let mut resolved = PathBuf::new();
+    for part in absolute(path)?.components() {
+        if part == Component::ParentDir {
+            resolved.pop();
+        } else {
+            resolved.push(part);
+        }
+        // What does not exist has no links.
+        resolved = resolved.canonicalize().unwrap_or(resolved);
+    }
+    Ok(resolved)
 }
 
 #[cfg(test)]
@@ -335,6 +350,22 @@ mod tests {
         let future = "20270131T230000Z-uid-6.snapshot";
         assert!(due(&[future]));
         assert!(!due(&["20260131T235900Z-uid-5.snapshot", future]));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_directory_is_in_the_data_by_its_place_and_not_by_its_name() {
+        let directory = tempfile::tempdir().unwrap();
+        let [data, link] = ["data", "link"].map(|name| directory.path().join(name));
+        std::os::unix::fs::symlink(&data, &link).unwrap();
+        let beside = data.join("../snapshots");
+        // The first start makes the directory of the data later.
+        assert!(!is_within(&beside, &data));
+        fs::create_dir(&data).unwrap();
+        assert!(!is_within(&beside, &data));
+        assert!(is_within(&data.join("snapshots"), &data));
+        assert!(is_within(&link.join("snapshots"), &data));
+        assert!(is_within(&data, &link));
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 1)]

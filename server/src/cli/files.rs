@@ -8,9 +8,9 @@ use crate::{http, zenoh};
 #[cfg(target_os = "linux")]
 const OTHER_FILES: usize = 1_000;
 
-/// Raises the limit as far as this process may: most systems set 1,024 and allow more. Warns if the connections may reach
-/// it: no further one would be accepted then, and the store could open no file. Only Linux has it raised.
-pub(super) fn raise_limit(config: &Config) {
+/// Raises the limit as far as this process may: most systems set 1,024 and allow more, and a repair has two stores open.
+/// Only Linux has it raised.
+pub(super) fn raise_limit() {
     #[cfg(target_os = "linux")]
     {
         use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -23,6 +23,15 @@ pub(super) fn raise_limit(config: &Config) {
         if let Err(error) = setrlimit(Resource::Nofile, raised) {
             tracing::warn!(%error, "cannot raise the limit of open files");
         }
+    }
+}
+
+/// Warns if the connections may reach the limit: no further one would be accepted then, and the store could open no file.
+pub(super) fn check_limit(config: &Config) {
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::process::{Resource, getrlimit};
+
         let needed = needed(config);
         if let Some(limit) = getrlimit(Resource::Nofile).current
             && limit < needed

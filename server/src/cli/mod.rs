@@ -52,6 +52,7 @@ pub fn main() -> ExitCode {
     // Data and snapshots hold the points of all indices: only the user of the server reads the files that it makes.
     #[cfg(target_os = "linux")]
     rustix::process::umask(rustix::fs::Mode::RWXG | rustix::fs::Mode::RWXO);
+    files::raise_limit();
     match flags.command {
         Some(Command::Repair { dry_run }) => return repair::run(&config, dry_run),
         Some(Command::Reseed { index, uid }) => {
@@ -86,7 +87,7 @@ const BLOCKING_THREADS: usize = 512;
 const QUEUE_INTERVAL: u32 = 4;
 
 fn serve(config: Config) -> Result<(), Box<dyn Error>> {
-    files::raise_limit(&config);
+    files::check_limit(&config);
     let mut threads = runtime::Builder::new_multi_thread();
     threads.global_queue_interval(QUEUE_INTERVAL);
     if config.runtime.workers > 0 {

@@ -27,7 +27,7 @@ pub(super) fn run(config: &Config, dry_run: bool) -> ExitCode {
     match repair(directory, dry_run) {
         Ok(report) => {
             // A closed standard output has no reader.
-            let _ = io::stdout().write_all(text(&report, directory).as_bytes());
+            let _ = io::stdout().write_all(text(&report, directory, dry_run).as_bytes());
             match report.damage.is_some() && dry_run {
                 true => ExitCode::from(DAMAGED_STATUS),
                 false => ExitCode::SUCCESS,
@@ -37,10 +37,18 @@ pub(super) fn run(config: &Config, dry_run: bool) -> ExitCode {
     }
 }
 
-fn text(report: &RepairReport, directory: &Path) -> String {
+fn text(report: &RepairReport, directory: &Path, dry_run: bool) -> String {
     let directory = directory.display();
+    let room = format!(
+        "a repair needs {} free bytes, and {} are free",
+        report.needed_bytes, report.free_bytes
+    );
     let Some(damage) = &report.damage else {
-        return format!("the store in {directory} is whole: nothing to repair\n");
+        let whole = format!("the store in {directory} is whole: nothing to repair\n");
+        return match dry_run {
+            true => format!("{whole}{room}\n"),
+            false => whole,
+        };
     };
     let mut text = format!("the store in {directory} is damaged: {damage}\n");
     let (verb, losing) = match report.kept {
@@ -64,11 +72,7 @@ fn text(report: &RepairReport, directory: &Path) -> String {
              next: start the server, then delete each lost index and restore it from its snapshot",
             kept.display()
         ),
-        None => writeln!(
-            text,
-            "a repair needs {} free bytes, and {} are free; run it without --dry-run",
-            report.needed_bytes, report.free_bytes
-        ),
+        None => writeln!(text, "{room}; run it without --dry-run"),
     };
     text
 }
@@ -87,7 +91,7 @@ mod tests {
             free_bytes: 200,
             kept: None,
         };
-        let planned = text(&report, Path::new("data"));
+        let planned = text(&report, Path::new("data"), true);
         for part in [
             "data is damaged: checksum mismatch",
             "a repair keeps: 2 indices",
@@ -97,11 +101,11 @@ mod tests {
             assert!(planned.contains(part), "{planned}");
         }
         report.kept = Some("data/store.damaged-1".into());
-        let done = text(&report, Path::new("data"));
+        let done = text(&report, Path::new("data"), false);
         for part in ["kept: 2", "lost: arm", "data/store.damaged-1", "next: "] {
             assert!(done.contains(part), "{done}");
         }
         report.damage = None;
-        assert!(text(&report, Path::new("data")).contains("is whole"));
+        assert!(text(&report, Path::new("data"), false).contains("is whole"));
     }
 }

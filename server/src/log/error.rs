@@ -135,9 +135,8 @@ pub enum LogError {
     /// The store as a whole cannot be read.
     #[error(
         "the store cannot be opened ({what}): its content cannot be read{}; put back the newest state of the file, or \
-         stop the server and run `wayfold-server repair`, or name another directory with --data and restore the \
-         indices from snapshots (never use an older copy of the directory: the server cannot tell it from the present \
-         one)",
+         name another directory with --data and restore the indices from snapshots (never use an older copy of the \
+         directory: the server cannot tell it from the present one)",
         match revision {
             0 => String::new(),
             revision => format!(", among it the revisions 1 to {revision} of this index"),

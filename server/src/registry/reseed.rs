@@ -48,8 +48,9 @@ pub(crate) enum ReseedError {
     },
     /// Another index has the name.
     #[error(
-        "another index has this name now: the one in this directory, {old}, was deleted or reseeded elsewhere; \
-         `wayfold delete` that one first, if the points here are to take its place"
+        "another index has this name now: the one in this directory, {old}, was deleted or reseeded elsewhere, or \
+         this server may have lost mutations that were not synced and gave it a new uid; `wayfold delete` the other \
+         one first, if the points here are to take its place"
     )]
     Replaced {
         /// The uid of the index in the directory.

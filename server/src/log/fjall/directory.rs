@@ -201,13 +201,18 @@ impl Drop for Directory {
 
 /// Fails if a directory holds no store, not even one that a repair has yet to put in place.
 pub(super) fn require_store(path: &Path) -> Result<(), OpenError> {
-    let mut names = [STORE, REBUILT_STORE].iter();
-    match names.any(|name| path.join(name).exists()) {
-        true => Ok(()),
-        false => Err(OpenError::Missing {
-            directory: path.into(),
-        }),
+    for name in [STORE, REBUILT_STORE] {
+        let found = path.join(name).try_exists();
+        if found.map_err(|source| OpenError::Io {
+            path: path.into(),
+            source,
+        })? {
+            return Ok(());
+        }
     }
+    Err(OpenError::Missing {
+        directory: path.into(),
+    })
 }
 
 /// Checks the marker. An empty marker was just made or was not finished, and is written.
@@ -303,6 +308,19 @@ mod tests {
         let refused = Directory::take(path).err().unwrap();
         assert!(refused.to_string().contains(&*path.to_string_lossy()));
         refused.to_string()
+    }
+
+    /// A loop of links stands for a missing right: root has every right.
+    #[cfg(unix)]
+    #[test]
+    fn a_directory_that_cannot_be_searched_is_not_said_to_have_no_store() {
+        let directory = tempfile::tempdir().unwrap();
+        let missing = require_store(directory.path()).unwrap_err();
+        assert!(matches!(missing, OpenError::Missing { .. }), "{missing}");
+        let itself = directory.path().join("loop");
+        std::os::unix::fs::symlink(&itself, &itself).unwrap();
+        let refused = require_store(&itself).unwrap_err();
+        assert!(matches!(refused, OpenError::Io { .. }), "{refused}");
     }
 
     #[test]

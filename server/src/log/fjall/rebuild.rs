@@ -68,7 +68,7 @@ pub enum RepairError {
     #[error(transparent)]
     Directory(#[from] OpenError),
     /// The store cannot be read or written at all.
-    #[error("the store cannot be repaired: {0}")]
+    #[error("the store cannot be repaired ({}); it is as it was", cause(.0))]
     Log(#[from] LogError),
     /// The disk is too full.
     #[error(
@@ -80,6 +80,17 @@ pub enum RepairError {
         /// Bytes that are free.
         free: u64,
     },
+}
+
+/// The cause of an error, without its consequences for a server: none runs during a repair.
+fn cause(error: &LogError) -> String {
+    match error {
+        LogError::Unopened { what, .. } | LogError::Shut { what } | LogError::Storage { what } => {
+            what.clone()
+        }
+        LogError::StorageStopped => "an earlier failure to write".into(),
+        error => error.to_string(),
+    }
 }
 
 /// Makes an empty store, unless a store exists or existed: if the file of marks exists, a missing store is a lost one.
@@ -246,8 +257,8 @@ fn survey(store: &Handles, marks: &MarkTable) -> Result<Vec<Content>, LogError> 
         };
         match entry {
             Err(damage) => {
-                let name = marks.get(number).map(|mark| mark.name.to_string());
-                content.lost = name.map(|name| (name, damage));
+                let live = marks.get(number).filter(|mark| !mark.deleted);
+                content.lost = live.map(|mark| (mark.name.to_string(), damage));
             }
             Ok(entry) => {
                 let staged = StagedEntry::decode(number, &entry);
@@ -313,6 +324,26 @@ fn all_of(handles: &Handles, number: Number) -> impl Iterator<Item = fjall::Resu
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_failed_repair_names_the_cause_and_no_server() {
+        let what = "No space left on device";
+        for error in [
+            LogError::Unopened {
+                revision: 0,
+                what: what.into(),
+            },
+            LogError::Shut { what: what.into() },
+            LogError::Storage { what: what.into() },
+            LogError::StorageStopped,
+        ] {
+            let text = RepairError::from(error.clone()).to_string();
+            assert!(!text.contains("server"), "{text}");
+            assert!(text.ends_with("; it is as it was"), "{text}");
+            let has_cause = text.contains(what) || error == LogError::StorageStopped;
+            assert!(has_cause, "{text}");
+        }
+    }
 
     #[test]
     fn a_repair_needs_as_many_free_bytes_as_it_names() {
