@@ -176,14 +176,20 @@ impl Client {
         let request = v1::GetIndexRequest {
             index_name: name.to_owned(),
         };
+        let mut awaited: Option<Revision> = None;
         loop {
             let attempt =
                 |connection, remaining| Call::send(connection, within(remaining, request.clone()));
             let (answer, _) = self.call_at(CALL, timeout, deadline, attempt).await?;
             let info = IndexInfo::from_message(CALL, answer.index)?;
-            if self.is_newest(&info) {
+            // What other calls of this client have seen since the first answer does not count: there may always be more.
+            let seen = || self.newest(&info.revision).number();
+            let awaited_here = awaited.filter(|it| it.uid == info.revision.uid);
+            let newest = awaited_here.map_or_else(seen, |it| it.number);
+            if newest <= info.revision.number {
                 return Ok(info);
             }
+            awaited = Some(Revision::new(Arc::clone(info.uid()), newest));
             // This server lags behind another one.
             let index = IndexHandle::new(self.clone(), info);
             let attempt = |connection: Connection, remaining| {

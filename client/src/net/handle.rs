@@ -325,7 +325,16 @@ impl IndexHandle {
             };
             let opened = open(connection.clone());
             async move {
-                self.wait_for_newest(&connection, wait).await?;
+                let waited = self.wait_for_newest(&connection, wait).await;
+                waited.map_err(|status| match status.code() {
+                    // The next attempt asks another server.
+                    tonic::Code::DeadlineExceeded | tonic::Code::Cancelled if wait < remaining => {
+                        tonic::Status::unavailable(
+                            "the server lacks the newest revision that this client has seen",
+                        )
+                    }
+                    _ => status,
+                })?;
                 opened.await
             }
         };

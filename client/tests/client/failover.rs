@@ -318,6 +318,20 @@ async fn writes_to_a_server_that_lacks_the_index_go_to_the_next_one() {
     assert_eq!(refused.code(), Code::Unimplemented);
 }
 
+/// It has not reached it in the time in which another server is worth a try.
+#[tokio::test]
+async fn a_scan_leaves_a_server_that_lacks_the_newest_revision() {
+    let (first, second) = (Fake::start().await, Fake::start().await);
+    let index = connect([&first.uri, &second.uri]).await;
+    let index = index.index("line").await.unwrap();
+    first.tell([9]);
+    index.knn([[0.0]]).await.unwrap();
+    first.fail(|_, _| Some(Answer::deadline_exceeded("waiting for revision 9")));
+    second.scan_answers(vec![scanned(9, &[(1, 0.0)])], true);
+    index.scan().await.unwrap();
+    assert_eq!((first.calls(), second.gets().len()), (1, 1));
+}
+
 /// The second of two servers has nothing of the first, and so no index.
 #[tokio::test]
 async fn a_server_that_stops_is_left() {

@@ -2,8 +2,9 @@
 
 use std::collections::{HashMap, VecDeque};
 
-use wayfold_index::{Filter, ForestSnapshot, Neighbor, Point, Search, Space};
+use wayfold_index::{Filter, ForestSnapshot, Neighbor, Search, Space};
 
+use super::rebased::{Content, RebasedPoint};
 use crate::index::local::LocalPoints;
 
 /// The most bytes of the answers that wait for the caller.
@@ -15,6 +16,9 @@ const MAX_ARRIVALS: usize = 1 << 20;
 /// The most neighbours of a superset that no distance bounds: the nearest ones. It may miss a neighbour if `k` is about
 /// this number or greater.
 const MAX_SUPERSET: usize = 1 << 16;
+
+/// The most distances for the answers to the searches of one batch: some tenths of a second. The feed waits for them.
+const MAX_DISTANCES: usize = 1 << 24;
 
 /// The most distances that the thread of all calls computes at once: about a millisecond.
 const MAX_INLINE_DISTANCES: usize = 1 << 14;
@@ -29,7 +33,7 @@ pub struct Meanwhile {
     /// Its neighbours, nearest first.
     pub neighbors: Vec<Neighbor>,
     /// True if some of them may have been in the answer of the insert, or come after the point: all points were read
-    /// again between.
+    /// again between, or others stored very many.
     pub is_superset: bool,
 }
 
@@ -70,8 +74,8 @@ pub(super) struct OpenSearch {
     at: u64,
     /// The number of published points before the insert, once it is published.
     pub(super) points_before: usize,
-    /// True if the copy was read again since.
-    is_reloaded: bool,
+    /// True if the copy was read again since, or too many points arrived.
+    searches_all: bool,
 }
 
 impl OpenSearch {
@@ -97,7 +101,7 @@ impl OpenSearch {
             found: farthest.map_or_else(Vec::new, |_| found.to_vec()),
             at,
             points_before: 0,
-            is_reloaded: false,
+            searches_all: false,
         }
     }
 
@@ -106,9 +110,9 @@ impl OpenSearch {
         size_of::<OpenSearch>() + size_of_val(&self.row[..]) + size_of_val(&self.found[..])
     }
 
-    /// The points were read again, so the answer is a superset.
-    pub(super) fn reloaded(&mut self) {
-        self.is_reloaded = true;
+    /// The answer will be a superset, of all points.
+    pub(super) fn search_all(&mut self) {
+        self.searches_all = true;
     }
 }
 
@@ -142,8 +146,8 @@ type Change = (u64, Option<u64>);
 #[derive(Debug)]
 pub(super) struct Answerable {
     searches: Vec<OpenSearch>,
-    /// The changes of each point, the oldest first, and the point.
-    arrived: Vec<(Vec<Change>, Point)>,
+    /// The changes of each point, the oldest first, its id and its content.
+    arrived: Vec<(Vec<Change>, u64, Content)>,
     /// The last change by which another writer removed or moved a point, or gave it another tag.
     departure: u64,
     snapshot: Option<ForestSnapshot>,
@@ -192,31 +196,41 @@ impl OpenSearches {
         self.stored.clear();
     }
 
-    /// The server has stored the points of these searches: `points` are those up to them, and own points. `oldest` is
-    /// the oldest of the searches that stay open.
+    /// The server has stored the points of these searches: `points` are those up to them, and own points. `published` has
+    /// the points on which own writes are pending. `oldest` is the oldest of the searches that stay open.
     pub(super) fn answerable(
         &mut self,
-        searches: Vec<OpenSearch>,
+        mut searches: Vec<OpenSearch>,
         oldest: Option<&OpenSearch>,
         points: &LocalPoints,
+        published: &HashMap<u64, RebasedPoint>,
     ) -> Option<Answerable> {
         let first = searches.first()?.at;
-        let after = self.stored.partition_point(|arrival| arrival.at <= first);
+        let mut after = self.stored.partition_point(|arrival| arrival.at <= first);
+        let arrivals = self.stored.len() - after;
+        if searches.len().saturating_mul(arrivals) > MAX_DISTANCES {
+            searches.iter_mut().for_each(OpenSearch::search_all);
+            after = self.stored.len();
+        }
         let mut changes: HashMap<u64, Vec<Change>> = HashMap::new();
         for arrival in self.stored.range(after..) {
             let of_point = changes.entry(arrival.id).or_default();
             of_point.push((arrival.at, arrival.old_tag));
         }
-        // A point that was stored twice counts as it is now.
+        // A point that was stored twice counts as it is now, without own writes that come after the searches.
+        let content = |id| match published.get(&id) {
+            Some(published) => published.base.clone(),
+            None => points.get(id).map(|point| (point.tag, point.row)),
+        };
         let arrived = changes
             .into_iter()
-            .filter_map(|(id, changes)| Some((changes, points.get(id)?)));
+            .filter_map(|(id, changes)| Some((changes, id, content(id)?)));
         let answerable = Answerable {
             arrived: arrived.collect(),
             departure: self.departure,
             snapshot: searches
                 .iter()
-                .any(|open| open.is_reloaded)
+                .any(|open| open.searches_all)
                 .then(|| points.forest.snapshot()),
             searches,
         };
@@ -269,11 +283,11 @@ impl Answerable {
         self.searches.iter().map(|open| Meanwhile {
             id: open.id,
             points_before: open.points_before,
-            neighbors: match open.is_reloaded {
+            neighbors: match open.searches_all {
                 false => self.arrived(open, space),
                 true => self.superset(open, space),
             },
-            is_superset: open.is_reloaded,
+            is_superset: open.searches_all,
         })
     }
 
@@ -281,19 +295,19 @@ impl Answerable {
     fn arrived(&self, open: &OpenSearch, space: &Space) -> Vec<Neighbor> {
         let filter = open.filter;
         let passes = |tag: u64| tag & filter.tag_mask == filter.tag_value;
-        let unseen = self.arrived.iter().filter(|(changes, point)| {
+        let unseen = self.arrived.iter().filter(|(changes, id, (tag, _))| {
             let later = changes.iter().filter(|(at, _)| *at > open.at);
             let Some((_, old_tag)) = later.clone().next() else {
                 return false;
             };
             let is_new = later.clone().any(|(_, old_tag)| old_tag.is_none());
             // Another writer may have stored a point under the same id.
-            let is_other = point.id != open.id;
-            is_other && passes(point.tag) && (is_new || !old_tag.is_some_and(passes))
+            let is_other = *id != open.id;
+            is_other && passes(*tag) && (is_new || !old_tag.is_some_and(passes))
         });
-        let neighbors = unseen.map(|(_, point)| Neighbor {
-            distance: space.distance(&open.row, &point.row),
-            id: point.id,
+        let neighbors = unseen.map(|(_, id, (_, row))| Neighbor {
+            distance: space.distance(&open.row, row),
+            id: *id,
         });
         let bound = match self.departure > open.at {
             true => open.radius,
@@ -334,66 +348,4 @@ impl Answerable {
 }
 
 #[cfg(test)]
-mod tests {
-    use wayfold_index::{Forest, ForestOptions, Points};
-
-    use super::*;
-
-    /// The neighbours after a reload of a point 0, whose insert found `found`. The other points are ids, tags and places.
-    fn superset(
-        search: &Search<'_>,
-        found: &[Neighbor],
-        others: impl Iterator<Item = (u64, u64, f64)>,
-    ) -> Vec<u64> {
-        let space: Space = "R1".parse().unwrap();
-        let mut points = Points::new(1);
-        for (id, tag, x) in others.chain([(0, 1, 0.0)]) {
-            points.push(id, tag, 1, &[x]);
-        }
-        let mut forest = Forest::new(space.clone(), ForestOptions::for_space(&space));
-        forest.apply(1, &points, &[]).unwrap();
-        let mut open = OpenSearch::new((0, 0), &[0.0], search, found, 1);
-        open.reloaded();
-        let answerable = Answerable {
-            searches: vec![open],
-            arrived: Vec::new(),
-            departure: 0,
-            snapshot: Some(forest.snapshot()),
-        };
-        let answer = answerable.answers(&space).next().unwrap();
-        assert!(answer.is_superset);
-        let ids = answer.neighbors.iter().map(|neighbor| neighbor.id);
-        ids.collect()
-    }
-
-    const NEAREST: Neighbor = Neighbor {
-        distance: 1.0,
-        id: 1,
-    };
-
-    /// The insert found the point 1 at distance 1. While the copy was read again, the point stayed, left, moved or lost
-    /// its tag; the point 2, at distance 3, is the nearest neighbour then.
-    #[test]
-    fn a_reload_misses_no_neighbour_in_place_of_one_that_left() {
-        let mut search = Search::nearest_k(1);
-        (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
-        let answer = |first: Option<(u64, f64)>| {
-            let first = first.map(|(tag, x)| (1, tag, x));
-            superset(&search, &[NEAREST], first.into_iter().chain([(2, 1, 3.0)]))
-        };
-        assert_eq!(answer(Some((1, 1.0))), [1]);
-        assert_eq!(answer(None), [2]);
-        assert_eq!(answer(Some((1, 5.0))), [2, 1]);
-        assert_eq!(answer(Some((0, 1.0))), [2]);
-    }
-
-    /// The copy had fewer points than the search asked for.
-    #[test]
-    fn a_superset_without_a_bound_has_a_limit() {
-        let count = MAX_SUPERSET as u64 + 10;
-        let others = (1..=count).map(|id| (id, 0, id as f64));
-        let found = superset(&Search::nearest_k(2), &[NEAREST], others);
-        // One of them is the point itself.
-        assert!(found.iter().copied().eq(1..MAX_SUPERSET as u64));
-    }
-}
+mod tests;

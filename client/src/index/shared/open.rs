@@ -87,7 +87,7 @@ impl OpenShared {
     }
 
     /// The longest time that a call waits: for the connection, for room among the pending writes, for a flush. 30 s
-    /// unless set.
+    /// unless set. `insert_many` waits so for each part of its rows.
     pub fn timeout(mut self, timeout: Duration) -> OpenShared {
         self.timeout = timeout.min(MAX_WAIT);
         self

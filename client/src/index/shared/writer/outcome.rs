@@ -108,7 +108,9 @@ impl Writer {
             }
         }
         let oldest = self.queue.iter().find_map(|batch| batch.searches.first());
-        Ok(self.open_searches.answerable(searches, oldest, points))
+        Ok(self
+            .open_searches
+            .answerable(searches, oldest, points, &self.rebased))
     }
 
     /// Another writer has removed and stored points, as one record.
@@ -152,7 +154,7 @@ impl Writer {
         if self.open_searches.is_full() {
             self.open_searches.forget();
             for open in self.queue.iter_mut().flat_map(|batch| &mut batch.searches) {
-                open.reloaded();
+                open.search_all();
             }
         }
         let mut plain_removed = Vec::new();
@@ -192,7 +194,7 @@ impl Writer {
         self.rebased.clear();
         self.published_points = points.forest.len();
         for open in self.queue.iter_mut().flat_map(|batch| &mut batch.searches) {
-            open.reloaded();
+            open.search_all();
         }
         let answerable = self.confirm_up_to(revision, points)?;
         for batch in &self.queue {

@@ -1,5 +1,7 @@
 //! Lost answers, reloads and refusals, without a server.
 
+mod meanwhile;
+
 use super::*;
 use crate::{
     Meanwhile,
@@ -36,16 +38,6 @@ fn insert(writer: &mut Writer, points: &mut LocalPoints, row: f64) -> u64 {
     id
 }
 
-/// Inserts a point at 0, whose search found the point 1 at distance 1.
-fn insert_near_1(writer: &mut Writer, points: &mut LocalPoints, search: &Search<'_>) {
-    let id = insert(writer, points, 0.0);
-    let found = [Neighbor {
-        distance: 1.0,
-        id: 1,
-    }];
-    writer.ask(id, &[0.0], search, &found, points.read_revision().0);
-}
-
 /// Another writer's record.
 fn foreign(writer: &mut Writer, points: &mut LocalPoints, id: u64, tag: u64, row: f64) {
     let row = [row];
@@ -58,34 +50,6 @@ fn foreign(writer: &mut Writer, points: &mut LocalPoints, id: u64, tag: u64, row
     writer
         .apply([stored].into_iter(), &[], points)
         .expect("a state");
-}
-
-/// Another writer's record that gives a stored point another tag.
-fn foreign_tag(writer: &mut Writer, points: &mut LocalPoints, id: u64, tag: u64) {
-    let row = points.get(id).expect("a point").row;
-    let stored = NewRow {
-        id,
-        tag,
-        row: &row,
-        is_new: false,
-    };
-    writer
-        .apply([stored].into_iter(), &[], points)
-        .expect("a state");
-}
-
-/// The answers to the searches of a batch of session 1, which the feed has reached.
-fn confirmed(writer: &mut Writer, points: &mut LocalPoints, number: u64) -> Vec<Meanwhile> {
-    let named = writer.confirm(1, number, points).expect("a batch");
-    let named = named.expect("an own batch").into_iter();
-    named
-        .flat_map(|it| it.answers(&space()).collect::<Vec<_>>())
-        .collect()
-}
-
-fn neighbor_ids(answer: &Meanwhile) -> Vec<u64> {
-    let neighbors = answer.neighbors.iter();
-    neighbors.map(|neighbor| neighbor.id).collect()
 }
 
 /// A copy that was read again, with these points.
@@ -199,46 +163,6 @@ fn a_history_that_is_gone_leaves_no_session() {
     assert_eq!(points.forest.len(), 0);
 }
 
-/// The first batch is answered exactly, the second one after a reload by a superset.
-#[test]
-fn a_question_is_answered_when_its_point_is_published() {
-    let (mut writer, mut points) = writer();
-    let ask = |writer: &mut Writer, points: &mut LocalPoints, row: f64| {
-        let id = insert(writer, points, row);
-        let at = points.read_revision().0;
-        writer.ask(id, &[row], &Search::nearest_k(1), &[], at);
-        id
-    };
-    foreign(&mut writer, &mut points, 1, 0, 0.0);
-    let first = ask(&mut writer, &mut points, 1.0);
-    foreign(&mut writer, &mut points, 2, 0, 1.5);
-    foreign(&mut writer, &mut points, 3, 0, 1.25);
-    writer.next(1, 0).expect("a batch");
-    let answers = confirmed(&mut writer, &mut points, 1);
-    assert_eq!(answers.len(), 1);
-    assert_eq!((answers[0].id, answers[0].neighbors.len()), (first, 1));
-    assert_eq!(answers[0].points_before, 3);
-    assert_eq!(
-        (answers[0].neighbors[0].id, answers[0].is_superset),
-        (3, false)
-    );
-
-    let second = ask(&mut writer, &mut points, 2.0);
-    writer.next(1, 0).expect("a batch");
-    reload(
-        &mut writer,
-        &mut points,
-        30,
-        &[(1, 0, 0.0), (first, 0, 1.0), (4, 0, 2.5)],
-    );
-    let answers = writer.acknowledge(2, 40, 30, &mut points).expect("a batch");
-    assert!(answers.is_empty());
-    let answers = confirmed(&mut writer, &mut points, 2);
-    assert_eq!((answers[0].id, answers[0].is_superset), (second, true));
-    assert_eq!((answers[0].points_before, writer.bytes), (3, 0));
-    assert_eq!(neighbor_ids(&answers[0]), [4, first, 1]);
-}
-
 /// A point of an earlier session, whose batch the feed has not named yet, is changed in the next session.
 #[test]
 fn a_change_waits_for_the_insert_of_an_earlier_session() {
@@ -277,109 +201,6 @@ fn a_change_to_a_published_point_waits_for_no_insert() {
     writer.confirm(1, 1, &mut points).expect("a copy");
     foreign(&mut writer, &mut points, 120, 7, 3.0);
     assert_eq!(shown(&points, 120), Some((7, 3.0)));
-}
-
-/// Own and foreign changes between an insert and its place in the order.
-#[test]
-fn an_answer_counts_the_points_before_its_own() {
-    let (mut writer, mut points) = writer();
-    for id in [1, 2, 3] {
-        foreign(&mut writer, &mut points, id, 0, 0.0);
-    }
-    writer
-        .change(1, &Step::Remove, &mut points)
-        .expect("a point");
-    let ask = |writer: &mut Writer, points: &mut LocalPoints| {
-        let id = insert(writer, points, 1.0);
-        let at = points.read_revision().0;
-        writer.ask(id, &[1.0], &Search::nearest_r(0.1), &[], at);
-        id
-    };
-    let first = ask(&mut writer, &mut points);
-    writer
-        .change(2, &Step::Remove, &mut points)
-        .expect("a point");
-    insert(&mut writer, &mut points, 5.0);
-    let second = ask(&mut writer, &mut points);
-    // The first removal has no effect, and the second one has: point 4 comes, and points 1 and 3 go.
-    foreign(&mut writer, &mut points, 4, 0, 9.0);
-    writer
-        .apply(std::iter::empty(), &[1, 3], &mut points)
-        .expect("points");
-    writer.next(1, 0).expect("a batch");
-    let answers = confirmed(&mut writer, &mut points, 1);
-    let counts: Vec<_> = answers.iter().map(|it| (it.id, it.points_before)).collect();
-    assert_eq!(counts, [(first, 2), (second, 3)]);
-    assert!(answers[0].neighbors.is_empty());
-    assert_eq!(writer.published_points, points.forest.len());
-}
-
-/// Answers without neighbours take memory too.
-#[test]
-fn answers_that_no_one_takes_are_dropped() {
-    let (mut writer, _) = writer();
-    let answer = |id| Meanwhile {
-        id,
-        points_before: 0,
-        neighbors: Vec::new(),
-        is_superset: false,
-    };
-    (0..1_000_000).for_each(|id| writer.open_searches.add(answer(id)));
-    let taken = writer.open_searches.take();
-    assert!(taken.has_dropped);
-    assert!(taken.answers.len() * size_of::<Meanwhile>() <= 16 << 20);
-    assert_eq!(taken.answers.last().map(|it| it.id), Some(999_999));
-    assert!(!writer.open_searches.take().has_dropped);
-}
-
-#[test]
-fn a_point_that_takes_the_place_of_a_removed_neighbor_is_answered() {
-    let (mut writer, mut points) = writer();
-    foreign(&mut writer, &mut points, 1, 0, 1.0);
-    insert_near_1(&mut writer, &mut points, &Search::nearest_k(1));
-    writer
-        .apply(std::iter::empty(), &[1], &mut points)
-        .expect("a point");
-    foreign(&mut writer, &mut points, 2, 0, 2.0);
-    writer.next(1, 0).expect("a batch");
-    let answers = confirmed(&mut writer, &mut points, 1);
-    assert_eq!(neighbor_ids(&answers[0]), [2]);
-}
-
-/// A pending write of its own may hide the neighbor from the writer before it learns of the tag.
-#[test]
-fn a_point_that_takes_the_place_of_a_neighbor_with_another_tag_is_answered() {
-    let mut search = Search::nearest_k(1);
-    (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
-    for is_hidden in [false, true] {
-        let (mut writer, mut points) = writer();
-        foreign(&mut writer, &mut points, 1, 1, 1.0);
-        insert_near_1(&mut writer, &mut points, &search);
-        if is_hidden {
-            let tag = Step::SetTag(0);
-            writer.change(1, &tag, &mut points).expect("a point");
-        }
-        foreign_tag(&mut writer, &mut points, 1, 0);
-        foreign(&mut writer, &mut points, 2, 1, 3.0);
-        writer.next(1, 0).expect("a batch");
-        let answers = confirmed(&mut writer, &mut points, 1);
-        assert_eq!(neighbor_ids(&answers[0]), [2], "{is_hidden}");
-    }
-}
-
-/// Two writers store the same id at once.
-#[test]
-fn a_point_is_no_neighbor_of_its_own() {
-    let (mut writer, mut points) = writer();
-    let own = put(0, &[0.0]);
-    writer.change(5, &own, &mut points).expect("a state");
-    let at = points.read_revision().0;
-    writer.ask(5, &[0.0], &Search::nearest_k(1), &[], at);
-    foreign(&mut writer, &mut points, 5, 0, 0.5);
-    foreign(&mut writer, &mut points, 6, 0, 2.0);
-    writer.next(1, 0).expect("a batch");
-    let answers = confirmed(&mut writer, &mut points, 1);
-    assert_eq!(neighbor_ids(&answers[0]), [6]);
 }
 
 /// The writes that a refusal gave back are stored again before the next session is open, which reserves their ids.
