@@ -88,8 +88,9 @@ def outages():
 
 
 def writers():
-    rows = [[str(row["batch"]), digits(row["states_per_second"]), digits(row["processors"])]
-            for row in of("writers")["batches"]]
+    got = of("writers")["64 writers, an index in memory, k = 10"]
+    rows = [[str(batch), digits(got[f"states, {batch} a call"]["figure"]), digits(got[f"processors busy, {batch} a call"]["figure"])]
+            for batch in (1, 100)]
     header = ["64 writers in the process: states a call", "states a second", "processors busy"]
     return table(["writers"], header, rows)
 
@@ -109,10 +110,9 @@ def call_cost():
 def zenoh():
     rows = []
     for form, what in (("protobuf", "Protobuf"), ("json", "JSON")):
-        got = of("robots")["forms"][form]
-        keys = [("one_in_flight_p50_us", " µs"), ("one_in_flight_p99_us", " µs")]
-        keys += [("many_in_flight_per_second", ""), ("processor_us", " µs")]
-        rows.append([what, *(both(got[key]["server"], got[key]["bare"], unit) for key, unit in keys)])
+        got = of("robots")[form]
+        keys = [("one in flight, p50", " µs"), ("one in flight, p99", " µs"), ("64 in flight, answers", ""), ("processor an answer", " µs")]
+        rows.append([what, *(both(got[key]["figure"], got[key]["against"], unit) for key, unit in keys)])
     header = [f"{of('robots')['points']:,} points, server / bare Zenoh: ratio", "one query in flight, p50", "p99"]
     return table(["robots"], [*header, "64 in flight: answers a second", "processor time an answer"], rows)
 
@@ -178,5 +178,5 @@ SERVER = {
     "restart": lambda: digits(durable("restart")["from opening to ready"]["figure"]) + " seconds",
     "loaded-bytes": lambda: digits(durable("while ")["on disk: resident bytes a point, right after the load"]["figure"]) + " bytes",
     "grpc-call": lambda: digits(of("network")["searches"]["one"]["server"]["p50_ms"]) + " ms",
-    "zenoh-call": lambda: digits(of("robots")["forms"]["json"]["one_in_flight_p50_us"]["server"] / 1e3) + " ms",
+    "zenoh-call": lambda: digits(of("robots")["json"]["one in flight, p50"]["figure"] / 1e3) + " ms",
 }

@@ -26,10 +26,7 @@ use wayfold_examples::{
         problem::Problem,
         processes::{Incident, PROGRESS_MS, run},
         server::{self, ServerProcess},
-        shared_trees::{
-            job, solve,
-            store::{Layout, Store},
-        },
+        shared_trees::{job, solve, store::Store},
     },
     rigid::{
         options::{Job, Options, ProcessCommand, Source},
@@ -187,13 +184,11 @@ fn a_killed_worker_leaves_trees_on_which_the_others_meet() {
     let runtime = runtime();
     let store = runtime.block_on(async {
         let client = Client::connect(server.uri()).await.unwrap();
-        let store = Store::create(&client, "trees", Layout::Indices, &*MAZE);
-        store.await.unwrap()
+        Store::create(&client, "trees", &*MAZE).await.unwrap()
     });
     let job = |number| job::Job {
         server: server.uri().to_owned(),
         store: "trees".to_owned(),
-        layout: Layout::Indices,
         number,
         seed: 5,
         max_vertices: 100_000,

@@ -5,10 +5,7 @@ use std::path::PathBuf;
 use clap::{Parser, Subcommand, ValueEnum};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use super::{
-    error::PlanningError,
-    shared_trees::{job::Job, store::Layout},
-};
+use super::{error::PlanningError, shared_trees::job::Job};
 
 /// Solves a motion planning problem, prints the account of the time, and draws a picture.
 #[derive(Clone, Debug, Parser)]
@@ -34,9 +31,6 @@ pub struct Options {
     /// Builds the same two trees with this many processes instead, on one server
     #[arg(long, value_parser = at_least_one, group = "several")]
     pub workers: Option<usize>,
-    /// The distinction between the trees
-    #[arg(long, value_enum, default_value_t = Layout::Indices, requires = "several")]
-    pub trees: Layout,
     /// Compares 1, 2, 4 and 8 such workers, and one planner in memory, instead; no picture
     #[arg(long, group = "several")]
     pub scaling: bool,

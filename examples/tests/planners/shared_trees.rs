@@ -14,9 +14,9 @@ use wayfold_examples::{
         shared_trees::{
             meeting::{self, Meeting},
             solve,
-            store::{Layout, Store},
+            store::Store,
             trees::SharedTrees,
-            vertex::{self, ROOTS},
+            vertex::ROOTS,
             worker::{SearchRecord, Worker},
         },
     },
@@ -29,17 +29,15 @@ static MAZE: LazyLock<Maze> = LazyLock::new(|| Maze::between((0, 0), (2, 3)));
 const SEED: u64 = 3;
 
 /// The roots of both trees.
-async fn planted(server: &Server, layout: Layout) -> Store {
+async fn planted(server: &Server) -> Store {
     let client = server.client().await;
-    Store::create(&client, "trees", layout, &*MAZE)
-        .await
-        .unwrap()
+    Store::create(&client, "trees", &*MAZE).await.unwrap()
 }
 
 /// A worker with connections of its own.
-fn worker(server: &Server, layout: Layout, number: usize) -> Worker<'static, Maze> {
+fn worker(server: &Server, number: usize) -> Worker<'static, Maze> {
     let source = [Source::Shared, Source::Remote][number / 3];
-    let worker = Worker::open(&*MAZE, (&server.uri, "trees"), layout, source, number, SEED);
+    let worker = Worker::open(&*MAZE, (&server.uri, "trees"), source, number, SEED);
     worker.unwrap().remember()
 }
 
@@ -95,20 +93,9 @@ fn are_nearest(shared: &SharedTrees, worker: usize, searches: &[SearchRecord]) -
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn four_workers_grow_two_trees_by_nearest_vertices_until_they_meet() {
-    grow(Layout::Indices).await;
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn four_workers_grow_two_trees_in_one_index() {
-    grow(Layout::Tags).await;
-}
-
-async fn grow(layout: Layout) {
     let server = Server::start();
-    let store = planted(&server, layout).await;
-    let mut workers: Vec<_> = (0..4)
-        .map(|number| worker(&server, layout, number))
-        .collect();
+    let store = planted(&server).await;
+    let mut workers: Vec<_> = (0..4).map(|number| worker(&server, number)).collect();
     for worker in &mut workers {
         // In any schedule, each worker has a part in the trees.
         worker.grow(1, |_| Ok(())).unwrap();
@@ -148,7 +135,7 @@ async fn grow(layout: Layout) {
 #[tokio::test]
 async fn the_first_announced_meeting_of_the_trees_counts() {
     let server = Server::start();
-    let store = planted(&server, Layout::Indices).await;
+    let store = planted(&server).await;
     assert_eq!(meeting::vertices(store.meeting()).await.unwrap(), None);
     let unsolved = solve::read(&store).await;
     assert!(matches!(
@@ -180,11 +167,10 @@ async fn the_first_announced_meeting_of_the_trees_counts() {
 #[tokio::test]
 async fn invalid_trees_are_not_read() {
     let server = Server::start();
-    let store = planted(&server, Layout::Tags).await;
-    let index = store.index(0);
+    let store = planted(&server).await;
     let refused = async |id: u64, tree: usize, payload: &[u8]| {
+        let index = &store.indices()[tree];
         let insert = index.insert([MAZE.start()]).ids([id]);
-        let insert = insert.tags([vertex::tag(tree, 0)]);
         insert.payloads([payload.to_vec()]).await.unwrap();
         let read = SharedTrees::read(&store).await;
         index.remove([id]).await.unwrap();
@@ -192,6 +178,7 @@ async fn invalid_trees_are_not_read() {
     };
     assert!(refused(20, 0, &[]).await, "no parent");
     assert!(refused(20, 0, &[1, 2, 3]).await, "no id");
+    assert!(refused(ROOTS[1], 0, &[]).await, "the root of the other");
     assert!(
         refused(20, 0, &99_u64.to_le_bytes()).await,
         "no such vertex"
@@ -200,8 +187,9 @@ async fn invalid_trees_are_not_read() {
         refused(20, 0, &20_u64.to_le_bytes()).await,
         "its own parent"
     );
-    let other = ROOTS[1].to_le_bytes();
-    assert!(refused(20, 0, &other).await, "of the other tree");
-    assert!(!refused(20, 1, &other).await, "of its own tree");
+    // The tree from the start is read first, so only its vertices could be taken for parents in the other one.
+    let start = ROOTS[0].to_le_bytes();
+    assert!(refused(20, 1, &start).await, "of the other tree");
+    assert!(!refused(20, 0, &start).await, "of its own tree");
     assert_eq!(SharedTrees::read(&store).await.unwrap().len(), 2);
 }

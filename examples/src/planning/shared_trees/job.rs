@@ -10,7 +10,6 @@ use super::{
         processes::{self, Reporter},
     },
     account::Account,
-    store::Layout,
     worker::Worker,
 };
 
@@ -21,8 +20,6 @@ pub struct Job {
     pub server: String,
     /// The name of the store that holds the trees.
     pub store: String,
-    /// The way in which the store separates the trees.
-    pub layout: Layout,
     /// The number of the worker.
     pub number: usize,
     /// The seed of all workers.
@@ -51,8 +48,7 @@ impl processes::Job for Job {
 /// The role of a worker.
 pub fn grow(problem: &impl Problem, job: &Job) -> Result<(), PlanningError> {
     let trees = (job.server.as_str(), job.store.as_str());
-    let (layout, source) = (job.layout, job.source);
-    let mut worker = Worker::open(problem, trees, layout, source, job.number, job.seed)?;
+    let mut worker = Worker::open(problem, trees, job.source, job.number, job.seed)?;
     let mut reporter = Reporter::ready(job, job.progress_ms, job.halt_at)?;
     worker.grow(job.max_vertices, |account| reporter.progress(account))?;
     reporter.done(&worker.account())

@@ -1,4 +1,4 @@
-//! RRTConCon by several workers on the same two trees: two indices of one server, or one with two tags.
+//! RRTConCon by several workers on the same two trees, each in an index of one server.
 //!
 //! Every worker draws its own states, connects both trees to them as the planner of one process does (`rrt`), and
 //! inserts the new vertices. The workers share nothing but the indices. A vertex is stored with its parent, so every

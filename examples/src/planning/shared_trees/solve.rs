@@ -82,13 +82,12 @@ pub async fn solve(
     seed: u64,
 ) -> Result<SharedSolution, PlanningError> {
     let client = Client::connect(uri).await?;
-    let (name, layout) = (format!("planning-{}", uuid::Uuid::new_v4()), options.trees);
-    let store = Store::create(&client, &name, layout, problem).await?;
+    let name = format!("planning-{}", uuid::Uuid::new_v4());
+    let store = Store::create(&client, &name, problem).await?;
     let max_vertices = (options.max_nodes / workers) as u64;
     let job = |number| Job {
         server: uri.to_owned(),
         store: name.clone(),
-        layout,
         number,
         seed,
         max_vertices,

@@ -22,36 +22,35 @@ impl SharedTrees {
     /// Reads both, and fails unless they are trees: the parent of each vertex except the roots belongs to the same
     /// tree, and was inserted earlier or precedes the vertex in the same mutation.
     pub async fn read(store: &Store) -> Result<SharedTrees, PlanningError> {
-        let coordinates = store.index(0).coordinates();
+        let coordinates = store.indices()[0].coordinates();
         let mut read = SharedTrees {
             trees: [Tree::new(coordinates), Tree::new(coordinates)],
             makers: [Vec::new(), Vec::new()],
             revisions: [Vec::new(), Vec::new()],
         };
-        for index in store.indices() {
+        for (tree, index) in store.indices().iter().enumerate() {
             // Reads the workers' last revision: their reports are behind it.
             index.info().await?;
-            read.add(Vertices::scan(index).await?)?;
+            read.add(tree, Vertices::scan(tree, index).await?)?;
         }
         Ok(read)
     }
 
-    /// Adds all vertices of one index.
-    fn add(&mut self, vertices: Vertices) -> Result<(), PlanningError> {
+    /// Adds all vertices of a tree.
+    fn add(&mut self, tree: usize, vertices: Vertices) -> Result<(), PlanningError> {
         let rows = &vertices.rows;
         // The rows of one mutation have ascending ids and belong to one worker.
         let mut order: Vec<usize> = (0..rows.len()).collect();
         order.sort_by_key(|&row| (rows[row].revision, rows[row].id));
         for row in order {
             let vertex = &rows[row];
-            let tree = vertex::tree(vertex.tag);
             let own = &mut self.trees[tree];
             let parent = vertex.parent.map(|id| own.node(id));
             if parent == Some(None) {
                 return Err(wrong(vertex.id, "its parent was not in its tree before it"));
             }
             own.push(parent.flatten(), vertices.states.row(row), vertex.id)?;
-            self.makers[tree].push(vertex::worker(vertex.tag));
+            self.makers[tree].push(vertex.worker);
             self.revisions[tree].push(vertex.revision);
         }
         Ok(())
@@ -63,7 +62,7 @@ impl SharedTrees {
     }
 }
 
-/// The points of one index.
+/// The points of a tree's index.
 struct Vertices {
     states: States,
     rows: Vec<Vertex>,
@@ -71,13 +70,13 @@ struct Vertices {
 
 struct Vertex {
     id: u64,
-    tag: u64,
+    worker: usize,
     revision: u64,
     parent: Option<u64>,
 }
 
 impl Vertices {
-    async fn scan(index: &IndexHandle) -> Result<Vertices, PlanningError> {
+    async fn scan(tree: usize, index: &IndexHandle) -> Result<Vertices, PlanningError> {
         let mut read = Vertices {
             states: States::new(index.coordinates()),
             rows: Vec::new(),
@@ -86,13 +85,13 @@ impl Vertices {
         while let Some(part) = scan.next().await? {
             for point in part.iter() {
                 let parent_id = point.payload.and_then(|payload| vertex::parent(payload));
-                if parent_id.is_none() && point.id != ROOTS[vertex::tree(point.tag)] {
+                if parent_id.is_none() && point.id != ROOTS[tree] {
                     return Err(wrong(point.id, "its payload tells no parent"));
                 }
                 read.states.push(point.state)?;
                 read.rows.push(Vertex {
                     id: point.id,
-                    tag: point.tag,
+                    worker: point.tag as usize,
                     revision: point.revision,
                     parent: parent_id,
                 });

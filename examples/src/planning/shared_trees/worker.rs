@@ -8,14 +8,13 @@ use std::time::{Duration, Instant};
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Index, InsertOptions, Neighbor, States};
+use wayfold::{Index, InsertOptions, Neighbor, Search, States};
 
 use super::{
     super::{error::PlanningError, options::Source, problem::Problem, rrt, sampling},
     account::Account,
     meeting::Meeting,
-    store::Layout,
-    vertex,
+    store,
 };
 
 /// The longest wait for the server: another one may be starting in its place.
@@ -24,9 +23,8 @@ const TIMEOUT: Duration = Duration::from_secs(60);
 /// A worker that samples, checks and inserts.
 pub struct Worker<'a, P> {
     problem: &'a P,
-    layout: Layout,
-    /// An index for each tree, or one for both.
-    indices: Vec<Index>,
+    /// The index of each tree.
+    indices: [Index; 2],
     meeting: Meeting,
     number: usize,
     rng: ChaCha8Rng,
@@ -63,22 +61,20 @@ impl<'a, P: Problem> Worker<'a, P> {
     pub fn open(
         problem: &'a P,
         (uri, trees): (&str, &str),
-        layout: Layout,
         source: Source,
         number: usize,
         seed: u64,
     ) -> Result<Worker<'a, P>, PlanningError> {
-        let open = |name: &String| match source {
-            Source::Remote => Index::remote(uri, name).timeout(TIMEOUT).open(),
-            _ => Index::shared(uri, name).timeout(TIMEOUT).open(),
+        let open = |name: String| match source {
+            Source::Remote => Index::remote(uri, &name).timeout(TIMEOUT).open(),
+            _ => Index::shared(uri, &name).timeout(TIMEOUT).open(),
         };
-        let indices: Result<Vec<Index>, _> = layout.indices(trees).iter().map(open).collect();
+        let [start, goal] = store::names(trees);
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(number as u64);
         Ok(Worker {
             problem,
-            layout,
-            indices: indices?,
+            indices: [open(start)?, open(goal)?],
             meeting: Meeting::open(uri, trees, problem.space(), TIMEOUT)?,
             number,
             rng,
@@ -194,8 +190,8 @@ impl<'a, P: Problem> Worker<'a, P> {
         state: &[f64],
     ) -> Result<Option<(Neighbor, Vec<f64>)>, PlanningError> {
         let start = Instant::now();
-        let index = &self.indices[tree.min(self.indices.len() - 1)];
-        let answer = index.search(state, &self.layout.nearest(tree))?;
+        let index = &self.indices[tree];
+        let answer = index.search(state, &Search::k(1))?;
         let Some(&found) = answer.neighbors.first() else {
             return Ok(None);
         };
@@ -221,8 +217,8 @@ impl<'a, P: Problem> Worker<'a, P> {
         states: &States,
     ) -> Result<u64, PlanningError> {
         let start = Instant::now();
-        let index = &self.indices[tree.min(self.indices.len() - 1)];
-        let tag = vertex::tag(tree, self.number);
+        let index = &self.indices[tree];
+        let tag = self.number as u64;
         for state in states {
             let payload = parent.to_le_bytes();
             let options = InsertOptions::new().tag(tag).payload(&payload);

@@ -1,4 +1,5 @@
 //! Measures durability: the cost of an acknowledgement, of a restart and on disk. Each figure has a bare counterpart.
+//! Its last part, `writers`, shows how far inserts into an index in memory run in parallel.
 //!
 //!     cargo run --release -p wayfold-tests --bin durable -- [--quick] [--dir DIR] [--json FILE]
 
@@ -11,6 +12,7 @@ mod rates;
 mod service;
 mod shape;
 mod stored;
+mod writers;
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -65,6 +67,8 @@ enum Part {
     Stored,
     /// A thousand idle indices.
     Idle,
+    /// Inserts a second of 64 clients into an index in memory, with neighbours.
+    Writers,
 }
 
 fn main() -> ExitCode {
@@ -118,6 +122,9 @@ async fn measure(arguments: &Arguments) -> Report {
     }
     if is_asked(Part::Idle) {
         idle::measure(&base, &mut report).await;
+    }
+    if is_asked(Part::Writers) {
+        writers::measure(rounds, &mut report).await;
     }
     report
 }

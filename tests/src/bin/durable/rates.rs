@@ -16,7 +16,7 @@ use crate::{
     CLIENTS, INDEX, K, SPACE, WIDTH,
     bare::{self, BareStore},
     base_directory::BaseDirectory,
-    service::{DurableService, WINDOW_BYTES, insertion},
+    service::{LocalService, WINDOW_BYTES, insertion},
     shape::Shape,
 };
 
@@ -29,11 +29,11 @@ const POOL: usize = 1024;
 
 /// The result of one round of one contestant.
 #[derive(Clone, Copy, Debug, Default)]
-struct Round {
-    /// Inserts per second.
-    rate: f64,
-    /// Processor time per insert, in microseconds. The server's comes first if it is another process.
-    processor_us: (f64, f64),
+pub(crate) struct Round {
+    /// Inserted states per second.
+    pub(crate) rate: f64,
+    /// Processor time per state, in microseconds. The server's comes first if it is another process.
+    pub(crate) processor_us: (f64, f64),
 }
 
 /// A contestant of the measurement.
@@ -217,18 +217,28 @@ async fn through_service(
     k: Option<u32>,
 ) -> Round {
     let directory = base.create();
-    let hosting = DurableService::open(directory.path(), Durability::Fsync, WINDOW_BYTES);
+    let hosting = LocalService::open(directory.path(), Durability::Fsync, WINDOW_BYTES);
     hosting.create(INDEX).await;
-    let pools: Vec<_> = (0..CLIENTS).map(|client| pool(client, round)).collect();
+    let pools = (0..CLIENTS).map(|client| pool(client, round)).collect();
+    write(&hosting, pools, (count, 1), k).await
+}
+
+/// Measures the insert of `count` states, `batch` a call, by a client for each pool of states.
+pub(crate) async fn write(
+    service: &LocalService,
+    pools: Vec<Vec<f64>>,
+    (count, batch): (usize, usize),
+    k: Option<u32>,
+) -> Round {
     let meter = Meter::start(None, count);
     let mut clients = JoinSet::new();
     for pool in pools {
-        let hosting = hosting.clone();
+        let service = service.clone();
         clients.spawn(async move {
-            let rows = pool.chunks_exact(WIDTH).cycle();
-            for row in rows.take(count / CLIENTS) {
-                let inserted = hosting.insert(insertion(row, k)).await;
-                assert_eq!(inserted.ids.len(), 1);
+            let batches = pool.chunks_exact(batch * WIDTH).cycle();
+            for states in batches.take(count / CLIENTS / batch) {
+                let inserted = service.insert(insertion(states, k)).await;
+                assert_eq!(inserted.ids.len(), batch);
             }
         });
     }

@@ -6,7 +6,7 @@ use wayfold_proto::v1::{
     CreateIndexRequest, InsertRequest, InsertResponse, create_index_request::SpaceForm,
 };
 use wayfold_server::{
-    log::{Durability, FjallLog},
+    log::{Durability, FjallLog, Log},
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
 };
@@ -14,22 +14,27 @@ use wayfold_tests::{k_nearest, row_states};
 
 use crate::{INDEX, SPACE, WIDTH};
 
-/// The bytes of recent mutations that the server keeps by default.
+/// The bytes of recent mutations that are kept. The server keeps 64 MiB unless set: a long run would fill them.
 pub(crate) const WINDOW_BYTES: usize = 4 * 1024 * 1024;
 
-/// A service over the durable log in a directory.
+/// A service in this process.
 #[derive(Clone)]
-pub(crate) struct DurableService(Service);
+pub(crate) struct LocalService(Service);
 
-impl DurableService {
-    /// Opens a service with the server's own settings, except the window.
+impl LocalService {
+    /// Opens a service over the durable log in a directory, with the server's own settings except the window.
     pub(crate) fn open(directory: &Path, durability: Durability, window_bytes: usize) -> Self {
         let log = FjallLog::open(directory, durability).expect("a data directory");
         let options = RegistryOptions {
             window_bytes,
             ..RegistryOptions::default()
         };
-        let registry = Registry::new(Arc::new(log), options);
+        Self::over(Arc::new(log), options)
+    }
+
+    /// Opens a service over a log.
+    pub(crate) fn over(log: impl Into<Log>, options: RegistryOptions) -> Self {
+        let registry = Registry::new(log, options);
         registry.replay().expect("a log that is whole");
         let service = Service::new(registry, Limits::default());
         service.set_ready();

@@ -8,7 +8,7 @@ use wayfold_server::log::Durability;
 use crate::{
     INDEX, WIDTH,
     base_directory::BaseDirectory,
-    service::{DurableService, insertion},
+    service::{LocalService, insertion},
 };
 
 /// The directory in which our log keeps its store, and the keyspace that holds all of it.
@@ -36,7 +36,7 @@ impl Shape {
         let mut before = BTreeMap::new();
         let mut after = BTreeMap::new();
         for inserts in [INSERTS, 1] {
-            let hosting = DurableService::open(directory.path(), Durability::None, WINDOW_BYTES);
+            let hosting = LocalService::open(directory.path(), Durability::None, WINDOW_BYTES);
             hosting.create(INDEX).await;
             for _ in 0..inserts {
                 hosting.insert(insertion(&[0.5; WIDTH], None)).await;

@@ -19,7 +19,7 @@ use wayfold_tests::{
 use crate::{
     INDEX, SPACE, WIDTH,
     base_directory::{BaseDirectory, used},
-    service::{DurableService, WINDOW_BYTES, insertion},
+    service::{LocalService, WINDOW_BYTES, insertion},
     shape::{KEYSPACE, STORE},
 };
 
@@ -46,7 +46,7 @@ pub(crate) async fn measure(
     for _ in 0..rounds {
         bare.push(scan_and_build(&data.join(STORE), points).as_secs_f64());
         let began = Instant::now();
-        let hosting = DurableService::open(data, Durability::Fsync, WINDOW_BYTES);
+        let hosting = LocalService::open(data, Durability::Fsync, WINDOW_BYTES);
         ours.push(began.elapsed().as_secs_f64());
         drop(hosting);
     }

@@ -7,17 +7,22 @@
 //! reading the query: its rate is the limit that Zenoh sets. All share one machine.
 
 mod bare;
-mod report;
 mod searcher;
 
 use std::{path::PathBuf, process::ExitCode};
 
 use clap::Parser;
+use serde_json::json;
 use wayfold_index::Space;
 use wayfold_proto::v1::InsertRequest;
-use wayfold_tests::{States, Stubs, measuring, row_states};
+use wayfold_tests::{
+    States, Stubs,
+    figures::{median, quantile_ms},
+    measuring,
+    report::Report,
+    row_states,
+};
 
-use report::{Report, Rounds};
 use searcher::{Form, Searcher};
 
 /// The server's own allocator, so that the measured program equals the shipped one; all contestants share it.
@@ -31,6 +36,13 @@ const INDEX: &str = "arm";
 const WIDTH: usize = 7;
 const K: u32 = 10;
 const BATCH: usize = 1_000;
+/// The figures of a form, and their units.
+const FIGURES: [(&str, &str); 4] = [
+    ("one in flight, p50", "us"),
+    ("one in flight, p99", "us"),
+    ("64 in flight, answers", "/s"),
+    ("processor an answer", "us"),
+];
 
 /// Measures the server over Zenoh, and a bare queryable for comparison.
 #[derive(Debug, Parser)]
@@ -53,8 +65,7 @@ fn main() -> ExitCode {
     }
     measuring::main(async |arguments: Arguments| {
         let report = measure(&arguments).await;
-        print!("{report}");
-        (report.to_json(), arguments.json)
+        (report.into_json(), arguments.json)
     })
 }
 
@@ -74,25 +85,34 @@ async fn measure(arguments: &Arguments) -> Report {
         stubs.insert(request).await;
     }
     let rounds = arguments.rounds.max(1);
-    let mut report = Report {
-        points: arguments.points,
-        rounds,
-        forms: Vec::new(),
-    };
-    let to_server = measuring::connect(&server.zenoh()).await;
-    let to_bare = measuring::connect(&bare.zenoh()).await;
+    let contestants = [
+        (measuring::connect(&server.zenoh()).await, server.process()),
+        (measuring::connect(&bare.zenoh()).await, bare.process()),
+    ];
+    println!("{SPACE}, {} points, k = {K}", arguments.points);
+    let mut report = Report::default();
+    report.data("points", json!(arguments.points));
+    report.data("rounds", json!(rounds));
     for form in [Form::Protobuf, Form::Json] {
-        let mut measured = Rounds::default();
+        let mut measured: [[Vec<f64>; 2]; FIGURES.len()] = Default::default();
         for round in 0..rounds {
-            let asker = Searcher::new(&space, form, round as u64);
+            let searcher = Searcher::new(&space, form, round as u64);
             // The contestants take turns, so that other load on the machine affects both.
-            measured.one.0.push(asker.one(&to_server).await);
-            measured.one.1.push(asker.one(&to_bare).await);
-            let (server, bare) = (server.process().id(), bare.process().id());
-            measured.many.0.push(asker.many(&to_server, server).await);
-            measured.many.1.push(asker.many(&to_bare, bare).await);
+            for (of, (session, _)) in contestants.iter().enumerate() {
+                let taken = searcher.one(session).await;
+                measured[0][of].push(quantile_ms(&taken, 0.5) * 1e3);
+                measured[1][of].push(quantile_ms(&taken, 0.99) * 1e3);
+            }
+            for (of, (session, process)) in contestants.iter().enumerate() {
+                let many = searcher.many(session, process.id()).await;
+                measured[2][of].push(many.rate);
+                measured[3][of].push(many.processor_us);
+            }
         }
-        report.forms.push((form, measured));
+        report.section(form.key(), "bare");
+        for ((what, unit), [server, bare]) in FIGURES.into_iter().zip(measured) {
+            report.compare(what, median(server), median(bare), unit);
+        }
     }
     report
 }

@@ -28,7 +28,7 @@ pub(crate) enum Form {
 }
 
 impl Form {
-    /// Its name in JSON.
+    /// Its section of the report.
     pub(crate) fn key(self) -> &'static str {
         match self {
             Form::Protobuf => "protobuf",
@@ -36,9 +36,6 @@ impl Form {
         }
     }
 }
-
-/// The durations of the answers, ascending.
-pub(crate) struct Latencies(pub(crate) Vec<Duration>);
 
 /// The result of many queries in flight.
 pub(crate) struct Throughput {
@@ -74,11 +71,11 @@ impl Searcher {
         }
     }
 
-    /// Queries with one in flight.
-    pub(crate) async fn one(&self, session: &Session) -> Latencies {
+    /// Queries with one in flight. Returns the durations of the answers, ascending.
+    pub(crate) async fn one(&self, session: &Session) -> Vec<Duration> {
         let mut taken = self.ask(session, 0, Instant::now()).await;
         taken.sort();
-        Latencies(taken)
+        taken
     }
 
     /// Queries with 64 in flight; `process` answers.
