@@ -175,7 +175,7 @@ def test_ids_have_one_type() -> None:
 def test_a_wrong_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "wrong"
     path.write_bytes(b"no archive")
-    with pytest.raises(ValueError):
+    with pytest.raises(wayfold.InvalidArgument, match="not the file of an index"):
         wayfold.Index.load(path)
     with open(path, "wb") as file:
         np.savez(file, states=np.zeros(3))

@@ -8,8 +8,8 @@
 //! Levels are immutable and shared by count, a tombstone hides a point from its revision on, and the parts of the
 //! growing level that a snapshot holds are copied before they change. The owner chooses the thread of a merge:
 //! [`Forest::begin_merge`] returns the next one, [`Merge::run`] does the work, and [`Forest::finish_merge`] swaps the
-//! result in, while mutations and searches continue. No method of the forest except [`Forest::settle`] runs merges
-//! itself.
+//! result in, while mutations and searches continue. No method of the forest except [`Forest::settle`] and
+//! [`Forest::settle_up_to`] runs merges itself.
 
 mod growing;
 mod level;

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ._errors import InvalidArgument
+from ._errors import Error, InvalidArgument
 from ._wayfold import Index, _restore
 
 _FORMAT = "wayfold index 1"
@@ -67,5 +67,8 @@ def load(path: str | os.PathLike[str]) -> Index:
                 file["payload_ends"],
                 file["payloads"].tobytes(),
             )
-    except (KeyError, AttributeError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except Error:
+        raise
+    # numpy takes a file that is no archive for pickled data, and zipfile does not know every method of compression.
+    except (KeyError, AttributeError, TypeError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile) as error:
         raise InvalidArgument(f"{path}: not the file of an index: {error}", "INVALID_ARGUMENT") from error

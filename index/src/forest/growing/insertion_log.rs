@@ -9,7 +9,8 @@ use crate::{
     traversal::{Labels, Traversal},
 };
 
-/// The number of points in a chunk, and the maximum number that a push copies of a log that a snapshot shares.
+/// The number of points in a chunk, and the maximum number that a push copies of a log that a snapshot shares. The push that
+/// fills a chunk also copies the table of the chunks before it.
 const CHUNK_ROWS: usize = 64;
 
 /// A table that points are only appended to; copies share its full chunks.

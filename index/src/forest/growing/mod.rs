@@ -8,7 +8,7 @@
 //! packs it into a static tree (see [`KdTree`](crate::KdTree)), and another one grows.
 //!
 //! Copies share everything that has not changed since. A point that is added under a snapshot costs a copy of the nodes
-//! on its way, of its leaf, and of up to 64 rows of the log.
+//! on its way, of its leaf, and of up to 64 rows of the log; every 64th one, of the table of the log's chunks too.
 //!
 //! A row is stored twice: in its leaf, and in the log, which finds it by its slot and is scanned in memory order. One
 //! copy saves memory and slows searches. With rows in the log alone a leaf gathers them; with rows in the leaves alone
