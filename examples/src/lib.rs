@@ -7,7 +7,6 @@
 #![expect(
     clippy::new_without_default,
     clippy::len_without_is_empty,
-    clippy::should_implement_trait,
     reason = "nobody but the programs and tests of this package calls it"
 )]
 

@@ -14,30 +14,3 @@ pub(super) fn nearest<'a>(written: &str, known: impl Iterator<Item = &'a str>) -
 fn last(key: &str) -> &str {
     key.rsplit('.').next().unwrap_or(key)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_misspelt_name_finds_its_setting() {
-        let known = [
-            "grpc.listen",
-            "grpc.max_connections",
-            "limits.max_k",
-            "log.filter",
-        ];
-        for (written, meant) in [
-            ("grpc.listne", "grpc.listen"),
-            ("max_connections", "grpc.max_connections"),
-            ("server.listen", "grpc.listen"),
-            ("limits.max_K", "limits.max_k"),
-        ] {
-            assert_eq!(
-                nearest(written, known.into_iter()),
-                Some(meant),
-                "{written}"
-            );
-        }
-    }
-}

@@ -92,28 +92,8 @@ pub(crate) fn ending(code: Code) -> Ending {
 
 #[cfg(test)]
 mod tests {
-    use tonic_types::StatusExt;
-
     use super::*;
     use crate::service::Violation;
-
-    #[test]
-    fn clients_of_grpc_read_the_details() {
-        let status = from_error(&Error::LimitExceeded {
-            limit: "max_k",
-            value: 10,
-            requested: 11,
-            advice: "ask for fewer",
-        });
-        assert_eq!(status.code(), Code::ResourceExhausted);
-        let info = status.get_details_error_info().unwrap();
-        assert_eq!(info.reason, "LIMIT_EXCEEDED");
-        let violations = status.get_details_quota_failure().unwrap().violations;
-        assert_eq!(
-            (&*violations[0].subject, violations[0].quota_value),
-            ("max_k", 10)
-        );
-    }
 
     #[test]
     fn a_status_fits_into_headers_whatever_the_caller_wrote() {

@@ -219,12 +219,31 @@ impl LogError {
         }
     }
 
-    /// The journal has lost the record of a revision that this server has applied, and another one took its place.
-    pub(crate) const fn replaced(uid: Uid, revision: u64) -> Self {
+    /// The writer expected another revision than `head` to be the newest.
+    pub const fn fenced(uid: Uid, expected: u64, head: u64) -> Self {
+        Self::Fenced {
+            uid,
+            expected,
+            head,
+        }
+    }
+
+    /// Of the records after the revision `after`, only those after `oldest` are held.
+    pub const fn trimmed(uid: Uid, after: u64, oldest: u64) -> Self {
+        Self::Trimmed { uid, after, oldest }
+    }
+
+    /// The record of this revision in the journal is damaged or missing.
+    pub const fn journal_damaged(uid: Uid, revision: u64, what: &'static str) -> Self {
         Self::JournalDamaged {
             uid,
             revision,
-            what: "the journal has another one in its place",
+            what,
         }
+    }
+
+    /// The journal has lost the record of a revision that this server has applied, and another one took its place.
+    pub(crate) const fn replaced(uid: Uid, revision: u64) -> Self {
+        Self::journal_damaged(uid, revision, "the journal has another one in its place")
     }
 }

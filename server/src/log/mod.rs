@@ -51,6 +51,7 @@ pub use entry::{Entry, LostIndex, Origin};
 pub use error::LogError;
 pub use memory::MemoryLog;
 pub use nats::{NatsError, NatsOptions, connect as connect_nats};
+pub(crate) use record::position_after;
 pub use record::{Digest, Record, RunId};
 pub(crate) use retention::BoundedQueue;
 pub use retention::{Retention, Window};

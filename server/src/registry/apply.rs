@@ -26,7 +26,9 @@ use super::{
     in_flight::notify,
     stopped::is_damage,
 };
-use crate::log::{Effects, LogError, Receipt, Record, RecordPosition, RecordStream, View};
+use crate::log::{
+    Effects, LogError, Receipt, Record, RecordPosition, RecordStream, View, position_after,
+};
 
 /// The time in which a lost receipt is settled, and in which a record arrives that took the place of another, before
 /// the callers are told.
@@ -213,17 +215,7 @@ impl Hosted {
         let known = records.partition_point(|record| record.revision() <= published.revision);
         self.check_known(&records[..known])?;
         let records = &records[known..];
-        let mut position = published;
-        for record in records {
-            if !record.follows(position) {
-                return Err(RegistryError::Log(LogError::JournalDamaged {
-                    uid: self.uid(),
-                    revision: record.revision(),
-                    what: "it does not follow the record before it",
-                }));
-            }
-            position = record.position();
-        }
+        let position = position_after(self.uid(), published, records)?;
         if position == published {
             return Ok(());
         }
@@ -270,10 +262,9 @@ impl Hosted {
         }
         let applied = forest.apply(record.revision(), effects.stored(), effects.removed());
         // This server checked its own records before it submitted them; other records may be damaged.
-        applied.map_err(|_| LogError::JournalDamaged {
-            uid: self.uid(),
-            revision: record.revision(),
-            what: "its rows are not states of the space",
+        applied.map_err(|_| {
+            let what = "its rows are not states of the space";
+            LogError::journal_damaged(self.uid(), record.revision(), what)
         })?;
         self.payload_sizes.lock().apply(record);
         if let Some(operation) = effects.operation() {

@@ -152,11 +152,8 @@ impl Hosted {
             let mut in_flight = self.in_flight.lock();
             in_flight.add(record.position(), writer.refusals())
         };
-        let decision = added.map_err(|head| LogError::Fenced {
-            uid: self.uid(),
-            expected: previous.revision,
-            head,
-        })?;
+        let decision =
+            added.map_err(|head| LogError::fenced(self.uid(), previous.revision, head))?;
         writer.push(Arc::clone(&record));
         match self
             .host

@@ -2,10 +2,17 @@
 
 use std::sync::Arc;
 
-use wayfold_index::{ApplyError, Forest, Points, Space};
+use tracing::info;
+use wayfold_index::{ApplyError, Forest, Points, PointsError, Space};
 
-use super::{Host, PayloadSizes};
-use crate::{log::StoredPoint, watermark::WatermarkExceeded};
+use super::{Host, PayloadSizes, RegistryError};
+use crate::{
+    log::{Entry, LogError, StoredPoint, Uid},
+    watermark::WatermarkExceeded,
+};
+
+/// Loading logs its progress once per this many points.
+const PROGRESS_POINTS: usize = 1_000_000;
 
 /// Memory is checked each time that the points that were read take this much more.
 const CHECKED_BYTES: usize = 4 * 1024 * 1024;
@@ -16,7 +23,7 @@ fn point_bytes(space: &Space) -> usize {
 }
 
 /// About the bytes that loading this many points takes.
-pub(super) fn loaded_bytes(space: &Space, points: usize) -> u64 {
+fn loaded_bytes(space: &Space, points: usize) -> u64 {
     (points * point_bytes(space) + CHECKED_BYTES) as u64
 }
 
@@ -37,94 +44,121 @@ impl Host {
     }
 }
 
-/// The error of a forest that is not built.
-pub(super) enum LoadError {
-    /// It would take more memory than there is.
-    Full(WatermarkExceeded),
-    /// These points are refused.
-    Refused(Box<Points>, ApplyError),
-}
-
 /// A forest that gets its points in the order of their ids, and the sizes of their payloads.
 pub(super) struct Loader {
     host: Arc<Host>,
+    entry: Entry,
     forest: Forest,
     /// The points that are not in the forest yet.
     points: Points,
     pub(super) payload_sizes: PayloadSizes,
     /// The number of all points.
     pub(super) len: usize,
-    /// The bound that the points exceed. Further points are only counted.
-    full: Option<WatermarkExceeded>,
+    /// The id of the newest point.
+    last: Option<u64>,
+    /// The bound that the points exceed. Further points are only counted: the index is loaded once there is memory for all.
+    pub(super) full: Option<WatermarkExceeded>,
 }
 
 impl Loader {
-    pub(super) fn new(host: &Arc<Host>, space: &Space) -> Self {
+    pub(super) fn new(host: &Arc<Host>, entry: &Entry) -> Self {
         Self {
             host: Arc::clone(host),
-            forest: host.options.forest(space),
-            points: Points::new(space.coordinates()),
+            entry: entry.clone(),
+            forest: host.options.forest(&entry.space),
+            points: Points::new(entry.space.coordinates()),
             payload_sizes: PayloadSizes::new(host.options.counts_payloads),
             len: 0,
+            last: None,
             full: None,
         }
     }
 
     /// Adds a point.
-    pub(super) fn push(&mut self, point: &StoredPoint) -> Result<(), LoadError> {
+    pub(super) fn push(&mut self, point: &StoredPoint) -> Result<(), LogError> {
+        let damaged = |what| LogError::damaged_point(self.entry.uid, point.id, what);
+        if point.state.len() != self.entry.space.coordinates() {
+            return Err(damaged("its state has not the width of the space"));
+        }
+        if self.last.is_some_and(|last| last >= point.id) {
+            return Err(damaged("it is stored twice"));
+        }
+        self.last = Some(point.id);
         self.len += 1;
         self.payload_sizes.set(point.id, point.payload.len());
-        if self.full.is_some() {
-            return Ok(());
+        if self.full.is_none() {
+            self.points.push_point(point.indexed());
+            let checked_points = CHECKED_BYTES / point_bytes(&self.entry.space);
+            if self.points.len().is_multiple_of(checked_points.max(1)) {
+                self.make_room(point.modified)?;
+            }
         }
-        self.points.push_point(point.indexed());
-        let checked_points = CHECKED_BYTES / point_bytes(self.forest.space());
-        match self.points.len().is_multiple_of(checked_points.max(1)) {
-            true => self.make_room(),
-            false => Ok(()),
+        let points = self.len;
+        if points.is_multiple_of(PROGRESS_POINTS) {
+            info!(index = self.entry.name, points, "reading points");
         }
+        Ok(())
     }
 
-    /// Moves the points into the forest if there is not enough memory to build all of it at once later.
-    fn make_room(&mut self) -> Result<(), LoadError> {
+    /// Moves the points, of at most this revision, into the forest if there is not enough memory to build all of it at once
+    /// later.
+    fn make_room(&mut self, revision: u64) -> Result<(), LogError> {
         let Some(memory) = &self.host.watermarks.memory else {
             return Ok(());
         };
-        let bytes = (self.points.len() * point_bytes(self.forest.space())) as u64;
+        let space = &self.entry.space;
+        let bytes = (self.points.len() * point_bytes(space)) as u64;
         if memory.fits_at_start(4 * bytes).is_ok() {
             return Ok(());
         }
         let fits = memory.fits_at_start(bytes);
-        let space = self.forest.space();
         let points = std::mem::replace(&mut self.points, Points::new(space.coordinates()));
         if let Err(full) = fits {
             // The memory of the points is free for other indices.
             self.forest = self.host.options.forest(space);
             self.full = Some(full);
-            return Err(LoadError::Full(full));
+            return Ok(());
         }
-        match self.forest.load(&points) {
-            Ok(()) => Ok(()),
-            Err(error) => Err(LoadError::Refused(Box::new(points), error)),
-        }
+        let loaded = self.forest.load(&points);
+        loaded.map_err(|error| damaged(self.entry.uid, revision, &points, &error))
     }
 
     /// The forest of all points at a revision, and the sizes of their payloads.
-    pub(super) fn finish(mut self, revision: u64) -> Result<(Forest, PayloadSizes), LoadError> {
-        if let Some(full) = self.full {
-            return Err(LoadError::Full(full));
-        }
+    pub(super) fn finish(mut self, revision: u64) -> Result<(Forest, PayloadSizes), RegistryError> {
         if !self.points.is_empty() {
-            self.make_room()?;
+            self.make_room(revision)?;
+        }
+        let Entry { uid, space, .. } = &self.entry;
+        if let Some(full) = self.full {
+            return Err(RegistryError::NotLoaded {
+                points: self.len,
+                needed: loaded_bytes(space, self.len) + self.payload_sizes.memory_bytes(),
+                full,
+            });
         }
         if revision > 0 {
-            if let Err(error) = self.forest.apply(revision, &self.points, &[]) {
-                return Err(LoadError::Refused(Box::new(self.points), error));
-            }
+            let applied = self.forest.apply(revision, &self.points, &[]);
+            applied.map_err(|error| damaged(*uid, revision, &self.points, &error))?;
             drop(self.points);
-            let (host, space) = (&self.host, self.forest.space().clone());
-            self.forest.settle_up_to(|| host.merge_rows(&space));
+            self.forest.settle_up_to(|| self.host.merge_rows(space));
         }
         Ok((self.forest, self.payload_sizes))
+    }
+}
+
+/// The error of stored points that the forest refuses: they differ from the written ones.
+fn damaged(uid: Uid, revision: u64, points: &Points, error: &ApplyError) -> LogError {
+    match *error {
+        ApplyError::Points(PointsError::State { row, .. }) => {
+            let what = "its state is not a canonical state of the space";
+            LogError::damaged_point(uid, points.id(row), what)
+        }
+        ApplyError::Points(PointsError::DuplicateId(id)) => {
+            LogError::damaged_point(uid, id, "it is stored twice")
+        }
+        ApplyError::Points(PointsError::Width { .. } | PointsError::TooMany(_))
+        | ApplyError::Revision { .. } => {
+            LogError::damaged_record(uid, revision, "its points do not make a forest")
+        }
     }
 }

@@ -56,11 +56,7 @@ impl Hosted {
             Ok(records) => records,
             // The journal has a gap that this server has passed with a copy of another one.
             Err(RegistryError::Log(LogError::JournalDamaged { uid, .. })) if !self.is_closed() => {
-                return Err(RegistryError::Log(LogError::Trimmed {
-                    uid,
-                    after,
-                    oldest: last,
-                }));
+                return Err(LogError::trimmed(uid, after, last).into());
             }
             Err(error) => return Err(error),
         };
@@ -112,11 +108,7 @@ impl Hosted {
         };
         match *self.oldest_at_start.get_or_try_init(oldest).await? {
             0 | 1 => Ok(()),
-            oldest => Err(RegistryError::Log(LogError::Trimmed {
-                uid: self.uid(),
-                after: 0,
-                oldest: oldest - 1,
-            })),
+            oldest => Err(LogError::trimmed(self.uid(), 0, oldest - 1).into()),
         }
     }
 

@@ -7,10 +7,7 @@ use tracing::{info, warn};
 use wayfold_index::Space;
 use wayfold_proto::v1::PayloadEncoding;
 
-use super::{
-    Host, Hosted, IndexLimit, IndexState, Registry, RegistryError,
-    loading::{LoadError, Loader},
-};
+use super::{Host, Hosted, IndexLimit, IndexState, Registry, RegistryError, loading::Loader};
 use crate::log::{
     Effects, Entry, Log, LogError, Origin, Record, RecordPosition, Restoring, RunId, Sessions,
     StoredPoint, Uid,
@@ -142,7 +139,7 @@ impl Restore {
         let stored = host.log.points.restore(entry.clone(), origin, replaces)?;
         Ok(Self {
             stored,
-            loader: Loader::new(host, &entry.space),
+            loader: Loader::new(host, &entry),
             host: Arc::clone(host),
             entry,
             origin,
@@ -168,15 +165,19 @@ impl Restore {
         self.host.watermarks.admit(bytes as u64)?;
         self.stored.add(points)?;
         for point in points {
-            self.loader.push(point).map_err(unloaded)?;
+            self.loader.push(point)?;
+            if let Some(full) = self.loader.full {
+                return Err(full.into());
+            }
         }
         Ok(())
     }
 }
 
-pub(super) fn unloaded(error: LoadError) -> RegistryError {
+/// The error of a restore: one that does not fit is refused like any other write, and no index of it is kept.
+pub(super) fn unloaded(error: RegistryError) -> RegistryError {
     match error {
-        LoadError::Full(full) => full.into(),
-        LoadError::Refused(..) => unreachable!("restored points are checked as they arrive"),
+        RegistryError::NotLoaded { full, .. } => full.into(),
+        error => error,
     }
 }

@@ -88,11 +88,7 @@ mod tests {
     #[test]
     fn a_server_that_cannot_follow_its_journal_sends_its_callers_to_another() {
         let uid = Uid::unique();
-        let trimmed = LogError::Trimmed {
-            uid,
-            after: 7,
-            oldest: 9,
-        };
+        let trimmed = LogError::trimmed(uid, 7, 9);
         let behind = LogError::JournalBehind {
             uid,
             head: 7,

@@ -166,15 +166,3 @@ fn set_bits(old: u64, new: u64, mask: Option<u64>) -> u64 {
     let mask = mask.unwrap_or(u64::MAX);
     (old & !mask) | (new & mask)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::set_bits;
-
-    #[test]
-    fn a_mask_limits_what_is_set() {
-        assert_eq!(set_bits(0b1010, 0b0101, None), 0b0101);
-        assert_eq!(set_bits(0b1010, 0b0101, Some(0b0011)), 0b1001);
-        assert_eq!(set_bits(0b1010, 0b0101, Some(0)), 0b1010);
-    }
-}

@@ -5,11 +5,7 @@ use std::pin::Pin;
 use prost::Name;
 use wayfold_proto::v1;
 
-use super::{
-    codec::invalid,
-    request::Request,
-    verb::{IndexVerb, PointVerb, Verb},
-};
+use super::{codec::invalid, request::Request, verb::Verb};
 use crate::{
     observe,
     service::{Call, Error, Service},
@@ -46,37 +42,33 @@ pub(crate) async fn dispatch(
     }
     request.check_growth(verb, service.limits())?;
     match verb {
-        Verb::OfIndex(verb) => match verb {
-            PointVerb::Knn => {
-                let search = search(request, |it: &v1::KnnRequest| it.include).await?;
-                encoded(request, service.knn(call, search).await)
-            }
-            PointVerb::Query => {
-                let search = search(request, |it: &v1::QueryRequest| it.include).await?;
-                encoded(request, service.query(call, search).await)
-            }
-            PointVerb::Insert => mutate!(insert, InsertRequest),
-            PointVerb::Update => mutate!(update, UpdateRequest),
-            PointVerb::Remove => mutate!(remove, RemoveRequest),
-            PointVerb::Session => mutate!(open_session, OpenSessionRequest),
-            PointVerb::Write => answer!(write, decode_for_index),
-            PointVerb::Get => answer!(get, decode_for_index),
-            PointVerb::Scan => answer!(scan_page, decode_for_index),
-            PointVerb::Info => answer!(get_index, decode_for_index),
-            PointVerb::Log => answer!(log, decode_for_index),
-        },
-        Verb::OfServer(verb) => match verb {
-            IndexVerb::Server => {
-                let described = service.get_server(call, request.decode()?, max_message_bytes);
-                encoded(request, boxed(described).await)
-            }
-            IndexVerb::Create => answer!(create_index, decode),
-            IndexVerb::List => {
-                let listed = boxed(service.list_indexes(call, request.decode()?)).await;
-                encoded(request, listed.map(status::listing))
-            }
-            IndexVerb::Delete => answer!(delete_index, decode),
-        },
+        Verb::Knn => {
+            let search = search(request, |it: &v1::KnnRequest| it.include).await?;
+            encoded(request, service.knn(call, search).await)
+        }
+        Verb::Query => {
+            let search = search(request, |it: &v1::QueryRequest| it.include).await?;
+            encoded(request, service.query(call, search).await)
+        }
+        Verb::Insert => mutate!(insert, InsertRequest),
+        Verb::Update => mutate!(update, UpdateRequest),
+        Verb::Remove => mutate!(remove, RemoveRequest),
+        Verb::Session => mutate!(open_session, OpenSessionRequest),
+        Verb::Write => answer!(write, decode_for_index),
+        Verb::Get => answer!(get, decode_for_index),
+        Verb::Scan => answer!(scan_page, decode_for_index),
+        Verb::Info => answer!(get_index, decode_for_index),
+        Verb::Log => answer!(log, decode_for_index),
+        Verb::Server => {
+            let described = service.get_server(call, request.decode()?, max_message_bytes);
+            encoded(request, boxed(described).await)
+        }
+        Verb::Create => answer!(create_index, decode),
+        Verb::List => {
+            let listed = boxed(service.list_indexes(call, request.decode()?)).await;
+            encoded(request, listed.map(status::listing))
+        }
+        Verb::Delete => answer!(delete_index, decode),
     }
 }
 

@@ -13,6 +13,4 @@ pub(crate) use codec::{Form, MAX_DYNAMIC_BYTES, invalid};
 pub(crate) use dispatch::dispatch;
 pub(crate) use fields::{MAX_INDEX_REQUEST_BYTES, SMALL_SPACE, check_fields};
 pub(crate) use request::{MAX_TIMEOUT, Request, at_length};
-#[cfg(test)]
-pub(crate) use verb::{IndexVerb, PointVerb};
 pub(crate) use verb::{Target, Verb};

@@ -10,7 +10,7 @@ use prost::Name;
 use super::{
     codec::{Form, MAX_DYNAMIC_BYTES, invalid},
     fields::{MAX_INDEX_REQUEST_BYTES, SMALL_SPACE, check_fields},
-    verb::{PointVerb, Verb},
+    verb::Verb,
 };
 use crate::{
     observe,
@@ -89,9 +89,7 @@ impl<'a> Request<'a> {
     /// Refuses a payload that would grow too much by decoding.
     pub(super) fn check_growth(&self, verb: Verb, limits: &Limits) -> Result<(), Error> {
         match self.form {
-            _ if matches!(verb, Verb::OfServer(_))
-                && self.payload.len() > MAX_INDEX_REQUEST_BYTES =>
-            {
+            _ if verb.is_of_server() && self.payload.len() > MAX_INDEX_REQUEST_BYTES => {
                 Err(Error::LimitExceeded {
                     limit: "index_request_bytes",
                     value: MAX_INDEX_REQUEST_BYTES as u64,
@@ -99,10 +97,7 @@ impl<'a> Request<'a> {
                     advice: SMALL_SPACE,
                 })
             }
-            Form::Protobuf => {
-                let is_write = matches!(verb, Verb::OfIndex(PointVerb::Write));
-                check_fields(&self.payload, is_write, limits)
-            }
+            Form::Protobuf => check_fields(&self.payload, verb == Verb::Write, limits),
             Form::Json => Ok(()),
         }
     }

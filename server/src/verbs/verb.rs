@@ -3,9 +3,9 @@
 use super::codec::invalid;
 use crate::service::Error;
 
-/// A verb of one index: `<prefix>/<index>/<verb>`.
+/// A verb.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum PointVerb {
+pub(crate) enum Verb {
     Knn,
     Query,
     Insert,
@@ -17,26 +17,15 @@ pub(crate) enum PointVerb {
     Scan,
     Info,
     Log,
-}
-
-/// A verb of the server: `<prefix>/<verb>`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum IndexVerb {
     Server,
     Create,
     List,
     Delete,
 }
 
-/// A verb.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Verb {
-    OfIndex(PointVerb),
-    OfServer(IndexVerb),
-}
-
-impl PointVerb {
-    pub(crate) const ALL: [(&str, Self); 11] = [
+impl Verb {
+    /// The verbs of one index: `<prefix>/<index>/<verb>`.
+    pub(crate) const OF_INDEX: [(&str, Self); 11] = [
         ("knn", Self::Knn),
         ("query", Self::Query),
         ("insert", Self::Insert),
@@ -49,53 +38,51 @@ impl PointVerb {
         ("info", Self::Info),
         ("log", Self::Log),
     ];
-}
 
-impl IndexVerb {
-    pub(crate) const ALL: [(&str, Self); 4] = [
+    /// The verbs of the server: `<prefix>/<verb>`.
+    pub(crate) const OF_SERVER: [(&str, Self); 4] = [
         ("server", Self::Server),
         ("create", Self::Create),
         ("list", Self::List),
         ("delete", Self::Delete),
     ];
-}
 
-impl Verb {
     /// True if it may change something. It needs a payload then, so that a key alone changes nothing.
     pub(crate) fn is_mutation(self) -> bool {
         match self {
-            Verb::OfIndex(verb) => match verb {
-                PointVerb::Insert
-                | PointVerb::Update
-                | PointVerb::Remove
-                | PointVerb::Session
-                | PointVerb::Write => true,
-                PointVerb::Knn
-                | PointVerb::Query
-                | PointVerb::Get
-                | PointVerb::Scan
-                | PointVerb::Info
-                | PointVerb::Log => false,
-            },
-            Verb::OfServer(verb) => match verb {
-                IndexVerb::Create | IndexVerb::Delete => true,
-                IndexVerb::Server | IndexVerb::List => false,
-            },
+            Self::Insert
+            | Self::Update
+            | Self::Remove
+            | Self::Session
+            | Self::Write
+            | Self::Create
+            | Self::Delete => true,
+            Self::Knn
+            | Self::Query
+            | Self::Get
+            | Self::Scan
+            | Self::Info
+            | Self::Log
+            | Self::Server
+            | Self::List => false,
         }
     }
 
     /// True if it searches for neighbours.
     pub(crate) fn is_search(self) -> bool {
-        matches!(self, Verb::OfIndex(PointVerb::Knn | PointVerb::Query))
+        matches!(self, Self::Knn | Self::Query)
+    }
+
+    /// True if it is a verb of the server: its key names no index.
+    pub(crate) fn is_of_server(self) -> bool {
+        Self::OF_SERVER.iter().any(|(_, verb)| *verb == self)
     }
 
     /// Its name in the key.
     pub(crate) fn name(self) -> &'static str {
-        let name = match self {
-            Verb::OfIndex(verb) => PointVerb::ALL.iter().find(|(_, v)| *v == verb).map(|v| v.0),
-            Verb::OfServer(verb) => IndexVerb::ALL.iter().find(|(_, v)| *v == verb).map(|v| v.0),
-        };
-        name.unwrap_or_default()
+        let mut all = Self::OF_INDEX.iter().chain(&Self::OF_SERVER);
+        all.find(|(_, verb)| *verb == self)
+            .map_or("", |(name, _)| name)
     }
 }
 
@@ -121,15 +108,11 @@ impl<'a> Target<'a> {
     fn find(prefix: &str, key: &'a str) -> Option<Self> {
         let rest = key.strip_prefix(prefix).unwrap_or_default();
         let rest = rest.strip_prefix('/').unwrap_or_default();
-        let known = |(index, verb): (&'a str, &str)| {
-            let found = PointVerb::ALL.iter().find(|(name, _)| *name == verb)?;
-            Some((index, Verb::OfIndex(found.1)))
+        let (index, name, all) = match rest.split_once('/') {
+            Some((index, name)) => (index, name, &Verb::OF_INDEX[..]),
+            None => ("", rest, &Verb::OF_SERVER[..]),
         };
-        let of_server = || {
-            let found = IndexVerb::ALL.iter().find(|(name, _)| *name == rest)?;
-            Some(("", Verb::OfServer(found.1)))
-        };
-        let (index, verb) = rest.split_once('/').map_or_else(of_server, known)?;
+        let &(_, verb) = all.iter().find(|(known, _)| *known == name)?;
         Some(Self { index, verb })
     }
 }
@@ -144,8 +127,8 @@ fn unknown(prefix: &str, key: &str, is_offered: fn(Verb) -> bool) -> Error {
     };
     let text = format!(
         "no verb has the key {key}: under {prefix}/INDEX/ there are {}, and under {prefix}/ {}",
-        names(&PointVerb::ALL.map(|(name, verb)| (name, Verb::OfIndex(verb)))),
-        names(&IndexVerb::ALL.map(|(name, verb)| (name, Verb::OfServer(verb)))),
+        names(&Verb::OF_INDEX),
+        names(&Verb::OF_SERVER),
     );
     invalid("key", "UNKNOWN_KEY", text)
 }
@@ -160,13 +143,10 @@ mod tests {
             let target = Target::of("wayfold/v1", text);
             target.map(|target| (target.index, target.verb)).ok()
         };
-        let knn = Verb::OfIndex(PointVerb::Knn);
-        assert_eq!(key("wayfold/v1/arm/knn"), Some(("arm", knn)));
-        assert_eq!(key("wayfold/v1/list/knn"), Some(("list", knn)));
-        let list = Verb::OfServer(IndexVerb::List);
-        assert_eq!(key("wayfold/v1/list"), Some(("", list)));
-        let server = Verb::OfServer(IndexVerb::Server);
-        assert_eq!(key("wayfold/v1/server"), Some(("", server)));
+        assert_eq!(key("wayfold/v1/arm/knn"), Some(("arm", Verb::Knn)));
+        assert_eq!(key("wayfold/v1/list/knn"), Some(("list", Verb::Knn)));
+        assert_eq!(key("wayfold/v1/list"), Some(("", Verb::List)));
+        assert_eq!(key("wayfold/v1/server"), Some(("", Verb::Server)));
         for other in [
             "wayfold/v1",
             "wayfold/v1/arm/server",
@@ -184,9 +164,7 @@ mod tests {
 
     #[test]
     fn verbs_have_names_of_their_own() {
-        let of_index = PointVerb::ALL.map(|(name, verb)| (name, Verb::OfIndex(verb)));
-        let of_server = IndexVerb::ALL.map(|(name, verb)| (name, Verb::OfServer(verb)));
-        for (name, verb) in of_index.into_iter().chain(of_server) {
+        for (name, verb) in Verb::OF_INDEX.into_iter().chain(Verb::OF_SERVER) {
             assert_eq!(verb.name(), name);
         }
     }

@@ -15,22 +15,21 @@ use crate::{
     log::MemoryLog,
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
-    verbs::{Form, IndexVerb, PointVerb, Request, Verb, dispatch},
+    verbs::{Form, Request, Verb, dispatch},
 };
 
 /// The role that a verb needs, and its request for the index `arm`, in JSON.
 fn row(verb: Verb) -> (Role, &'static str) {
-    use {IndexVerb as Index, PointVerb as Point};
     match verb {
-        Verb::OfServer(Index::Server | Index::List) => (Role::Read, ""),
-        Verb::OfServer(Index::Create) => (Role::Admin, r#"{"name": "arm", "space_text": "R1"}"#),
-        Verb::OfServer(Index::Delete) => (Role::Admin, r#"{"index_name": "arm"}"#),
-        Verb::OfIndex(
-            Point::Knn | Point::Query | Point::Get | Point::Scan | Point::Info | Point::Log,
-        ) => (Role::Read, ""),
-        Verb::OfIndex(
-            Point::Insert | Point::Update | Point::Remove | Point::Session | Point::Write,
-        ) => (Role::Write, "{}"),
+        Verb::Server | Verb::List => (Role::Read, ""),
+        Verb::Create => (Role::Admin, r#"{"name": "arm", "space_text": "R1"}"#),
+        Verb::Delete => (Role::Admin, r#"{"index_name": "arm"}"#),
+        Verb::Knn | Verb::Query | Verb::Get | Verb::Scan | Verb::Info | Verb::Log => {
+            (Role::Read, "")
+        }
+        Verb::Insert | Verb::Update | Verb::Remove | Verb::Session | Verb::Write => {
+            (Role::Write, "{}")
+        }
     }
 }
 
@@ -79,9 +78,7 @@ async fn every_key_refuses_every_wrong_caller() {
         let attachment = attachment.map(ZBytes::from);
         caller(&identities, &attached(attachment.as_ref()))
     };
-    let of_index = PointVerb::ALL.map(|(_, verb)| Verb::OfIndex(verb));
-    let of_server = IndexVerb::ALL.map(|(_, verb)| Verb::OfServer(verb));
-    for verb in of_index.into_iter().chain(of_server) {
+    for (_, verb) in Verb::OF_INDEX.into_iter().chain(Verb::OF_SERVER) {
         let (needed, payload) = row(verb);
         let ask = async |caller| {
             let payload = payload.as_bytes().into();
@@ -115,10 +112,10 @@ async fn every_key_refuses_every_wrong_caller() {
                 .zip([Role::Read, Role::Write, Role::Admin, Role::Admin])
         {
             let refused = ask(caller(Some(&format!("traceparent=00;token={name}")))).await;
-            let is_of_server = matches!(verb, Verb::OfServer(IndexVerb::Server | IndexVerb::List));
+            let is_of_no_index = matches!(verb, Verb::Server | Verb::List);
             match () {
                 () if role < needed => assert_eq!(refused, Some("ROLE_TOO_LOW"), "{name}"),
-                () if name == "leg" && !is_of_server => {
+                () if name == "leg" && !is_of_no_index => {
                     assert_eq!(refused, Some("INDEX_NOT_ALLOWED"), "{}", verb.name());
                 }
                 () => assert!(

@@ -38,28 +38,3 @@ pub(super) fn encoding(form: Form) -> Encoding {
         Form::Json => Encoding::APPLICATION_JSON,
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_encoding_names_the_form() {
-        for (name, expected) in [
-            ("application/protobuf", Some(Form::Protobuf)),
-            (
-                "application/protobuf;wayfold.v1.KnnRequest",
-                Some(Form::Protobuf),
-            ),
-            ("application/json", Some(Form::Json)),
-            ("text/json", Some(Form::Json)),
-            ("zenoh/string", Some(Form::Json)),
-            ("zenoh/bytes", Some(Form::Json)),
-            ("image/png", None),
-            ("application/protobuffer", None),
-        ] {
-            assert_eq!(form(Some(&Encoding::from(name))).ok(), expected, "{name}");
-        }
-        assert_eq!(form(None).ok(), Some(Form::Json));
-    }
-}

@@ -100,7 +100,7 @@ impl Queries {
         let verb = target.ok().map(|target| target.verb);
         let link = self.flows.of_reader();
         let flow = match verb {
-            Some(Verb::OfServer(_)) => link.admin(),
+            Some(verb) if verb.is_of_server() => link.admin(),
             _ => &link,
         };
         // A link has no more places than it leaves to the others.

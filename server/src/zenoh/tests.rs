@@ -20,7 +20,7 @@ use crate::{
     observe::Metrics,
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
-    verbs::{IndexVerb, MAX_DYNAMIC_BYTES, PointVerb},
+    verbs::{MAX_DYNAMIC_BYTES, Verb},
 };
 
 /// The first reply to a query.
@@ -184,8 +184,8 @@ async fn every_key_refuses_a_query_without_a_right_token() {
     let service = Service::new(registry, Limits::default());
     service.set_ready();
     let (face, robot, _) = face_and_robot(service, identities).await;
-    let of_index = PointVerb::ALL.map(|(verb, _)| format!("arm/{verb}"));
-    let of_server = IndexVerb::ALL.map(|(verb, _)| verb.to_owned());
+    let of_index = Verb::OF_INDEX.map(|(verb, _)| format!("arm/{verb}"));
+    let of_server = Verb::OF_SERVER.map(|(verb, _)| verb.to_owned());
     let wildcards = ["**", "*/info", "arm/*"].map(str::to_owned);
     for key in of_index.into_iter().chain(of_server).chain(wildcards) {
         let key = format!("wayfold/v1/{key}");
@@ -199,7 +199,9 @@ async fn every_key_refuses_a_query_without_a_right_token() {
         }
     }
     for key in ["wayfold/v1/list", "wayfold/v1/**"] {
-        ask(&robot, key, Some("token=secret")).await.unwrap();
+        let answer = ask(&robot, key, Some("token=secret")).await.unwrap();
+        // A query that names no encoding is in JSON.
+        assert_eq!(*answer.encoding(), Encoding::APPLICATION_JSON);
     }
     robot.close().await.unwrap();
     face.stop().await;

@@ -4,16 +4,14 @@ use std::{
     fs,
     path::Path,
     process::{Command, Output},
-    sync::Arc,
 };
 
-use bytes::Bytes;
-use wayfold_index::PointRef;
-use wayfold_server::log::{
-    Catalogue, Durability, Effects, Entry, FjallLog, Journal, Outcome, PointStore, Record, Uid,
-};
+use wayfold_server::log::{Catalogue, Durability, FjallLog, PointStore};
 
-use crate::tables::move_to_tables;
+use crate::tables::{created, flip, in_tables, move_to_tables, payload, places};
+
+/// The bytes of a payload that fills a block of its own.
+const PAYLOAD: usize = 256 * 1024;
 
 fn repair(directory: &Path, arguments: &[&str]) -> (Option<i32>, String) {
     let server = Command::new(env!("CARGO_BIN_EXE_wayfold-server"));
@@ -35,56 +33,21 @@ fn repair_by(mut server: Command, directory: &Path, arguments: &[&str]) -> (Opti
     (status.code(), String::from_utf8(text).unwrap())
 }
 
-fn create(log: &FjallLog, name: &str) -> Uid {
-    let uid = Uid::unique();
-    log.create(Entry {
-        uid,
-        name: name.into(),
-        space: "R1".parse().unwrap(),
-        payload_encoding: Default::default(),
-    })
-    .unwrap();
-    uid
-}
-
-/// A closed store with two indices in tables, of which `arm` has three large payloads: each fills a block.
+/// A closed store with two indices in tables.
 fn fill(directory: &Path) {
-    let log = FjallLog::open(directory, Durability::Fsync).unwrap();
-    for (name, revisions, bytes) in [("arm", 3, 256 * 1024), ("base", 1, 16)] {
-        let uid = create(&log, name);
-        for revision in 1..=revisions {
-            let mut effects = Effects::new(1);
-            let point = PointRef {
-                id: revision,
-                tag: 0,
-                revision,
-                row: &[0.5],
-            };
-            effects.store(point, Outcome::Inserted, Bytes::from(vec![7; bytes]));
-            let position = log.view(uid).unwrap().position();
-            log.submit(uid, Arc::new(Record::after(position, effects)))
-                .unwrap();
-        }
-    }
-    drop(log);
-    move_to_tables(directory);
+    in_tables(directory, "arm", &[1..=3], PAYLOAD);
+    in_tables(directory, "base", &[1..=1], 16);
 }
 
-/// Flips a bit in the second payload of `arm`. The points come first in the largest table, and the records after them.
+/// Flips a bit in the second payload of `arm`.
 fn damage(directory: &Path) {
-    flip(directory, |table| table.len() / 4);
+    damage_at(directory, &payload(2, PAYLOAD));
 }
 
-/// Flips a bit of the largest table.
-fn flip(directory: &Path, place: impl FnOnce(&[u8]) -> usize) {
-    let tables = fs::read_dir(directory.join("store/keyspaces/1/tables")).unwrap();
-    let tables = tables.map(|table| table.unwrap().path());
-    let table = tables.max_by_key(|table| fs::metadata(table).unwrap().len());
-    let table = table.unwrap();
-    let mut bytes = fs::read(&table).unwrap();
-    let at = place(&bytes);
-    bytes[at] ^= 1;
-    fs::write(&table, bytes).unwrap();
+/// Flips a bit of the first of these bytes.
+fn damage_at(directory: &Path, bytes: &[u8]) {
+    let (table, at) = places(directory, bytes).swap_remove(0);
+    flip(&table, at);
 }
 
 #[test]
@@ -139,15 +102,12 @@ fn a_store_that_cannot_be_repaired_is_left_as_it_is() {
 fn a_repair_does_not_lose_a_deleted_index() {
     let directory = tempfile::tempdir().unwrap();
     let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
-    let deleted = create(&log, "deleted");
-    create(&log, "a-live-index");
-    log.delete(deleted).unwrap();
+    let deleted = created(&log, "deleted");
+    created(&log, "a-live-index");
+    log.delete(deleted.uid).unwrap();
     drop(log);
     move_to_tables(directory.path());
-    flip(directory.path(), |table| {
-        let mut windows = table.windows(12);
-        windows.position(|part| part == b"a-live-index").unwrap()
-    });
+    damage_at(directory.path(), b"a-live-index");
     let (status, text) = repair(directory.path(), &["--dry-run"]);
     assert_eq!(status, Some(1), "{text}");
     assert!(text.contains("loses: a-live-index ("), "{text}");
@@ -186,6 +146,7 @@ fn a_repair_raises_the_limit_of_open_files() {
     limited.arg(env!("CARGO_BIN_EXE_wayfold-server"));
     let (status, text) = repair_by(limited, directory.path(), &[]);
     assert_eq!(status, Some(0), "{text}");
+    assert!(text.contains("lost: arm ("), "{text}");
 }
 
 #[test]

@@ -2,14 +2,13 @@
 
 use std::{slice::from_ref, sync::Arc};
 
-use tokio::runtime::Builder;
 use wayfold_server::log::{
-    Catalogue, Entry, LogError, MemoryLog, NatsOptions, Record, RecordPosition, connect_nats,
+    Catalogue, Entry, LogError, MemoryLog, NatsOptions, Record, RecordPosition,
 };
 
 use crate::{
     effects, entry,
-    nats::{NatsServer, until},
+    nats::{Nats, NatsServer},
 };
 
 /// A user that gets answers, but no message of a subscription: its server learns of other servers' changes late.
@@ -22,33 +21,23 @@ authorization { users: [
 #[ignore = "needs nats-server"]
 #[test]
 fn a_repeated_claim_leaves_an_index_whose_claim_was_taken_late() {
-    let (server, [first, second]) = (
-        NatsServer::start_with(BLIND),
-        [(), ()].map(|()| entry("arm")),
-    );
-    let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
-    let options = server.options();
+    let nats = Nats::of(NatsServer::start_with(BLIND));
+    let [first, second] = [(), ()].map(|()| entry("arm"));
+    let options = nats.server.options();
     let blind = NatsOptions {
         servers: options.servers.replace("nats://", "nats://blind:any@"),
         ..options.clone()
     };
-    let [log, other] = [blind, options].map(|options| {
-        let _entered = runtime.enter();
-        let connected = connect_nats(&options, Arc::new(MemoryLog::new()));
-        connected.unwrap().0
-    });
-    let of_other = &*other.catalogue;
+    let [log, other] = [blind, options].map(|options| nats.connect_with(&options, Arc::default()));
 
-    server.signal("STOP");
+    nats.server.signal("STOP");
     let unanswered = log.catalogue.create(first.clone()).unwrap_err();
     assert!(
         matches!(unanswered, LogError::Unreachable { .. }),
         "{unanswered}"
     );
-    server.signal("CONT");
-    until(&runtime, of_other, || {
-        of_other.indexes().unwrap() == from_ref(&first)
-    });
+    nats.server.signal("CONT");
+    nats.until(&other, |it| it.indexes().unwrap() == from_ref(&first));
 
     let taken = LogError::NameTaken { name: "arm".into() };
     assert_eq!(log.catalogue.create(second), Err(taken));
@@ -61,8 +50,7 @@ fn a_repeated_claim_leaves_an_index_whose_claim_was_taken_late() {
 #[ignore = "needs nats-server"]
 #[test]
 fn only_a_restored_index_is_removed_after_a_claim_without_an_answer_in_nats() {
-    let server = NatsServer::start();
-    let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
+    let nats = Nats::start();
     // NATS refuses a message as large as this space.
     let factors: Vec<_> = (1..=200).map(|weight| format!("SO2:{weight}.5")).collect();
     for is_restored in [false, true] {
@@ -75,11 +63,7 @@ fn only_a_restored_index_is_removed_after_a_claim_without_an_answer_in_nats() {
         if is_restored {
             local.create(unanswered.clone()).unwrap();
         }
-        let log = {
-            let _entered = runtime.enter();
-            let connected = connect_nats(&server.options(), Arc::clone(&local));
-            connected.unwrap().0
-        };
+        let log = nats.connect(Arc::clone(&local));
         let record = Record::after(RecordPosition::START, effects(1, &[1], &[]));
         log.journal.begin(unanswered.uid, Arc::new(record)).unwrap();
         let failed = log.catalogue.claim(&unanswered, None).unwrap_err();

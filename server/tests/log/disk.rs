@@ -9,9 +9,12 @@ use std::{
 
 use bytes::Bytes;
 use tempfile::TempDir;
-use wayfold_server::log::{Batch, Catalogue, Durability, Effects, Entry, FjallLog, LogError, Uid};
+use wayfold_server::log::{
+    Batch, Catalogue, Digest, Durability, Effects, Entry, FjallLog, Journal, LogError, PointStore,
+    Uid,
+};
 
-use super::{copied::copied, effects, journal_end::newest_journal, submit, synced};
+use super::{all_points, copied::copied, effects, journal_end::newest_journal, submit, synced};
 
 pub(crate) fn open(directory: &Path) -> FjallLog {
     open_at(directory, Durability::Fsync)
@@ -73,6 +76,47 @@ pub(crate) fn of_version(version: u32) -> TempDir {
 /// The line that names the version of a directory.
 pub(crate) fn marker(directory: &Path) -> String {
     fs::read_to_string(directory.join("wayfold-data")).unwrap()
+}
+
+/// The content of a log that has lost nothing. The numbers of a point are its id, revision, modified and tag; those
+/// of a session its id, batch and time of use. A record has its revision, the previous digest, its digest, the stored
+/// points, the removed ids, and the ended sessions if it has a batch.
+pub(crate) fn dump(log: &FjallLog) -> String {
+    assert_eq!((log.lost(), log.failure()), (Vec::new(), None));
+    let hex = |digest: &Digest| digest.map(|byte| format!("{byte:02x}")).concat();
+    let mut text = String::new();
+    let mut indexes = log.indexes().unwrap();
+    indexes.sort_by(|one, other| one.name.cmp(&other.name));
+    for it in indexes {
+        let (uid, view) = (it.uid, log.view(it.uid).unwrap());
+        let encoding = it.payload_encoding.as_str_name();
+        text += &format!("index {} {uid} {} {encoding}\n", it.name, it.space);
+        text += &format!("revision {}, next id {}\n", view.revision(), view.next_id());
+        for it in all_points(&*view).values() {
+            let numbers = [it.id, it.revision, it.modified, it.tag];
+            text += &format!("point {numbers:?} {:?} {:?}\n", it.state, it.payload);
+        }
+        for (id, it) in view.sessions().iter() {
+            let (numbers, fingerprint) = ([id, it.batch, it.used_ms], hex(&it.fingerprint));
+            text += &format!("session {numbers:?} {fingerprint} {:?}\n", it.response);
+        }
+        for (first, block) in view.sessions().blocks() {
+            text += &format!("block {first}..{} {}\n", block.end, block.session);
+        }
+        for it in log.operations(uid).unwrap() {
+            let fingerprint = hex(&it.fingerprint);
+            text += &format!("operation {} {fingerprint} {:?}\n", it.id, it.response);
+        }
+        for it in log.read(uid, None, usize::MAX).unwrap() {
+            let (effects, digests) = (it.effects(), [it.previous(), it.digest()].map(hex));
+            let ids = effects.stored().ids().iter().enumerate();
+            let stored: Vec<_> = ids.map(|(at, id)| (id, effects.payload(at))).collect();
+            let ended = effects.batch().map(|batch| &batch.ended);
+            let (revision, changes) = (it.revision(), (stored, effects.removed(), ended));
+            text += &format!("record {revision} {} {changes:?}\n", digests.join(" "));
+        }
+    }
+    text
 }
 
 /// Asserts that only this index is lost, and returns the reason.

@@ -3,19 +3,12 @@
 use std::{slice::from_ref, sync::Arc};
 
 use futures_util::StreamExt;
-use tokio::runtime::{Builder, Runtime};
-use wayfold_server::log::{Log, LogError, MemoryLog, connect_nats};
+use wayfold_server::log::LogError;
 
 use crate::{
     entry,
-    nats::{NatsServer, until},
+    nats::{Nats, NatsServer},
 };
-
-fn connect(runtime: &Runtime, server: &NatsServer) -> Log {
-    let _entered = runtime.enter();
-    let connected = connect_nats(&server.options(), Arc::new(MemoryLog::new()));
-    connected.unwrap().0
-}
 
 /// Loses the values of the catalogue, which has one.
 async fn lose(server: &NatsServer) {
@@ -36,46 +29,37 @@ async fn lose(server: &NatsServer) {
 #[ignore = "needs nats-server"]
 #[test]
 fn an_entry_that_nats_has_lost_can_still_be_changed() {
-    let (server, entry) = (NatsServer::start(), entry("arm"));
+    let (nats, entry) = (Nats::start(), entry("arm"));
     let (name, uid) = (entry.name.as_str(), entry.uid);
-    let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
-    let [log, other] = [(), ()].map(|()| connect(&runtime, &server));
+    let [log, other] = [(), ()].map(|()| nats.connect(Arc::default()));
     log.catalogue.create(entry.clone()).unwrap();
-    let of_other = &*other.catalogue;
-    until(&runtime, of_other, || {
-        of_other.indexes().unwrap() == [entry.clone()]
-    });
+    nats.until(&other, |it| it.indexes().unwrap() == [entry.clone()]);
 
-    runtime.block_on(lose(&server));
+    nats.runtime.block_on(lose(&nats.server));
     log.catalogue.note_contradiction(uid, 3).unwrap();
-    until(&runtime, of_other, || {
-        of_other.contradiction(name, uid) == Some(3)
-    });
+    nats.until(&other, |it| it.contradiction(name, uid) == Some(3));
     // One that starts now knows of both.
-    let third = connect(&runtime, &server).catalogue;
+    let third = nats.connect(Arc::default()).catalogue;
     assert_eq!(third.indexes().unwrap(), from_ref(&entry));
     assert_eq!(third.contradiction(name, uid), Some(3));
 
-    runtime.block_on(lose(&server));
-    of_other.delete(uid).unwrap();
-    until(&runtime, &*log.catalogue, || {
-        log.catalogue.indexes().unwrap().is_empty()
-    });
+    nats.runtime.block_on(lose(&nats.server));
+    other.catalogue.delete(uid).unwrap();
+    nats.until(&log, |it| it.indexes().unwrap().is_empty());
 }
 
 #[ignore = "needs nats-server"]
 #[test]
 fn an_entry_that_nats_has_lost_is_written_again() {
-    let (server, entry) = (NatsServer::start(), entry("arm"));
-    let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
-    let log = connect(&runtime, &server);
+    let (nats, entry) = (Nats::start(), entry("arm"));
+    let log = nats.connect(Arc::default());
     log.catalogue.create(entry.clone()).unwrap();
     log.catalogue.note_contradiction(entry.uid, 3).unwrap();
     let mut changes = log.catalogue.changes().unwrap();
     changes.mark_unchanged();
-    runtime.block_on(lose(&server));
-    runtime.block_on(changes.changed()).unwrap();
-    let started = connect(&runtime, &server).catalogue;
+    nats.runtime.block_on(lose(&nats.server));
+    nats.runtime.block_on(changes.changed()).unwrap();
+    let started = nats.connect(Arc::default()).catalogue;
     assert_eq!(started.indexes().unwrap(), from_ref(&entry));
     assert_eq!(started.contradiction("arm", entry.uid), Some(3));
 }
@@ -84,16 +68,13 @@ fn an_entry_that_nats_has_lost_is_written_again() {
 #[ignore = "needs nats-server"]
 #[test]
 fn a_name_that_another_index_got_after_the_loss_is_taken() {
-    let (server, [lost, new]) = (NatsServer::start(), [(), ()].map(|()| entry("arm")));
-    let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
-    let log = connect(&runtime, &server);
+    let (nats, [lost, new]) = (Nats::start(), [(), ()].map(|()| entry("arm")));
+    let log = nats.connect(Arc::default());
     log.catalogue.create(lost.clone()).unwrap();
-    runtime.block_on(lose(&server));
-    let other = connect(&runtime, &server);
+    nats.runtime.block_on(lose(&nats.server));
+    let other = nats.connect(Arc::default());
     other.catalogue.create(new.clone()).unwrap();
-    until(&runtime, &*log.catalogue, || {
-        log.catalogue.indexes().unwrap() == [new.clone()]
-    });
+    nats.until(&log, |it| it.indexes().unwrap() == [new.clone()]);
     let refused = log.catalogue.claim(&lost, None).unwrap_err();
     assert!(matches!(refused, LogError::NameTaken { .. }), "{refused}");
 }

@@ -1,6 +1,6 @@
 //! Promises of the log on disk beyond those of the others: its syncs, its state after a crash, its views.
 
-use std::{fs, slice};
+use std::fs;
 
 use futures_util::{FutureExt, StreamExt};
 use wayfold_server::log::{
@@ -13,32 +13,6 @@ use super::{
     disk::{append, append_synced, open, open_at, with_batch},
     effects, entry, submit, synced,
 };
-
-#[test]
-fn synced_records_survive_a_crash_at_any_moment() {
-    let directory = tempfile::tempdir().unwrap();
-    let log = open(directory.path());
-    let arm = entry("arm");
-    let uid = arm.uid;
-    log.create(arm.clone()).unwrap();
-    for revision in 1..=20 {
-        append_synced(&log, uid, revision);
-        if revision % 5 > 0 {
-            continue;
-        }
-        let copy = copied(directory.path());
-        let after = open(copy.path());
-        assert_eq!(after.indexes().unwrap()[..], *slice::from_ref(&arm));
-        let view = after.view(uid).unwrap();
-        assert_eq!((view.revision(), view.next_id()), (revision, revision + 1));
-        assert_eq!(all_points(&*view), all_points(&*log.view(uid).unwrap()));
-        assert_eq!(
-            after.read(uid, None, usize::MAX),
-            log.read(uid, None, usize::MAX)
-        );
-        append(&after, uid, revision + 1);
-    }
-}
 
 #[test]
 fn one_sync_covers_all_earlier_writes() {
@@ -114,26 +88,6 @@ fn a_closed_log_is_not_reopened() {
     log.close();
     assert_eq!(log.reopen(), Err(LogError::Closed));
     assert_eq!(log.failure(), Some(LogError::Closed));
-}
-
-#[test]
-fn an_index_is_deleted_for_good() {
-    let directory = tempfile::tempdir().unwrap();
-    let log = open(directory.path());
-    let (first, second) = (entry("arm"), entry("arm"));
-    log.create(first.clone()).unwrap();
-    append(&log, first.uid, 1);
-    let view = log.view(first.uid).unwrap();
-    log.delete(first.uid).unwrap();
-    log.create(second.clone()).unwrap();
-    assert_eq!(view.get(1).unwrap().unwrap().id, 1);
-    let crashed = copied(directory.path());
-    drop((view, log));
-    for directory in [crashed.path(), directory.path()] {
-        let after = open(directory);
-        assert_eq!(after.indexes().unwrap()[..], *slice::from_ref(&second));
-        assert_eq!(after.view(second.uid).unwrap().revision(), 0);
-    }
 }
 
 /// Writer sessions and reserved ids stay.

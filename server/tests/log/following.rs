@@ -79,11 +79,7 @@ fn a_stream_from_before_the_trim_fails() {
         log.create(entry).unwrap();
         submit_and_trim(log, uid, 3);
         apply_and_trim(log, uid, 0, 3);
-        let trimmed = LogError::Trimmed {
-            uid,
-            after: 1,
-            oldest: 2,
-        };
+        let trimmed = LogError::trimmed(uid, 1, 2);
         assert_eq!(next(&mut log.follow(uid, 1)), Err(trimmed));
     }
 }

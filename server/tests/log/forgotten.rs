@@ -3,29 +3,22 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use tokio::runtime::Builder;
 use wayfold_index::PointRef;
 use wayfold_server::log::{
-    Catalogue, Effects, LogError, MemoryLog, Outcome, Receipt, Record, RecordPosition, connect_nats,
+    Catalogue, Effects, LogError, MemoryLog, Outcome, Record, RecordPosition,
 };
 
-use crate::{entry, nats::NatsServer, next, retention};
+use crate::{entry, nats::Nats, next, retention};
 
 /// Whole messages go, none that has a later record, and never the newest one.
 #[ignore = "needs nats-server"]
 #[test]
 fn whole_packs_are_forgotten_in_nats() {
     const RECORDS: u64 = 12;
-    let (server, entry) = (NatsServer::start(), entry("arm"));
+    let (nats, entry) = (Nats::start(), entry("arm"));
     let uid = entry.uid;
-    let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
     let local = Arc::new(MemoryLog::new());
-    let log = {
-        let _entered = runtime.enter();
-        connect_nats(&server.options(), Arc::clone(&local))
-            .unwrap()
-            .0
-    };
+    let log = nats.connect(Arc::clone(&local));
     local.create(entry).unwrap();
     let mut position = RecordPosition::START;
     let mut records = Vec::new();
@@ -42,11 +35,7 @@ fn whole_packs_are_forgotten_in_nats() {
         effects.store(point, Outcome::Inserted, Bytes::from(vec![1; bytes]));
         let record = Arc::new(Record::after(position, effects));
         position = record.position();
-        let Receipt::Awaited(receipt) = log.journal.submit(uid, Arc::clone(&record)).unwrap()
-        else {
-            panic!("a journal elsewhere accepts nothing at once");
-        };
-        runtime.block_on(receipt).unwrap();
+        nats.publish(&log, uid, &record);
         records.push(record);
     }
     let oldest = || match log.journal.read(uid, Some(0), 1) {
@@ -65,7 +54,7 @@ fn whole_packs_are_forgotten_in_nats() {
     for up_to in 1..RECORDS {
         log.journal.forget(uid, up_to).unwrap();
         assert_eq!(oldest(), up_to);
-        let _entered = runtime.enter();
+        let _entered = nats.runtime.enter();
         let followed = next(&mut log.journal.follow(uid, up_to)).unwrap();
         assert_eq!(followed[0].position(), records[up_to as usize].position());
     }
@@ -73,8 +62,5 @@ fn whole_packs_are_forgotten_in_nats() {
     assert_eq!(oldest(), RECORDS - 1);
     // The next record follows it.
     let record = Arc::new(Record::after(position, Effects::new(1)));
-    let Receipt::Awaited(receipt) = log.journal.submit(uid, record).unwrap() else {
-        panic!("a journal elsewhere accepts nothing at once");
-    };
-    runtime.block_on(receipt).unwrap();
+    nats.publish(&log, uid, &record);
 }

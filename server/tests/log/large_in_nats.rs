@@ -4,13 +4,11 @@ use std::{sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use futures_util::StreamExt;
-use tokio::{runtime::Builder, time::timeout};
+use tokio::time::timeout;
 use wayfold_index::PointRef;
-use wayfold_server::log::{
-    Effects, MemoryLog, Outcome, Receipt, Record, RecordPosition, Uid, connect_nats,
-};
+use wayfold_server::log::{Effects, Outcome, Record, RecordPosition, Uid};
 
-use crate::nats::NatsServer;
+use crate::nats::{Nats, NatsServer};
 
 const MAX_PAYLOAD: usize = 2 * 1024 * 1024;
 const MAX_WAIT: Duration = Duration::from_secs(30);
@@ -19,12 +17,8 @@ const MAX_WAIT: Duration = Duration::from_secs(30);
 #[test]
 fn a_follower_gets_messages_of_the_largest_size() {
     let server = NatsServer::start_with(&format!("max_payload: {MAX_PAYLOAD}"));
-    let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
-    let log = {
-        let _entered = runtime.enter();
-        let connected = connect_nats(&server.options(), Arc::new(MemoryLog::new()));
-        connected.unwrap().0
-    };
+    let nats = Nats::of(server);
+    let log = nats.connect(Arc::default());
     let uid = Uid::unique();
     let mut effects = Effects::new(1);
     let point = PointRef {
@@ -36,11 +30,8 @@ fn a_follower_gets_messages_of_the_largest_size() {
     let payload = Bytes::from(vec![7; MAX_PAYLOAD]);
     effects.store(point, Outcome::Inserted, payload);
     let record = Arc::new(Record::after(RecordPosition::START, effects));
-    let Receipt::Awaited(receipt) = log.journal.submit(uid, Arc::clone(&record)).unwrap() else {
-        panic!("a journal elsewhere accepts nothing at once");
-    };
-    runtime.block_on(receipt).unwrap();
-    runtime.block_on(async {
+    nats.publish(&log, uid, &record);
+    nats.runtime.block_on(async {
         let mut records = log.journal.follow(uid, 0);
         let found = timeout(MAX_WAIT, records.next()).await;
         assert!(found.expect("no record").unwrap().unwrap() == [record]);

@@ -66,34 +66,6 @@ fn an_index_that_lost_revisions_stays_lost_after_an_unclean_shutdown() {
     }
 }
 
-#[test]
-fn a_store_that_is_missing_is_not_taken_for_an_empty_one() {
-    let directory = tempfile::tempdir().unwrap();
-    let log = open(directory.path());
-    let arm = entry("arm");
-    let uid = arm.uid;
-    log.create(arm.clone()).unwrap();
-    append_synced(&log, uid, 1);
-    drop(log);
-    let store = Part::of(directory.path(), "store");
-    store.take_away();
-    let log = open(directory.path());
-    let why = only_gone(&log, &arm).to_string();
-    assert!(why.contains("revisions 1 to 1"), "{why}");
-    for error in [
-        log.view(uid).err().unwrap(),
-        log.create(entry("other")).unwrap_err(),
-        log.failure().unwrap(),
-    ] {
-        assert!(matches!(error, LogError::Unopened { .. }));
-    }
-    assert!(log.reopen().is_err());
-    store.bring_back();
-    log.reopen().unwrap();
-    assert_eq!(log.view(uid).unwrap().revision(), 1);
-    assert_eq!(log.lost(), []);
-}
-
 /// fjall recreates a missing part over the remaining files.
 #[test]
 fn any_missing_part_of_a_store_is_named_and_nothing_else_is_touched() {
@@ -105,11 +77,12 @@ fn any_missing_part_of_a_store_is_named_and_nothing_else_is_touched() {
     let whole = all_points(&*log.view(arm.uid).unwrap());
     drop(log);
     let journal = JournalFile::of(directory.path()).name;
-    for part in [
-        "store/keyspaces",
-        "store/keyspaces/0",
-        "store/keyspaces/1",
-        journal.to_str().unwrap(),
+    for (part, text) in [
+        ("store", "there is no"),
+        ("store/keyspaces", " is missing"),
+        ("store/keyspaces/0", " is missing"),
+        ("store/keyspaces/1", " is missing"),
+        (journal.to_str().unwrap(), " is missing"),
     ] {
         println!("{part}");
         let part_of = Part::of(directory.path(), part);
@@ -117,12 +90,23 @@ fn any_missing_part_of_a_store_is_named_and_nothing_else_is_touched() {
         let log = open(directory.path());
         for _ in 0..2 {
             let why = only_gone(&log, &arm).to_string();
-            assert!(why.contains(" is missing"), "{why}");
+            assert!(
+                why.contains(text) && why.contains("revisions 1 to 1"),
+                "{why}"
+            );
+            for error in [
+                log.view(arm.uid).err().unwrap(),
+                log.create(entry("other")).unwrap_err(),
+                log.failure().unwrap(),
+            ] {
+                assert!(matches!(error, LogError::Unopened { .. }), "{error}");
+            }
             assert!(log.reopen().is_err());
         }
         part_of.bring_back();
         log.reopen().unwrap();
         assert_eq!(all_points(&*log.view(arm.uid).unwrap()), whole);
+        assert_eq!(log.lost(), []);
     }
 }
 

@@ -1,15 +1,21 @@
-//! A server of NATS under test.
+//! A server of NATS under test, and the logs in it.
 
 use std::{
     env, fs,
     io::{BufRead, BufReader},
     process::{Child, Command, Stdio},
+    sync::Arc,
     time::Duration,
 };
 
 use tempfile::TempDir;
-use tokio::{runtime::Runtime, time::timeout};
-use wayfold_server::log::{Catalogue, NatsOptions};
+use tokio::{
+    runtime::{Builder, Runtime},
+    time::timeout,
+};
+use wayfold_server::log::{
+    Catalogue, Log, MemoryLog, NatsOptions, Receipt, Record, Uid, connect_nats,
+};
 
 /// A server of NATS with JetStream, on a port of its own of the loopback interface. It is killed when it is dropped.
 pub(crate) struct NatsServer {
@@ -86,11 +92,46 @@ impl Drop for NatsServer {
     }
 }
 
-/// Waits until a server knows of a change.
-pub(crate) fn until(runtime: &Runtime, catalogue: &dyn Catalogue, is_known: impl Fn() -> bool) {
-    let mut changes = catalogue.changes().unwrap();
-    while !is_known() {
-        let change = async { timeout(Duration::from_secs(60), changes.changed()).await };
-        runtime.block_on(change).unwrap().unwrap();
+/// A server of NATS, and the runtime of the logs in it.
+pub(crate) struct Nats {
+    pub(crate) runtime: Runtime,
+    pub(crate) server: NatsServer,
+}
+
+impl Nats {
+    pub(crate) fn start() -> Self {
+        Self::of(NatsServer::start())
+    }
+
+    pub(crate) fn of(server: NatsServer) -> Self {
+        let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
+        Self { runtime, server }
+    }
+
+    /// Another server's connection, with this store of its own.
+    pub(crate) fn connect(&self, local: Arc<MemoryLog>) -> Log {
+        self.connect_with(&self.server.options(), local)
+    }
+
+    pub(crate) fn connect_with(&self, options: &NatsOptions, local: Arc<MemoryLog>) -> Log {
+        let _entered = self.runtime.enter();
+        connect_nats(options, local).unwrap().0
+    }
+
+    /// Submits a record, and waits until the journal has it.
+    pub(crate) fn publish(&self, log: &Log, uid: Uid, record: &Arc<Record>) {
+        let Receipt::Awaited(receipt) = log.journal.submit(uid, Arc::clone(record)).unwrap() else {
+            panic!("a journal elsewhere accepts nothing at once");
+        };
+        self.runtime.block_on(receipt).unwrap();
+    }
+
+    /// Waits until a server knows of a change.
+    pub(crate) fn until(&self, log: &Log, is_known: impl Fn(&dyn Catalogue) -> bool) {
+        let mut changes = log.catalogue.changes().unwrap();
+        while !is_known(&*log.catalogue) {
+            let change = async { timeout(Duration::from_secs(60), changes.changed()).await };
+            self.runtime.block_on(change).unwrap().unwrap();
+        }
     }
 }

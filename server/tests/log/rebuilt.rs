@@ -2,20 +2,16 @@
 //! that can be read whole, and these stay writable.
 
 use std::{
-    fs::{self, File},
-    io::{Seek, SeekFrom, Write},
+    fs,
     path::{Path, PathBuf},
     slice,
     sync::Arc,
 };
 
 use bytes::Bytes;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-use wayfold_index::PointRef;
 use wayfold_server::log::{
-    Catalogue, Durability, Effects, Entry, FjallLog, LogError, Operation, Outcome, PointStore,
-    RepairError, Uid, repair,
+    Catalogue, Durability, Effects, Entry, FjallLog, LogError, Operation, PointStore, RepairError,
+    Uid, repair,
 };
 
 use super::{
@@ -23,64 +19,33 @@ use super::{
     copied::copied,
     disk::{append_synced, open, open_at, with_batch},
     effects, entry, retention, submit, synced,
-    tables::{move_to_tables, open_store},
+    tables::{self, flip, in_tables, move_to_tables, open_store, payload, places, table_files},
 };
 
 /// The bytes of a payload, which fill several blocks, so that fjall soon begins another table.
 const PAYLOAD: usize = 32 * 1024;
 const BURST_BYTES: usize = 1024 * 1024;
 
-/// The incompressible payload of a point.
-fn payload(id: u64) -> Bytes {
-    let mut bytes = vec![0; PAYLOAD];
-    ChaCha8Rng::seed_from_u64(id).fill_bytes(&mut bytes);
-    bytes.into()
-}
-
-/// Stores the point with the id of the revision.
-fn grow(log: &FjallLog, uid: Uid, revision: u64, payload: Bytes) -> Result<(), LogError> {
-    let mut effects = Effects::new(1);
-    let point = PointRef {
-        id: revision,
-        tag: 0,
-        revision,
-        row: &[0.5],
-    };
-    effects.store(point, Outcome::Inserted, payload);
-    submit(log, uid, revision - 1, effects)?;
-    synced(log, uid, revision).map(|_| ())
+/// Stores the point with the id of the next revision, which it returns once it is durable.
+fn grow(log: &FjallLog, uid: Uid, payload: Bytes) -> Result<u64, LogError> {
+    synced(log, uid, tables::grow(log, uid, payload)?)
 }
 
 /// Creates two indices that are wholly in tables: `arm` with 20 points with payloads, `base` with one revision, which
 /// opens a session. fjall will rewrite the tables with the next one or two.
 fn fill(directory: &Path) -> [Entry; 2] {
-    let entries = [entry("arm"), entry("base")];
     let log = open(directory);
-    for entry in &entries {
-        log.create(entry.clone()).unwrap();
-    }
+    let base = tables::created(&log, "base");
     let opening = with_batch(effects(1, &[1], &[]), (1, 0), 1000..1010, &[]);
-    submit(&log, entries[1].uid, 0, opening).unwrap();
-    synced(&log, entries[1].uid, 1).unwrap();
+    submit(&log, base.uid, 0, opening).unwrap();
     drop(log);
-    for revisions in [1..=10, 11..=15, 16..=20] {
-        let log = open(directory);
-        for revision in revisions {
-            grow(&log, entries[0].uid, revision, payload(revision)).unwrap();
-        }
-        drop(log);
-        move_to_tables(directory);
-    }
-    entries
+    [
+        in_tables(directory, "arm", &[1..=10, 11..=15, 16..=20], PAYLOAD),
+        base,
+    ]
 }
 
-fn tables(directory: &Path) -> Vec<PathBuf> {
-    let tables = fs::read_dir(directory.join("store/keyspaces/1/tables")).unwrap();
-    tables.map(|table| table.unwrap().path()).collect()
-}
-
-/// Flips a bit in the middle of the payload of point 10 of `arm` in every table, in the point and in the record. The
-/// files are changed in place, so that a store that has them open meets the damage too.
+/// Flips a bit in the middle of the payload of point 10 of `arm`, in the point and in the record.
 fn damage(directory: &Path) {
     for (table, at) in found(directory) {
         flip(&table, at);
@@ -94,23 +59,9 @@ fn damage_last(directory: &Path) {
 }
 
 fn found(directory: &Path) -> Vec<(PathBuf, usize)> {
-    let middle = &payload(10)[PAYLOAD / 2..][..32];
-    let mut found = Vec::new();
-    for table in tables(directory) {
-        let bytes = fs::read(&table).unwrap();
-        let windows = bytes.windows(middle.len()).enumerate();
-        let matches = windows.filter(|(_, window)| *window == middle);
-        found.extend(matches.map(|(at, _)| (table.clone(), at)));
-    }
+    let found = places(directory, &payload(10, PAYLOAD)[PAYLOAD / 2..][..32]);
     assert_eq!(found.len(), 2);
     found
-}
-
-fn flip(file: &Path, at: usize) {
-    let byte = fs::read(file).unwrap()[at];
-    let mut file = File::options().write(true).open(file).unwrap();
-    file.seek(SeekFrom::Start(at as u64)).unwrap();
-    file.write_all(&[byte ^ 1]).unwrap();
 }
 
 fn damaged(log: &FjallLog, entry: &Entry) {
@@ -222,8 +173,8 @@ fn a_repair_loses_only_the_content_of_a_block_damaged_while_the_log_was_open() {
         let much = Bytes::from(vec![0; BURST_BYTES]);
         let failure = loop {
             assert!(revision < 500, "the block was never rewritten");
-            match grow(&log, base.uid, revision + 1, much.clone()) {
-                Ok(()) => revision += 1,
+            match grow(&log, base.uid, much.clone()) {
+                Ok(grown) => revision = grown,
                 Err(error) => break error,
             }
         };
@@ -239,8 +190,7 @@ fn a_repair_loses_only_the_content_of_a_block_damaged_while_the_log_was_open() {
             let is_damaged = matches!(refused, LogError::DamagedStore { .. });
             assert!(is_damaged, "{refused}");
             assert!(refused.to_string().contains("`wayfold-server repair`"));
-            let head = log.view(base.uid).unwrap().revision();
-            let append = grow(&log, base.uid, head + 1, much.clone());
+            let append = grow(&log, base.uid, much.clone());
             assert_eq!(append, Err(refused.clone()));
             assert_eq!(log.reopen(), Err(refused));
             assert!(points(&base) >= revision);
@@ -257,7 +207,7 @@ fn a_repair_loses_only_the_content_of_a_block_damaged_while_the_log_was_open() {
         }
         let head = log.view(base.uid).unwrap().revision();
         assert!(head >= revision);
-        grow(&log, base.uid, head + 1, much).unwrap();
+        grow(&log, base.uid, much).unwrap();
         assert_eq!(points(&base), head + 1);
         drop(log);
         can_be_rewritten(directory.path());
@@ -289,7 +239,7 @@ fn no_block_of_a_table_costs_all_indices() {
         }
         drop(log);
         move_to_tables(directory.path());
-        let tables = tables(directory.path());
+        let tables = table_files(directory.path());
         let name = tables[0].strip_prefix(directory.path()).unwrap();
         let bytes = fs::read(&tables[0]).unwrap();
         let (mut all_lost, flips) = (Vec::new(), 8);

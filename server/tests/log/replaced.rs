@@ -152,11 +152,7 @@ fn an_index_is_never_taken_back_or_brought_back() {
         for revision in [0, 1] {
             let origin = Origin { revision, ..ORIGIN };
             let copy = log.restore(arm.clone(), origin, true).unwrap();
-            let fenced = LogError::Fenced {
-                uid: arm.uid,
-                expected: revision,
-                head: 1,
-            };
+            let fenced = LogError::fenced(arm.uid, revision, 1);
             assert_eq!(copy.finish(sessions(), vec![]), Err(fenced));
         }
         // The refused copies have changed nothing.

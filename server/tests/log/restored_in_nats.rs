@@ -2,26 +2,24 @@
 
 use std::{sync::Arc, thread, time::UNIX_EPOCH};
 
-use tokio::runtime::{Builder, Runtime};
 use wayfold_server::log::{
     Catalogue, Entry, Journal, Log, LogError, MemoryLog, Origin, PointStore, Record,
-    RecordPosition, Retention, Sessions, Uid, connect_nats,
+    RecordPosition, Retention, Sessions, Uid,
 };
 
-use crate::{effects, entry, nats::NatsServer};
+use crate::{effects, entry, nats::Nats};
 
 const ORIGIN: RecordPosition = RecordPosition {
     revision: 7,
     digest: [5; 32],
 };
 
-fn connect(runtime: &Runtime, server: &NatsServer, entries: &[&Entry]) -> Log {
+fn connect(nats: &Nats, entries: &[&Entry]) -> Log {
     let local = Arc::new(MemoryLog::new());
     for entry in entries {
         local.create(Entry::clone(entry)).unwrap();
     }
-    let _entered = runtime.enter();
-    connect_nats(&server.options(), local).unwrap().0
+    nats.connect(local)
 }
 
 fn first(id: u64) -> Arc<Record> {
@@ -32,10 +30,9 @@ fn first(id: u64) -> Arc<Record> {
 #[ignore = "needs nats-server"]
 #[test]
 fn a_journal_that_begins_at_an_origin_is_trimmed_for_others_in_nats() {
-    let (server, entry) = (NatsServer::start(), entry("arm"));
+    let (nats, entry) = (Nats::start(), entry("arm"));
     let uid = entry.uid;
-    let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
-    let [log, other] = [(), ()].map(|()| connect(&runtime, &server, &[&entry]));
+    let [log, other] = [(), ()].map(|()| connect(&nats, &[&entry]));
     let record = first(1);
     log.journal.begin(uid, Arc::clone(&record)).unwrap();
     let fenced = other.journal.begin(uid, first(2)).unwrap_err();
@@ -43,11 +40,7 @@ fn a_journal_that_begins_at_an_origin_is_trimmed_for_others_in_nats() {
         matches!(fenced, LogError::Fenced { head: 8, .. }),
         "{fenced}"
     );
-    let trimmed = LogError::Trimmed {
-        uid,
-        after: 0,
-        oldest: ORIGIN.revision,
-    };
+    let trimmed = LogError::trimmed(uid, 0, ORIGIN.revision);
     assert_eq!(other.journal.read(uid, Some(0), 1), Err(trimmed));
     let after = other.journal.read(uid, Some(ORIGIN.revision), 1).unwrap();
     assert_eq!(after, [record]);
@@ -59,11 +52,10 @@ fn a_journal_that_begins_at_an_origin_is_trimmed_for_others_in_nats() {
 #[ignore = "needs nats-server"]
 #[test]
 fn one_of_two_servers_gets_a_name_in_nats() {
-    let server = NatsServer::start();
-    let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
+    let nats = Nats::start();
     let [one, two, three] = [(), (), ()].map(|()| entry("arm"));
     // The point stores have what was restored, and a crash may leave it there without a name.
-    let [log, other] = [&one, &two].map(|entry| connect(&runtime, &server, &[entry]));
+    let [log, other] = [&one, &two].map(|entry| connect(&nats, &[entry]));
     let named = |catalogue: &dyn Catalogue| -> Vec<Uid> {
         let entries = catalogue.indexes().unwrap();
         entries.iter().map(|entry: &Entry| entry.uid).collect()
@@ -79,7 +71,7 @@ fn one_of_two_servers_gets_a_name_in_nats() {
 
     // A new generation takes it, and the server that has the old one deletes that.
     other.catalogue.claim(&three, Some(one.uid)).unwrap();
-    let later = connect(&runtime, &server, &[]);
+    let later = connect(&nats, &[]);
     assert_eq!(named(&*later.catalogue), [three.uid]);
     // Nobody takes it from the new one in the name of the old one, or of none.
     for replaced in [None, Some(one.uid), Some(two.uid)] {
@@ -95,9 +87,8 @@ fn one_of_two_servers_gets_a_name_in_nats() {
 #[test]
 fn a_journal_that_nats_has_lost_whole_begins_again_once_in_nats() {
     const RECORDS: u64 = 3;
-    let (server, entry) = (NatsServer::start(), entry("arm"));
+    let (nats, entry) = (Nats::start(), entry("arm"));
     let uid = entry.uid;
-    let runtime = Builder::new_multi_thread().enable_all().build().unwrap();
     let mut records = vec![first(1)];
     for id in 2..=RECORDS {
         let position = records[records.len() - 1].position();
@@ -129,13 +120,12 @@ fn a_journal_that_nats_has_lost_whole_begins_again_once_in_nats() {
                 local.trim(uid, &retention).unwrap();
             }
             assert_eq!(local.oldest(uid), Ok(Some(newest + 1 - kept)));
-            let _entered = runtime.enter();
-            connect_nats(&server.options(), local).unwrap().0
+            nats.connect(local)
         })
         .into();
     for _ in 0..10 {
         // It forgets the messages, as the loss of a store does.
-        let lost = connect(&runtime, &server, &[&entry]);
+        let lost = connect(&nats, &[&entry]);
         lost.catalogue.delete(uid).unwrap();
         assert_eq!(lost.journal.newest(uid), Ok(0));
         let repaired: Vec<_> = thread::scope(|scope| {

@@ -123,12 +123,7 @@ impl Run {
             Step::Stale { behind } if behind <= head => {
                 let expected = head - behind;
                 let refused = submit(log, uid, expected, effects(expected + 1, &[1], &[]));
-                let fenced = LogError::Fenced {
-                    uid,
-                    expected,
-                    head,
-                };
-                assert_eq!(refused, Err(fenced));
+                assert_eq!(refused, Err(LogError::fenced(uid, expected, head)));
             }
             Step::Stale { .. } => {}
             Step::Hold => {

@@ -2,8 +2,6 @@
 
 use std::sync::Arc;
 
-use rand::{RngExt, SeedableRng};
-use wayfold_index::Space;
 use wayfold_proto::v1;
 use wayfold_server::{
     log::{Durability, FjallLog, Log, LogError, MemoryLog, PointStore, Record, Uid, View},
@@ -12,100 +10,32 @@ use wayfold_server::{
 };
 
 use crate::{
-    copied::copied,
     forward::{forward_catalogue, forward_points, forward_whole_journal},
-    random::Requests,
     support::*,
 };
 
+/// The log refuses the later of two records at once, and its server evaluates that call again.
 #[tokio::test]
-async fn a_restart_changes_nothing() {
-    for seed in 0..20 {
-        println!("seed {seed}");
-        let directory = tempfile::tempdir().unwrap();
-        let on_disk = seed % 2 == 1;
-        let log = if on_disk {
-            Log::from(Arc::new(
-                FjallLog::open(directory.path(), Durability::Fsync).unwrap(),
-            ))
-        } else {
-            Log::from(Arc::new(MemoryLog::new()))
-        };
-        let before = service_with(log.clone(), Limits::default());
-        let uid = create(&before, "arm", "R2*SO2").await;
-        create(&before, "empty", "SO3").await;
-        let space: Space = "R2*SO2".parse().unwrap();
-        let mut requests = Requests::new(seed, &space, &uid);
-        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-        for _ in 0..40 {
-            let revision = info(&before, "arm").await.revision;
-            // Refused mutations are part of the history too.
-            match random.random_range(0..4) {
-                0..=1 => drop(
-                    before
-                        .insert(&CALL, requests.insert(revision.number()))
-                        .await,
-                ),
-                2 => drop(
-                    before
-                        .update(&CALL, requests.update(revision.number()))
-                        .await,
-                ),
-                _ => drop(before.remove(&CALL, requests.remove()).await),
-            }
-        }
-        // The history has an id that was used and freed, and an operation id.
-        before
-            .insert(&CALL, insertion(&[[0.0; 3]], &[500]))
-            .await
-            .unwrap();
-        before.remove(&CALL, removal(&[500])).await.unwrap();
-        let operation = v1::InsertRequest {
-            operation_id: "op".into(),
-            ..insertion(&[[0.1; 3]], &[])
-        };
-        let response = before.insert(&CALL, operation.clone()).await.unwrap();
-        assert_eq!(response.ids, [501]);
-
-        let crashed = on_disk.then(|| copied(directory.path()));
-        let after = match &crashed {
-            Some(crashed) => {
-                let log = FjallLog::open(crashed.path(), Durability::Fsync).unwrap();
-                restarted(Arc::new(log))
-            }
-            None => restarted(log),
-        };
-        let same = |index: v1::Index| v1::Index {
-            memory_bytes: 0,
-            ..index
-        };
-        for name in ["arm", "empty"] {
-            assert_eq!(
-                same(info(&after, name).await),
-                same(info(&before, name).await)
-            );
-        }
-        assert_eq!(everything(&after).await, everything(&before).await);
-        let ask = knn(&[[0.5, 0.5, 1.0], [0.0, 0.75, -3.0]], 100);
-        let answer = after.knn(&CALL, ask.clone()).await.unwrap();
-        assert_eq!(answer, before.knn(&CALL, ask).await.unwrap());
-        assert_eq!(after.insert(&CALL, operation).await.unwrap(), response);
-        let next = after
-            .insert(&CALL, insertion(&[[0.2; 3]], &[]))
-            .await
-            .unwrap();
-        assert_eq!(next.ids, [502]);
-        if on_disk {
-            continue;
-        }
-        // The first server follows the other's records and evaluates against them.
-        let late = before
-            .insert(&CALL, insertion(&[[0.3; 3]], &[]))
-            .await
-            .unwrap();
-        assert_eq!(late.ids, [503]);
-        assert_eq!(everything(&after).await, everything(&before).await);
+async fn two_servers_over_one_log_insert_at_a_time() {
+    let log = Log::from(Arc::new(MemoryLog::new()));
+    let one = service_with(log.clone(), Limits::default());
+    let uid = create(&one, "arm", "R1").await;
+    let two = restarted(log);
+    for first in (0..20).step_by(2) {
+        let call = insertion(&[[0.5]], &[]);
+        let (a, b) = tokio::join!(one.insert(&CALL, call.clone()), two.insert(&CALL, call));
+        let mut ids = [a.unwrap().ids, b.unwrap().ids].concat();
+        ids.sort();
+        assert_eq!(ids, [first, first + 1]);
     }
+    for service in [&one, &two] {
+        let last = v1::GetRequest {
+            min_revision: revision(&uid, 20),
+            ..getting(&[19])
+        };
+        service.get(&CALL, last).await.unwrap();
+    }
+    assert_eq!(everything(&one).await, everything(&two).await);
 }
 
 /// A log that finds every index damaged at its second revision.
@@ -293,5 +223,16 @@ async fn operations_are_remembered_for_their_own_window_without_their_records() 
                 .number(),
             10
         );
+        drop(after);
+        let newest = log.points.operations(entry.uid).unwrap().split_off(3);
+        let limits = Limits {
+            max_operation_bytes: newest.iter().map(|operation| operation.bytes()).sum(),
+            ..Limits::default()
+        };
+        let after = restarted_with(log, options, limits);
+        for (at, revision) in [(8, 9), (7, 11)] {
+            let retried = after.insert(&CALL, request(at)).await.unwrap();
+            assert_eq!(retried.revision.number(), revision, "op {at}");
+        }
     }
 }

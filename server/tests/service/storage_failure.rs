@@ -2,23 +2,23 @@
 //! applied.
 
 use std::{
-    io::Write,
     path::{Path, PathBuf},
     sync::Arc,
 };
 
-use bytes::Bytes;
-use wayfold_index::PointRef;
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{
-        Catalogue, Durability, Effects, Entry, FjallLog, Journal, Outcome, PointStore, Record, Uid,
-    },
+    log::{Durability, FjallLog},
     registry::{Registry, RegistryError},
     service::{Call, Code, Limits, Service},
 };
 
-use crate::{copied::copied, journal_end::newest_journal, support::*, tables::move_to_tables};
+use crate::{
+    copied::copied,
+    journal_end::newest_journal,
+    support::*,
+    tables::{flip, in_tables, move_to_tables, payload, places},
+};
 
 /// A service over a store whose directory can be removed.
 struct Failing {
@@ -26,7 +26,7 @@ struct Failing {
     registry: Arc<Registry>,
     store: PathBuf,
     away: PathBuf,
-    _directory: tempfile::TempDir,
+    directory: tempfile::TempDir,
 }
 
 impl Failing {
@@ -47,7 +47,7 @@ impl Failing {
             registry,
             store: directory.path().join("store"),
             away: directory.path().join("away"),
-            _directory: directory,
+            directory,
         }
     }
 
@@ -57,6 +57,12 @@ impl Failing {
 
     fn mend(&self) {
         std::fs::rename(&self.away, &self.store).unwrap();
+    }
+
+    /// Flips a bit of a payload that is in tables.
+    fn damage_payload(&self, payload: &[u8]) {
+        let (table, at) = places(self.directory.path(), payload).swap_remove(0);
+        flip(&table, at);
     }
 
     async fn recover(&self) -> Result<(), RegistryError> {
@@ -181,26 +187,6 @@ fn damage(store: &Path) {
     std::fs::write(&journal, bytes).unwrap();
 }
 
-/// Flips a bit of this payload in the one table that holds it.
-fn flip_payload(store: &Path, payload: &[u8]) {
-    let tables = std::fs::read_dir(store.join("keyspaces/1/tables")).unwrap();
-    let flipped = tables.map(|table| {
-        let path = table.unwrap().path();
-        let mut bytes = std::fs::read(&path).unwrap();
-        let found = bytes
-            .windows(payload.len())
-            .position(|bytes| bytes == payload);
-        found.is_some_and(|at| {
-            bytes[at] ^= 1;
-            // The file is changed in place, because the store has it open.
-            let file = std::fs::File::options().write(true).open(path);
-            file.unwrap().write_all(&bytes).unwrap();
-            true
-        })
-    });
-    assert_eq!(flipped.filter(|flipped| *flipped).count(), 1);
-}
-
 /// A failed store turns out to be damaged when the service reopens it. The service reports it as a start would, without
 /// a restart.
 #[tokio::test]
@@ -240,11 +226,10 @@ async fn damage_found_during_a_reopening_costs_only_the_damaged_content() {
     // Each payload fills blocks of its own; the first block leads to them.
     for id in 1..4 {
         let mut insert = insertion(&[[1.0]], &[id]);
-        insert.payloads = vec![vec![id as u8; 20_000].into()];
+        insert.payloads = vec![payload(id, 20_000)];
         service.insert(&CALL, insert).await.unwrap();
     }
     drop(service);
-    let store = directory.path().join("store");
     move_to_tables(directory.path());
 
     let failing = Failing::at(directory);
@@ -257,7 +242,7 @@ async fn damage_found_during_a_reopening_costs_only_the_damaged_content() {
     failing.fail();
     unavailable(service.insert(&CALL, base(2)).await);
     failing.mend();
-    flip_payload(&store, &[3; 20_000]);
+    failing.damage_payload(&payload(3, 20_000));
     failing.recover().await.unwrap();
     assert_eq!(
         refusal(service.knn(&CALL, knn(&[[3.1]], 2)).await).0,
@@ -308,49 +293,19 @@ async fn a_store_that_cannot_be_opened_is_not_served_as_an_empty_one() {
 async fn a_store_that_meets_damage_while_it_is_written_is_read_and_asks_for_a_repair() {
     const POINT_BYTES: usize = 32 * 1024;
     const MAX_INSERTS: u64 = 500;
-    let payload = |&id: &u64| Bytes::from(vec![id as u8; POINT_BYTES]);
     let insert = |ids: &[u64]| v1::InsertRequest {
         index_name: "base".into(),
-        payloads: ids.iter().map(payload).collect(),
+        payloads: ids.iter().map(|id| payload(*id, POINT_BYTES)).collect(),
         ..insertion(&vec![[0.5]; ids.len()], ids)
     };
     let directory = tempfile::tempdir().unwrap();
-    let store = directory.path().join("store");
-    let entries = ["arm", "base"].map(|name| Entry {
-        uid: Uid::unique(),
-        name: name.into(),
-        space: "R1".parse().unwrap(),
-        payload_encoding: Default::default(),
-    });
-    // The content is in several tables, which fjall rewrites with the next one or two.
-    for ids in [1..11, 11..16, 16..21] {
-        let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
-        for id in ids {
-            if id == 1 {
-                entries
-                    .iter()
-                    .for_each(|entry| log.create(entry.clone()).unwrap());
-            }
-            let mut effects = Effects::new(1);
-            let point = PointRef {
-                id,
-                tag: 0,
-                revision: id,
-                row: &[0.5],
-            };
-            effects.store(point, Outcome::Inserted, payload(&id));
-            let uid = entries[0].uid;
-            let position = log.view(uid).unwrap().position();
-            let record = Arc::new(Record::after(position, effects));
-            log.submit(uid, Arc::clone(&record)).unwrap();
-            drop(log.apply(uid, &[record]).unwrap());
-        }
-        drop(log);
-        move_to_tables(directory.path());
-    }
+    in_tables(directory.path(), "base", &[], POINT_BYTES);
+    // fjall rewrites these tables with the next one or two.
+    let tables = [1..=10, 11..=15, 16..=20];
+    in_tables(directory.path(), "arm", &tables, POINT_BYTES);
     let failing = Failing::at(directory);
     let service = &failing.service;
-    flip_payload(&store, &[10; POINT_BYTES]);
+    failing.damage_payload(&payload(10, POINT_BYTES));
     let mut inserted = 0;
     let refused = loop {
         assert!(inserted < MAX_INSERTS, "the block was never rewritten");
@@ -373,6 +328,6 @@ async fn a_store_that_meets_damage_while_it_is_written_is_read_and_asks_for_a_re
             ..getting(&[7])
         };
         let points = service.get(&CALL, get).await.unwrap().points.unwrap();
-        assert_eq!(points.payloads, [vec![7; POINT_BYTES]]);
+        assert_eq!(points.payloads, [payload(7, POINT_BYTES)]);
     }
 }

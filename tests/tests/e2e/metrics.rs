@@ -1,12 +1,6 @@
 //! The pages for operators: what they count is what clients counted.
 
-use std::{
-    collections::BTreeMap,
-    fs,
-    io::{Read, Write},
-    net::TcpStream,
-    process::Command,
-};
+use std::{collections::BTreeMap, fs, io::Write, process::Command};
 
 use futures_util::stream;
 use tonic::{Code, Request, client::Grpc, codegen::http::uri::PathAndQuery, transport::Endpoint};
@@ -226,38 +220,6 @@ async fn deleted_indices_make_room_for_the_labels_of_others() {
     assert_eq!((count("new"), count(&old[0])), (Some(1.0), None));
     let shown = old.iter().filter(|name| count(name).is_some());
     assert!(shown.count() < LABELS, "{figures:#?}");
-}
-
-/// The listener takes 64 connections at a time. Further ones wait for a place, and each gives it up at its end.
-#[test]
-fn connections_beyond_the_bound_wait_and_are_answered() {
-    const BOUND: usize = 64;
-    let mut server = server(&["--zenoh", "off", "--data", "memory"]);
-    let address = server.pages();
-    let mut held: Vec<_> = (0..BOUND)
-        .map(|_| TcpStream::connect(&address).unwrap())
-        .collect();
-    // Each holds a place: the server answers its first request, and waits for the next one.
-    for socket in &mut held {
-        socket
-            .write_all(b"GET /healthz HTTP/1.1\r\nHost: here\r\n\r\n")
-            .unwrap();
-        let mut answer = [0; 12];
-        socket.read_exact(&mut answer).unwrap();
-        assert_eq!(&answer, b"HTTP/1.1 200");
-    }
-    let mut waiting = TcpStream::connect(&address).unwrap();
-    waiting
-        .write_all(b"GET /healthz HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n")
-        .unwrap();
-    waiting.set_nonblocking(true).unwrap();
-    let early = waiting.read(&mut [0; 1]).unwrap_err();
-    assert_eq!(early.kind(), std::io::ErrorKind::WouldBlock);
-    waiting.set_nonblocking(false).unwrap();
-    held.pop();
-    let mut answer = String::new();
-    waiting.read_to_string(&mut answer).unwrap();
-    assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
 }
 
 #[test]

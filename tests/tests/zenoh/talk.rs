@@ -157,11 +157,10 @@ async fn answers_come_in_the_form_of_the_question() {
             .await;
         assert_eq!(unknown.unwrap_err().encoding, form, "{encoding}");
     }
-    let picture = robot
-        .ask(info, Vec::new(), Encoding::IMAGE_PNG)
-        .await
-        .unwrap_err();
-    assert_eq!(reason(&picture.json()), (3, "UNKNOWN_ENCODING"));
+    for unknown in [Encoding::IMAGE_PNG, "application/protobuffer".into()] {
+        let refused = robot.ask(info, Vec::new(), unknown).await.unwrap_err();
+        assert_eq!(reason(&refused.json()), (3, "UNKNOWN_ENCODING"));
+    }
     let malformed = robot
         .ask(
             "wayfold/v1/arm/knn",

@@ -153,8 +153,9 @@ impl Index {
     /// if the index can be read and the copy is not newer.
     pub(super) fn supersede(&self, copied: u64) -> Result<Mark, LogError> {
         let mut state = self.state.lock();
-        if self.durable().is_ok() && copied <= state.head.revision {
-            return Err(self.fenced(copied, &state.head));
+        let head = state.head.revision;
+        if self.durable().is_ok() && copied <= head {
+            return Err(LogError::fenced(self.entry.uid, copied, head));
         }
         Ok(self.close_locked(&mut state, LogError::Closed))
     }
@@ -177,14 +178,6 @@ impl Index {
             revision: head.revision,
             digest: head.digest,
             deleted: false,
-        }
-    }
-
-    fn fenced(&self, expected: u64, head: &Head) -> LogError {
-        LogError::Fenced {
-            uid: self.entry.uid,
-            expected,
-            head: head.revision,
         }
     }
 

@@ -246,7 +246,6 @@ impl Head {
 
 #[cfg(test)]
 mod tests {
-    use proptest::prelude::*;
     use wayfold_proto::v1::PayloadEncoding;
 
     use super::*;
@@ -279,18 +278,5 @@ mod tests {
         };
         assert_eq!(Head::decode(7, &head.encode(7)), Some(head));
         assert_eq!(Head::decode(8, &head.encode(7)), None);
-    }
-
-    proptest! {
-        #![proptest_config(crate::testing::cases(256))]
-
-        #[test]
-        fn no_bytes_are_too_odd_to_read(bytes in prop::collection::vec(any::<u8>(), 0..100)) {
-            prop_assert_eq!(StagedEntry::decode(1, &bytes), None);
-            prop_assert_eq!(Head::decode(1, &bytes), None);
-            // Bypasses the checksum.
-            let _ = StagedEntry::decode(1, &seal(&entry_key(1), bytes.clone()));
-            let _ = Head::decode(1, &seal(&head_key(1), bytes));
-        }
     }
 }

@@ -20,7 +20,7 @@ mod directory;
 mod engine;
 mod failure;
 mod follow;
-#[cfg(fuzzing)]
+#[cfg(any(fuzzing, test))]
 pub mod fuzzing;
 mod index;
 mod journal;

@@ -76,8 +76,6 @@ pub(super) fn decode(number: Number, id: u64, value: &[u8]) -> Option<StoredPoin
 
 #[cfg(test)]
 mod tests {
-    use proptest::prelude::*;
-
     use super::*;
 
     const FORM: PointForm<'static> = PointForm {
@@ -110,16 +108,6 @@ mod tests {
         }
         for length in 0..value.len() {
             assert_eq!(decode(4, 5, &value[..length]), None, "{length} bytes");
-        }
-    }
-
-    proptest! {
-        #![proptest_config(crate::testing::cases(256))]
-
-        #[test]
-        fn no_bytes_are_too_odd_to_read(bytes in prop::collection::vec(any::<u8>(), 0..100)) {
-            prop_assert_eq!(decode(1, 1, &bytes), None);
-            let _ = decode(1, 1, &seal(&point_key(1, 1), bytes));
         }
     }
 }

@@ -124,11 +124,7 @@ impl Store {
     }
 
     fn fenced(&self, expected: u64, state: &State) -> LogError {
-        LogError::Fenced {
-            uid: self.uid,
-            expected,
-            head: state.head.position.revision,
-        }
+        LogError::fenced(self.uid, expected, state.head.position.revision)
     }
 
     fn announce(&self, revision: u64) {
@@ -191,11 +187,7 @@ impl Store {
         let oldest = state.head.position.revision - state.records.iter().len() as u64;
         let after = after.unwrap_or(oldest);
         if after < oldest {
-            return Err(LogError::Trimmed {
-                uid: self.uid,
-                after,
-                oldest,
-            });
+            return Err(LogError::trimmed(self.uid, after, oldest));
         }
         let skipped = (after - oldest) as usize;
         let mut left = Allowance::of(max_bytes);

@@ -203,11 +203,8 @@ pub(super) async fn read(
                 continue;
             }
             if record.revision() > last + 1 {
-                return Err(LogError::JournalDamaged {
-                    uid,
-                    revision: last + 1,
-                    what: "its stream in NATS does not have it",
-                });
+                let what = "its stream in NATS does not have it";
+                return Err(LogError::journal_damaged(uid, last + 1, what));
             }
             bytes += record.effects().bytes();
             if bytes > max_bytes && !records.is_empty() {
@@ -254,11 +251,7 @@ async fn sequence_after(
         return Ok(1);
     };
     if first.first > after + 1 {
-        return Err(LogError::Trimmed {
-            uid,
-            after,
-            oldest: first.first - 1,
-        });
+        return Err(LogError::trimmed(uid, after, first.first - 1));
     }
     // The message from `low` on ends at or before `after`, the one from `high` on ends behind it.
     let (mut low, mut high) = (first.sequence, last.sequence);

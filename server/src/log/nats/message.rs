@@ -50,11 +50,7 @@ impl Position {
                 },
             })
         };
-        read().ok_or(LogError::JournalDamaged {
-            uid,
-            revision: 0,
-            what: FOREIGN,
-        })
+        read().ok_or(LogError::journal_damaged(uid, 0, FOREIGN))
     }
 }
 
@@ -115,11 +111,7 @@ impl Unpacker {
         headers: &HeaderMap,
         payload: &[u8],
     ) -> Result<Vec<Arc<Record>>, LogError> {
-        let damaged = |what| LogError::JournalDamaged {
-            uid,
-            revision: next,
-            what,
-        };
+        let damaged = |what| LogError::journal_damaged(uid, next, what);
         let place = headers.get(PART).and_then(|part| {
             let (part, parts) = part.as_str().split_once('/')?;
             Some((part.parse::<usize>().ok()?, parts.parse::<usize>().ok()?))
@@ -145,11 +137,7 @@ fn unpack(uid: Uid, first: u64, pack: &[u8]) -> Result<Vec<Arc<Record>>, LogErro
     let mut records = Vec::new();
     let mut cursor = Cursor::new(pack);
     while !cursor.is_empty() {
-        let damaged = |what| LogError::JournalDamaged {
-            uid,
-            revision: first + records.len() as u64,
-            what,
-        };
+        let damaged = |what| LogError::journal_damaged(uid, first + records.len() as u64, what);
         let stored = cursor.length().and_then(|length| cursor.take(length));
         let stored = stored.ok_or_else(|| damaged("it is cut short"))?;
         let record = Record::decode(stored).map_err(damaged)?;

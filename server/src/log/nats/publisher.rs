@@ -139,11 +139,9 @@ impl Task {
             };
             for submission in batch {
                 let outcome = outcome.as_ref().copied().map_err(|why| match why {
-                    Refusal::Fenced { head } => LogError::Fenced {
-                        uid: self.uid,
-                        expected: submission.record.revision() - 1,
-                        head: *head,
-                    },
+                    Refusal::Fenced { head } => {
+                        LogError::fenced(self.uid, submission.record.revision() - 1, *head)
+                    }
                     Refusal::Unconfirmed { what } => LogError::Unconfirmed {
                         uid: self.uid,
                         revision: submission.record.revision(),

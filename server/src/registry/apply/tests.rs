@@ -32,12 +32,7 @@ struct RemoteJournal {
 impl Journal for RemoteJournal {
     fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
         if let Some(head) = self.ends.lock().pop_front() {
-            let expected = record.revision() - 1;
-            return Err(LogError::Fenced {
-                uid,
-                expected,
-                head,
-            });
+            return Err(LogError::fenced(uid, record.revision() - 1, head));
         }
         self.submitted.lock().push(record);
         Ok(Receipt::Awaited(ready(Ok(())).boxed()))
@@ -202,11 +197,7 @@ async fn applied_records_may_be_forgotten_before_the_journal_brings_them() {
         server.commit().await;
     }
     let mut followed = server.journal.followed.subscribe();
-    server.sends(Err(LogError::Trimmed {
-        uid: server.hosted.uid(),
-        after: 0,
-        oldest: 2,
-    }));
+    server.sends(Err(LogError::trimmed(server.hosted.uid(), 0, 2)));
     let follows_again = followed.wait_for(|after| *after == Some(3));
     timeout(SETTLE_TIME, follows_again).await.unwrap().unwrap();
     let next = others(server.hosted.published().view.position());
@@ -227,11 +218,7 @@ async fn a_stale_end_of_the_journal_does_not_void_a_record_that_it_has() {
     let record = others(hosted.published().view.position());
     let decision = server.in_flight(&record);
     server.journal.submitted.lock().push(Arc::clone(&record));
-    let stale = LogError::Fenced {
-        uid: hosted.uid(),
-        expected: 2,
-        head: 1,
-    };
+    let stale = LogError::fenced(hosted.uid(), 2, 1);
     let arrival = hosted.not_accepted(&record, base, stale, &mut None).await;
     server.brings(&[record]);
     arrival.unwrap().await.unwrap();

@@ -61,11 +61,7 @@ impl Journal for SetBack {
                 revision: head,
                 member: "another server".into(),
             },
-            false => LogError::Trimmed {
-                uid,
-                after: head,
-                oldest: APPLIED,
-            },
+            false => LogError::trimmed(uid, head, APPLIED),
         })
     }
 }

@@ -72,11 +72,7 @@ impl log::Journal for FaultLog {
         let mut journal = self.0.lock();
         let index = journal.index(uid)?;
         if (index.head + 1, &index.digest) != (record.revision(), record.previous()) {
-            return Err(LogError::Fenced {
-                uid,
-                expected: record.revision() - 1,
-                head: index.head,
-            });
+            return Err(LogError::fenced(uid, record.revision() - 1, index.head));
         }
         journal.write(Item::Append(uid, Arc::clone(&record)))?;
         let index = journal.indexes.get_mut(&uid).unwrap();
@@ -197,22 +193,14 @@ impl PointStore for FaultLog {
                 continue;
             }
             if record.revision() != index.head + 1 || *record.previous() != index.digest {
-                return Err(LogError::JournalDamaged {
-                    uid,
-                    revision: record.revision(),
-                    what: "it does not follow the record before it",
-                });
+                let what = "it does not follow the record before it";
+                return Err(LogError::journal_damaged(uid, record.revision(), what));
             }
             journal.write(Item::Append(uid, Arc::clone(record)))?;
         }
         let index = journal.index(uid)?;
         if index.head != last.revision() {
-            let (expected, head) = (last.revision(), index.head);
-            return Err(LogError::Fenced {
-                uid,
-                expected,
-                head,
-            });
+            return Err(LogError::fenced(uid, last.revision(), index.head));
         }
         let view = self.view_of(&journal, last, Arc::clone(&index.sum));
         drop(journal);
@@ -352,11 +340,7 @@ impl Restoring for StagedIndex {
         }
         let head = journal.index(uid)?.head;
         if origin.revision <= head {
-            return Err(LogError::Fenced {
-                uid,
-                expected: origin.revision,
-                head,
-            });
+            return Err(LogError::fenced(uid, origin.revision, head));
         }
         let item = Item::Create(self.entry, origin, Arc::new(sum), operations);
         journal.write_and_sync(item)?;

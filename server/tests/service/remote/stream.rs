@@ -144,7 +144,7 @@ impl Stream {
         let oldest = trimmed.unwrap_or(self.origin(uid).revision);
         let after = after.unwrap_or(oldest);
         if after < oldest {
-            return Err(LogError::Trimmed { uid, after, oldest });
+            return Err(LogError::trimmed(uid, after, oldest));
         }
         let mut records = self.records(uid);
         records.retain(|record| record.revision() > after);
@@ -156,11 +156,11 @@ impl Stream {
         let mut messages = self.messages.lock();
         let newest = self.newest_of(&messages, uid);
         if !record.follows(newest) {
-            return Err(LogError::Fenced {
+            return Err(LogError::fenced(
                 uid,
-                expected: record.revision() - 1,
-                head: newest.revision,
-            });
+                record.revision() - 1,
+                newest.revision,
+            ));
         }
         messages.push((uid, Arc::clone(record)));
         self.length.send_replace(messages.len());

@@ -40,7 +40,7 @@ impl Index {
         let after = after.unwrap_or(oldest);
         if after < oldest {
             let uid = self.entry.uid;
-            return Err(LogError::Trimmed { uid, after, oldest });
+            return Err(LogError::trimmed(uid, after, oldest));
         }
         let mut left = Allowance::of(max_bytes);
         let mut records = Vec::new();

@@ -27,7 +27,8 @@ impl Index {
     ) -> Result<(), LogError> {
         let mut state = self.open()?;
         if !record.follows(state.head.position()) {
-            return Err(self.fenced(record.revision() - 1, &state.head));
+            let (expected, head) = (record.revision() - 1, state.head.revision);
+            return Err(LogError::fenced(self.entry.uid, expected, head));
         }
         let handles = store.handles()?;
         self.write(&handles, &mut state, std::slice::from_ref(&record))?;
@@ -59,8 +60,9 @@ impl Index {
         if state.head.revision > before {
             written(self.mark_of(&state.head));
         }
+        let head = state.head.revision;
         match records.last().map(|record| record.revision()) {
-            Some(last) if last != state.head.revision => Err(self.fenced(last, &state.head)),
+            Some(last) if last != head => Err(LogError::fenced(self.entry.uid, last, head)),
             _ => Ok(self.view_of_head(store, &mut state)),
         }
     }
