@@ -239,14 +239,13 @@ impl Status {
                 index,
                 requested,
                 found,
-            }
-            | Error::UidUnknown {
-                index,
-                requested,
-                found,
             } => {
                 self.set("requested", requested);
                 self.set("found", found);
+                self.precondition(index)
+            }
+            Error::UidUnknown { index, requested } => {
+                self.set("requested", requested);
                 self.precondition(index)
             }
             Error::RevisionConflict {

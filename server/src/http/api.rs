@@ -142,7 +142,8 @@ impl Api {
             return Err(status.into());
         }
         let mut active = Vec::from_iter(super::active(request));
-        if !is_stream {
+        // A stop waits for none that comes after it.
+        if !is_stream && !self.under_way.is_closed() {
             active.push(self.under_way.token());
         }
         Ok(Admitted {

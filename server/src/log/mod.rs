@@ -296,8 +296,8 @@ pub trait Catalogue: Send + Sync {
         None
     }
 
-    /// False if another server may have given this uid to the index of this name after all that this one has heard of.
-    fn knows(&self, _name: &str, _uid: &str) -> bool {
+    /// False if another server may have given this uid to the index of this name after `hosted`, which has the name here.
+    fn is_past(&self, _name: &str, _uid: &str, _hosted: Option<Uid>) -> bool {
         true
     }
 

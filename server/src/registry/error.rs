@@ -35,7 +35,7 @@ pub enum RegistryError {
         /// Its uid.
         found: Uid,
         /// False if the requested one may be newer.
-        is_known: bool,
+        is_past: bool,
     },
     /// There are as many indices as a limit allows.
     #[error("there are {max} indices, as many as {setting} allows")]

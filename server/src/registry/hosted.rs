@@ -208,8 +208,9 @@ impl Hosted {
     }
 
     /// False if the index may have got this uid at another server since.
-    pub(crate) fn knows(&self, uid: &str) -> bool {
-        self.host.log.catalogue.knows(&self.name, uid)
+    pub(crate) fn is_past(&self, uid: &str) -> bool {
+        let catalogue = &self.host.log.catalogue;
+        catalogue.is_past(&self.name, uid, Some(self.uid))
     }
 
     /// Its space.

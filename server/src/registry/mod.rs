@@ -312,6 +312,11 @@ impl Registry {
         Ok(Some(hosted))
     }
 
+    /// False if the index of this name may get this uid here, after `hosted`.
+    pub(crate) fn is_past(&self, name: &str, uid: &str, hosted: Option<Uid>) -> bool {
+        self.host.log.catalogue.is_past(name, uid, hosted)
+    }
+
     /// Deletes the index of this name if it has `uid`, or if `uid` is None. Readers keep the snapshots they hold. Calls
     /// that wait for the index, and later writes, get [`RegistryError::Deleted`]. Blocks on the log.
     pub fn delete(&self, name: &str, uid: Option<&str>) -> Result<Uid, RegistryError> {
@@ -319,8 +324,8 @@ impl Registry {
         let state = self.indexes.read().get(name).cloned();
         let found = state.as_ref().ok_or(RegistryError::Deleted)?.uid();
         if let Some(uid) = uid.filter(|uid| *uid != found.to_string()) {
-            let is_known = self.host.log.catalogue.knows(name, uid);
-            return Err(RegistryError::OtherUid { found, is_known });
+            let is_past = self.is_past(name, uid, Some(found));
+            return Err(RegistryError::OtherUid { found, is_past });
         }
         self.host.log.catalogue.delete(found)?;
         self.change(|indexes| indexes.remove(name));

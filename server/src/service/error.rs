@@ -149,17 +149,13 @@ pub enum Error {
         /// The index's uid.
         found: String,
     },
-    /// The index has another uid at this server of a cluster, which has not heard of the requested one.
-    #[error(
-        "index \"{index}\" has the uid {found} here, and nothing is known here of {requested} yet: try again"
-    )]
+    /// This server of a cluster has not heard of the index with this uid, and another one may have.
+    #[error("index \"{index}\": nothing is known here of the uid {requested} yet: try again")]
     UidUnknown {
         /// The index.
         index: String,
         /// The requested uid.
         requested: String,
-        /// The index's uid at this server.
-        found: String,
     },
     /// Points changed after the revision that the call compares with.
     #[error(

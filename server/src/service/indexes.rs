@@ -230,9 +230,9 @@ impl Service {
             registry.delete(&name, Some(&*uid).filter(|uid| !uid.is_empty()))
         });
         let uid = deleted.await?.map_err(|error| match error {
-            RegistryError::OtherUid { found, is_known } => {
+            RegistryError::OtherUid { found, is_past } => {
                 let found = found.to_string();
-                other_uid(&request.index_name, &request.uid, &found, is_known)
+                other_uid(&request.index_name, &request.uid, &found, is_past)
             }
             error => registry_error(&request.index_name, error),
         })?;

@@ -16,7 +16,7 @@ use super::{
 use crate::{
     identity::Role,
     log::View,
-    registry::{Hosted, Published},
+    registry::{Hosted, Published, RegistryError},
 };
 
 impl Service {
@@ -29,10 +29,27 @@ impl Service {
         name: &str,
         uid: &str,
     ) -> Result<Arc<Hosted>, Error> {
-        self.accept(call, role, Some(name))?;
-        let hosted = self.registry()?.get(name);
-        let hosted = hosted.map_err(|error| registry_error(name, error))?;
+        let hosted = self.index_of(call, role, name, uid)?;
         check_uid(&hosted, uid)?;
+        Ok(hosted)
+    }
+
+    /// The same of an index that may have another uid. If there is none, one with `uid` may come.
+    pub(super) fn index_of(
+        &self,
+        call: &Call,
+        role: Role,
+        name: &str,
+        uid: &str,
+    ) -> Result<Arc<Hosted>, Error> {
+        self.accept(call, role, Some(name))?;
+        let registry = self.registry()?;
+        let hosted = registry.get(name).map_err(|error| match error {
+            RegistryError::Deleted if !uid.is_empty() && !registry.is_past(name, uid, None) => {
+                unknown(name, uid)
+            }
+            error => registry_error(name, error),
+        })?;
         // A call of a stream finds it more than once.
         let _ = call.index.set(Arc::clone(hosted.label()));
         Ok(hosted)
@@ -183,24 +200,26 @@ pub(super) fn check_uid(hosted: &Hosted, uid: &str) -> Result<(), Error> {
     if uid.is_empty() || uid == hosted.uid_text() {
         return Ok(());
     }
-    let is_known = hosted.knows(uid);
-    Err(other_uid(hosted.name(), uid, hosted.uid_text(), is_known))
+    let is_past = hosted.is_past(uid);
+    Err(other_uid(hosted.name(), uid, hosted.uid_text(), is_past))
 }
 
 /// The error of a call that names another uid than the index has here.
-pub(super) fn other_uid(index: &str, requested: &str, found: &str, is_known: bool) -> Error {
-    let [index, requested, found] = [index, requested, found].map(str::to_owned);
-    match is_known {
+pub(super) fn other_uid(index: &str, requested: &str, found: &str, is_past: bool) -> Error {
+    match is_past {
         true => Error::UidMismatch {
-            index,
-            requested,
-            found,
+            index: index.into(),
+            requested: requested.into(),
+            found: found.into(),
         },
-        false => Error::UidUnknown {
-            index,
-            requested,
-            found,
-        },
+        false => unknown(index, requested),
+    }
+}
+
+fn unknown(index: &str, requested: &str) -> Error {
+    Error::UidUnknown {
+        index: index.into(),
+        requested: requested.into(),
     }
 }
 

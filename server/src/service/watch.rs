@@ -71,9 +71,10 @@ enum State {
 impl Service {
     /// Begins to follow an index.
     pub async fn watch(&self, call: &Call, request: v1::WatchRequest) -> Result<Watch, Error> {
-        let hosted = self.index(call, Role::Read, &request.index_name, "")?;
-        let mut violations = Violations::default();
         let after = request.after_revision;
+        let uid = after.as_ref().map_or("", |after| &after.uid);
+        let hosted = self.index_of(call, Role::Read, &request.index_name, uid)?;
+        let mut violations = Violations::default();
         if after.as_ref().is_some_and(|after| after.uid.is_empty()) {
             let text = "a revision needs the uid of the index that it belongs to";
             violations.add("after_revision.uid", "REQUIRED", text);

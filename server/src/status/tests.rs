@@ -114,7 +114,6 @@ fn every_error() -> Vec<(Error, Code, Option<&'static str>)> {
             Error::UidUnknown {
                 index: index.clone(),
                 requested: "a".into(),
-                found: "b".into(),
             },
             Code::Unavailable,
             Some("PreconditionFailure"),

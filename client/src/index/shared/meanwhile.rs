@@ -4,8 +4,7 @@ use std::collections::{HashMap, VecDeque};
 
 use wayfold_index::{Filter, ForestSnapshot, Neighbor, Search, Space};
 
-use super::rebased::{Content, RebasedPoint};
-use crate::index::local::LocalPoints;
+use super::rebased::Content;
 
 /// The most bytes of the answers that wait for the caller.
 const MAX_BYTES: usize = 16 << 20;
@@ -17,8 +16,8 @@ const MAX_ARRIVALS: usize = 1 << 20;
 /// this number or greater.
 const MAX_SUPERSET: usize = 1 << 16;
 
-/// The most distances for the answers to the searches of one batch: some tenths of a second. The feed waits for them.
-const MAX_DISTANCES: usize = 1 << 24;
+/// The most distances for the exact answers to the searches of one batch: about a second. The feed waits for them.
+const MAX_DISTANCES: usize = 1 << 26;
 
 /// The most distances that the thread of all calls computes at once: about a millisecond.
 const MAX_INLINE_DISTANCES: usize = 1 << 14;
@@ -33,7 +32,7 @@ pub struct Meanwhile {
     /// Its neighbours, nearest first.
     pub neighbors: Vec<Neighbor>,
     /// True if some of them may have been in the answer of the insert, or come after the point: all points were read
-    /// again between, or others stored very many.
+    /// again between, or others stored very many. They are as this process shows them, with its later writes.
     pub is_superset: bool,
 }
 
@@ -196,19 +195,19 @@ impl OpenSearches {
         self.stored.clear();
     }
 
-    /// The server has stored the points of these searches: `points` are those up to them, and own points. `published` has
-    /// the points on which own writes are pending. `oldest` is the oldest of the searches that stay open.
+    /// The server has stored the points of these searches. `published` is what is published under an id at their place, and
+    /// `snapshot` takes all points. `oldest` is the oldest of the searches that stay open.
     pub(super) fn answerable(
         &mut self,
         mut searches: Vec<OpenSearch>,
         oldest: Option<&OpenSearch>,
-        points: &LocalPoints,
-        published: &HashMap<u64, RebasedPoint>,
+        published: impl Fn(u64) -> Option<Content>,
+        snapshot: impl FnOnce() -> ForestSnapshot,
     ) -> Option<Answerable> {
         let first = searches.first()?.at;
         let mut after = self.stored.partition_point(|arrival| arrival.at <= first);
         let arrivals = self.stored.len() - after;
-        if searches.len().saturating_mul(arrivals) > MAX_DISTANCES {
+        if arrivals > MAX_SUPERSET && searches.len().saturating_mul(arrivals) > MAX_DISTANCES {
             searches.iter_mut().for_each(OpenSearch::search_all);
             after = self.stored.len();
         }
@@ -217,21 +216,14 @@ impl OpenSearches {
             let of_point = changes.entry(arrival.id).or_default();
             of_point.push((arrival.at, arrival.old_tag));
         }
-        // A point that was stored twice counts as it is now, without own writes that come after the searches.
-        let content = |id| match published.get(&id) {
-            Some(published) => published.base.clone(),
-            None => points.get(id).map(|point| (point.tag, point.row)),
-        };
+        // A point that was stored twice counts as it is now.
         let arrived = changes
             .into_iter()
-            .filter_map(|(id, changes)| Some((changes, id, content(id)?)));
+            .filter_map(|(id, changes)| Some((changes, id, published(id)?)));
         let answerable = Answerable {
             arrived: arrived.collect(),
             departure: self.departure,
-            snapshot: searches
-                .iter()
-                .any(|open| open.searches_all)
-                .then(|| points.forest.snapshot()),
+            snapshot: searches.iter().any(|open| open.searches_all).then(snapshot),
             searches,
         };
         if let Some(oldest) = oldest {

@@ -149,7 +149,12 @@ impl Subscriber {
         let is_same = reset.reason == ResetReason::WindowPassed;
         let index = match is_same {
             true => Arc::clone(&self.index),
-            false => Arc::new(core.link.index().await?),
+            false => {
+                let index = core.link.index().await?;
+                // Another server may answer, and lag behind the one that ended the feed.
+                reset.revision.check_uid(index.uid())?;
+                Arc::new(index)
+            }
         };
         if index.space != core.space {
             return Err(Error::OtherSpace {

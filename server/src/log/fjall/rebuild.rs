@@ -68,7 +68,7 @@ pub enum RepairError {
     #[error(transparent)]
     Directory(#[from] OpenError),
     /// The store cannot be read or written at all.
-    #[error("the store cannot be repaired ({}); it is as it was", cause(.0))]
+    #[error("the store cannot be repaired ({}); nothing of it was removed", cause(.0))]
     Log(#[from] LogError),
     /// The disk is too full.
     #[error(
@@ -339,7 +339,7 @@ mod tests {
         ] {
             let text = RepairError::from(error.clone()).to_string();
             assert!(!text.contains("server"), "{text}");
-            assert!(text.ends_with("; it is as it was"), "{text}");
+            assert!(text.ends_with("; nothing of it was removed"), "{text}");
             let has_cause = text.contains(what) || error == LogError::StorageStopped;
             assert!(has_cause, "{text}");
         }

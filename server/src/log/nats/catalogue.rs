@@ -9,12 +9,15 @@ mod bucket;
 mod value;
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, VecDeque},
     sync::Arc,
 };
 
 use parking_lot::Mutex;
-use tokio::{runtime::Handle, sync::watch};
+use tokio::{
+    runtime::Handle,
+    sync::{Semaphore, watch},
+};
 use tokio_util::task::AbortOnDropHandle;
 use tracing::warn;
 
@@ -24,6 +27,9 @@ use self::{
 };
 use super::{NatsError, connection::Connection};
 use crate::log::{Catalogue, Entry, LogError, LostIndex, Uid};
+
+/// The most uids that are remembered as forgotten.
+const MAX_FORGOTTEN: usize = 1000;
 
 /// The attempts to change an entry that other servers change too.
 const MAX_ATTEMPTS: usize = 10;
@@ -38,6 +44,10 @@ pub(super) struct NatsCatalogue {
     /// The uids of restored indices whose claims got no answer, by name: NATS may have taken such a claim, and may take it
     /// until it has taken another one of the name.
     unanswered: Mutex<BTreeMap<String, Vec<Uid>>>,
+    /// The uids that the bucket's leader did not name when it was asked, oldest first.
+    forgotten: Arc<Mutex<VecDeque<Uid>>>,
+    /// Held while the leader is asked.
+    asking: Arc<Semaphore>,
     _watching: AbortOnDropHandle<()>,
 }
 
@@ -59,6 +69,8 @@ impl NatsCatalogue {
             runtime,
             local,
             unanswered: Mutex::default(),
+            forgotten: Arc::default(),
+            asking: Arc::new(Semaphore::new(1)),
             _watching: AbortOnDropHandle::new(watching),
         })
     }
@@ -146,6 +158,32 @@ impl NatsCatalogue {
             }
         }
         claimed
+    }
+}
+
+impl NatsCatalogue {
+    /// True if the bucket's leader has told that it does not name an index: NATS or the list of the deleted ones may have
+    /// forgotten it. Otherwise it is asked now, for the next call.
+    fn is_forgotten(&self, name: &str, uid: Uid) -> bool {
+        if self.forgotten.lock().contains(&uid) {
+            return true;
+        }
+        if let Ok(asking) = Arc::clone(&self.asking).try_acquire_owned() {
+            let (bucket, forgotten) = (Arc::clone(&self.bucket), Arc::clone(&self.forgotten));
+            let name = name.to_owned();
+            self.runtime.spawn(async move {
+                let named = bucket.refresh(&name).await;
+                if named.is_ok_and(|named| !named.is_some_and(|named| named.is(uid))) {
+                    let mut forgotten = forgotten.lock();
+                    forgotten.push_back(uid);
+                    if forgotten.len() > MAX_FORGOTTEN {
+                        forgotten.pop_front();
+                    }
+                }
+                drop(asking);
+            });
+        }
+        false
     }
 }
 
@@ -249,11 +287,13 @@ impl Catalogue for NatsCatalogue {
         named.contradicted
     }
 
-    /// A uid is forgotten once [`value::MAX_DELETED`] later ones of its name are deleted.
-    fn knows(&self, name: &str, uid: &str) -> bool {
-        let known = self.bucket.known();
-        let deleted = known.get(name).map(|(named, _)| &named.deleted);
-        deleted.is_some_and(|deleted| deleted.iter().any(|it| it == uid))
+    fn is_past(&self, name: &str, uid: &str, hosted: Option<Uid>) -> bool {
+        let Ok(uid) = uid.parse() else {
+            return true;
+        };
+        let known = self.bucket.known().get(name).cloned();
+        let is_past = known.and_then(|(named, _)| named.is_past(uid, hosted));
+        is_past.unwrap_or_else(|| self.is_forgotten(name, uid))
     }
 
     /// The first change is the present state.

@@ -5,7 +5,7 @@ use std::{collections::BTreeSet, process::Command, thread, time::Duration};
 
 use tempfile::TempDir;
 use tokio::runtime::Runtime;
-use wayfold::{Client, Code, ConnectionStatus, Index};
+use wayfold::{Client, Code, ConnectionStatus, Index, ResetReason, Revision, WatchEvent};
 use wayfold_index::Space;
 use wayfold_tests::{Process, ServerProcess, Signal, nats, server};
 
@@ -145,10 +145,9 @@ fn a_server_that_lags_is_not_older_to_its_client() {
     check_copies(&stored, &space, &[&copy]);
 }
 
-/// The second server hears nothing of NATS while the index is made again, and for a while after the first one has died.
-#[test]
-#[ignore = "needs nats-server"]
-fn a_copy_does_not_go_back_to_the_index_that_was_before_its_own() {
+/// The second server hears nothing of NATS while the index is made, maybe again, and for a while after the first one has
+/// died.
+fn makes_unheard(has_older: bool) {
     let nats = Nats::start();
     let runtime = Runtime::new().unwrap();
     let way = runtime.block_on(Proxy::to(&nats.uri()));
@@ -156,13 +155,17 @@ fn a_copy_does_not_go_back_to_the_index_that_was_before_its_own() {
     let second = Nats::server(way.uri.trim_start_matches("http://"));
     let space: Space = "R2".parse().unwrap();
     let uris = format!("{},{}", first.uri(), second.uri());
-    drop(shared(first.uri(), &space));
-    wait_for_index(second.uri());
+    if has_older {
+        drop(shared(first.uri(), &space));
+        wait_for_index(second.uri());
+    }
     way.hold(&nats.uri());
-    runtime.block_on(async {
-        let client = Client::connect(first.uri()).await.unwrap();
-        client.delete_index("arm").await.unwrap();
-    });
+    if has_older {
+        runtime.block_on(async {
+            let client = Client::connect(first.uri()).await.unwrap();
+            client.delete_index("arm").await.unwrap();
+        });
+    }
     let copy = shared(&uris, &space);
     let mut ids = insert(&copy, 0);
     copy.flush().unwrap();
@@ -179,6 +182,35 @@ fn a_copy_does_not_go_back_to_the_index_that_was_before_its_own() {
     wait_for_all(&copy, &[-1.0, 0.0], &[&copy]);
     let stored = content(&shared(second.uri(), &space));
     check_copies(&stored, &space, &[&copy]);
+}
+
+#[test]
+#[ignore = "needs nats-server"]
+fn a_copy_does_not_go_back_to_the_index_that_was_before_its_own() {
+    makes_unheard(true);
+}
+
+#[test]
+#[ignore = "needs nats-server"]
+fn a_copy_does_not_end_at_a_server_that_has_not_heard_of_its_index() {
+    makes_unheard(false);
+}
+
+/// NATS may have lost it, or none of the deleted indices that are remembered has it.
+#[tokio::test]
+#[ignore = "needs nats-server"]
+async fn a_uid_that_nothing_knows_is_past() {
+    let nats = tokio::task::spawn_blocking(Nats::start).await.unwrap();
+    let server = Nats::server(&nats.address);
+    let client = Client::connect(server.uri()).await.unwrap();
+    let index = client.create_index("arm", &"R2".parse().unwrap()).await;
+    let index = index.unwrap();
+    let lost = Revision::new("00000000-0000-4000-8000-000000000000", 1);
+    let mut watch = index.watch().after(lost).await.unwrap();
+    let Some(WatchEvent::Reset(reset)) = watch.next().await.unwrap() else {
+        panic!("a feed of an index that is gone");
+    };
+    assert_eq!(reset.reason, ResetReason::UidChanged);
 }
 
 /// Its connections stay open, and nothing comes.

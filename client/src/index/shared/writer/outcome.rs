@@ -1,13 +1,16 @@
 //! The outcome of pending writes: the server acknowledges, publishes or refuses them.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{
+    collections::{BTreeMap, HashMap},
+    sync::Arc,
+};
 
 use super::{Batch, RebasedPoint, Writer};
 use crate::{
     Error,
     index::{
         local::{LocalPoints, NewRow},
-        shared::meanwhile::Answerable,
+        shared::{meanwhile::Answerable, rebased::Content},
     },
 };
 
@@ -87,6 +90,9 @@ impl Writer {
             self.published_points += if is_newer { 0 } else { batch.len() };
             return Ok(None);
         }
+        // What the searches find under ids that later steps of the batch change.
+        let mut before: HashMap<u64, Option<Content>> = HashMap::new();
+        let first = searches.first().map_or(usize::MAX, |open| open.step);
         let mut unplaced = searches.iter_mut().peekable();
         for (at, (id, _)) in batch.steps(self.width).enumerate() {
             if let Some(open) = unplaced.next_if(|open| open.step == at) {
@@ -96,6 +102,9 @@ impl Writer {
                 self.published_points += usize::from(!is_newer);
                 continue;
             };
+            if at > first {
+                before.entry(id).or_insert_with(|| rebased.base.clone());
+            }
             let was_stored = rebased.base.is_some();
             let is_settled = rebased.confirm(is_newer);
             self.published_points += usize::from(rebased.base.is_some());
@@ -108,9 +117,15 @@ impl Writer {
             }
         }
         let oldest = self.queue.iter().find_map(|batch| batch.searches.first());
+        let published = |id| match (before.get(&id), self.rebased.get(&id)) {
+            (Some(content), _) => content.clone(),
+            (None, Some(rebased)) => rebased.base.clone(),
+            (None, None) => points.get(id).map(|point| (point.tag, point.row)),
+        };
+        let snapshot = || points.forest.snapshot();
         Ok(self
             .open_searches
-            .answerable(searches, oldest, points, &self.rebased))
+            .answerable(searches, oldest, published, snapshot))
     }
 
     /// Another writer has removed and stored points, as one record.

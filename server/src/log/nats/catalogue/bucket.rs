@@ -133,6 +133,15 @@ impl Bucket {
         Ok(last.and_then(|message| Some((read(&message.payload)?, message.sequence))))
     }
 
+    /// The value of a name at the bucket's leader, which is noted.
+    pub(super) async fn refresh(&self, name: &str) -> Result<Option<CatalogueValue>, LogError> {
+        let newest = self.newest(name).await?;
+        Ok(newest.map(|(named, revision)| {
+            self.note(named.clone(), revision, None);
+            named
+        }))
+    }
+
     /// Notes every change of the bucket.
     pub(super) async fn follow(&self) {
         let mut attempts = interval(RETRY_INTERVAL);

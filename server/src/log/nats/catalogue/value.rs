@@ -29,6 +29,18 @@ impl CatalogueValue {
         index.is_some_and(|(own, _)| *own == uid.to_string())
     }
 
+    /// True if an index had the name before `hosted`, which a server has under it; false if it has it now or had it later.
+    /// None if this does not tell.
+    pub(super) fn is_past(&self, uid: Uid, hosted: Option<Uid>) -> Option<bool> {
+        let place = |uid: Uid| self.deleted.iter().position(|it| *it == uid.to_string());
+        match (place(uid), hosted.and_then(place)) {
+            (Some(place), hosted) => Some(hosted.is_none_or(|hosted| place < hosted)),
+            // The server has yet to host the present one.
+            (None, Some(_)) => Some(false),
+            (None, None) => self.is(uid).then_some(false),
+        }
+    }
+
     /// True if this may have come after `before`: what was deleted stays so, and an index goes, with what is noted of it, only
     /// if it is deleted.
     pub(super) fn follows(&self, before: &Self) -> bool {
@@ -69,6 +81,27 @@ mod tests {
             index: index.map(|uid| (uid.into(), "R1".into())),
             deleted: deleted.iter().map(|uid| (*uid).into()).collect(),
             contradicted,
+        }
+    }
+
+    #[test]
+    fn a_uid_is_past_for_a_server_that_hosts_a_later_one() {
+        let uids = [(); 4].map(|()| Uid::unique());
+        let [a, b, c, other] = uids;
+        let texts = uids.map(|uid| uid.to_string());
+        let named = value(Some(&texts[2]), &[&texts[0], &texts[1]], None);
+        for (uid, hosted, expected) in [
+            (a, Some(c), Some(true)),
+            (a, Some(b), Some(true)),
+            (a, None, Some(true)),
+            (b, Some(a), Some(false)),
+            (c, Some(a), Some(false)),
+            (c, None, Some(false)),
+            (other, Some(a), Some(false)),
+            (other, Some(c), None),
+            (other, None, None),
+        ] {
+            assert_eq!(named.is_past(uid, hosted), expected, "{uid} {hosted:?}");
         }
     }
 

@@ -183,29 +183,34 @@ fn a_point_is_no_neighbor_of_its_own() {
     assert_eq!(neighbor_ids(&answers[0]), [6]);
 }
 
-/// The writer gives a point that arrived another tag after its own insert.
+/// The writer gives points that arrived other tags after its own insert, in the same batch or in the next one.
 #[test]
 fn a_later_write_of_its_own_hides_no_neighbor() {
     let mut search = Search::nearest_r(1.0);
     (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
-    let (mut writer, mut points) = writer();
-    let id = insert(&mut writer, &mut points, 0.0);
-    writer.ask(id, &[0.0], &search, &[], points.read_revision().0);
-    writer.next(1, 0).expect("a batch");
-    foreign(&mut writer, &mut points, 2, 1, 0.5);
-    foreign(&mut writer, &mut points, 3, 0, 0.5);
-    for (id, tag) in [(2, 0), (3, 1)] {
-        let step = Step::SetTag(tag);
-        writer.change(id, &step, &mut points).expect("a tag");
+    for is_sent in [true, false] {
+        let (mut writer, mut points) = writer();
+        let id = insert(&mut writer, &mut points, 0.0);
+        writer.ask(id, &[0.0], &search, &[], points.read_revision().0);
+        if is_sent {
+            writer.next(1, 0).expect("a batch");
+        }
+        foreign(&mut writer, &mut points, 2, 1, 0.5);
+        foreign(&mut writer, &mut points, 3, 0, 0.5);
+        for (id, tag) in [(2, 0), (3, 1)] {
+            let step = Step::SetTag(tag);
+            writer.change(id, &step, &mut points).expect("a tag");
+        }
+        writer.next(1, 0).expect("a batch");
+        let answers = confirmed(&mut writer, &mut points, 1);
+        assert_eq!(neighbor_ids(&answers[0]), [2], "{is_sent}");
     }
-    let answers = confirmed(&mut writer, &mut points, 1);
-    assert_eq!(neighbor_ids(&answers[0]), [2]);
 }
 
 /// Each search would look at each of the points.
 #[test]
 fn very_many_points_of_others_make_a_superset() {
-    const SEARCHES: usize = 4096;
+    const SEARCHES: usize = 1000;
     let (mut writer, mut points) = writer();
     writer.reserve(block(1000, SEARCHES as u64));
     let search = Search::nearest_r(0.5);
@@ -214,9 +219,14 @@ fn very_many_points_of_others_make_a_superset() {
         writer.ask(id, &[0.0], &search, &[], points.read_revision().0);
     }
     writer.next(1, 0).expect("a batch");
-    for id in 10_000..20_000 {
-        foreign(&mut writer, &mut points, id, 0, id as f64);
-    }
+    let rows: Vec<(u64, [f64; 1])> = (10_000..80_000).map(|id| (id, [id as f64])).collect();
+    let stored = rows.iter().map(|(id, row)| NewRow {
+        id: *id,
+        tag: 0,
+        row,
+        is_new: true,
+    });
+    writer.apply(stored, &[], &mut points).expect("states");
     foreign(&mut writer, &mut points, 1, 0, 0.25);
     let answerable = writer.confirm(1, 1, &mut points).expect("states");
     let answerable = &answerable.expect("an own batch")[0];
