@@ -34,9 +34,10 @@ pub enum RegistryError {
     OtherUid {
         /// Its uid.
         found: Uid,
-        /// False if the requested one may be newer.
-        is_past: bool,
     },
+    /// Another server may have given the requested uid to the index.
+    #[error("nothing is known of the uid yet")]
+    UnknownUid,
     /// There are as many indices as a limit allows.
     #[error("there are {max} indices, as many as {setting} allows")]
     TooManyIndexes {

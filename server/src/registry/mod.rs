@@ -322,10 +322,14 @@ impl Registry {
     pub fn delete(&self, name: &str, uid: Option<&str>) -> Result<Uid, RegistryError> {
         let _change = self.change_lock.lock();
         let state = self.indexes.read().get(name).cloned();
-        let found = state.as_ref().ok_or(RegistryError::Deleted)?.uid();
-        if let Some(uid) = uid.filter(|uid| *uid != found.to_string()) {
-            let is_past = self.is_past(name, uid, Some(found));
-            return Err(RegistryError::OtherUid { found, is_past });
+        let found = state.as_ref().map(IndexState::uid);
+        let other = uid.filter(|uid| found.is_none_or(|found| found.to_string() != *uid));
+        if other.is_some_and(|uid| !self.is_past(name, uid, found)) {
+            return Err(RegistryError::UnknownUid);
+        }
+        let found = found.ok_or(RegistryError::Deleted)?;
+        if other.is_some() {
+            return Err(RegistryError::OtherUid { found });
         }
         self.host.log.catalogue.delete(found)?;
         self.change(|indexes| indexes.remove(name));

@@ -23,6 +23,7 @@ pub(super) fn registry_error(index: &str, error: RegistryError) -> Error {
         RegistryError::Exists { .. }
         | RegistryError::Taken
         | RegistryError::OtherUid { .. }
+        | RegistryError::UnknownUid
         | RegistryError::TooManyIndexes { .. }
         | RegistryError::Follows
         | RegistryError::Stopped => Error::Internal { what },

@@ -6,7 +6,7 @@ use super::{
     Call, Error, Service,
     answer::{AnswerBudget, PointColumns, missing},
     check::{self, Violations},
-    read_view::{ReadView, revision, revision_number},
+    read_view::{ReadView, revision, revision_number, uid_of},
     stored::BATCH_ROWS,
 };
 use crate::identity::Role;
@@ -20,7 +20,8 @@ impl Service {
         call: &Call,
         request: v1::GetRequest,
     ) -> Result<v1::GetResponse, Error> {
-        let hosted = self.index(call, Role::Read, &request.index_name, "")?;
+        let uid = uid_of(request.min_revision.as_ref());
+        let hosted = self.index(call, Role::Read, &request.index_name, uid)?;
         let mut pace = call.pace(DOING);
         check::id_count(&request.ids, self.limits())?;
         let mut violations = Violations::default();

@@ -14,7 +14,7 @@ use super::{
     Call, Error, Service,
     check::Violations,
     error_map::{catalog_error, registry_error},
-    read_view::{other_uid, revision},
+    read_view::{revision, unknown},
 };
 use crate::{
     identity::{Caller, Role},
@@ -230,10 +230,12 @@ impl Service {
             registry.delete(&name, Some(&*uid).filter(|uid| !uid.is_empty()))
         });
         let uid = deleted.await?.map_err(|error| match error {
-            RegistryError::OtherUid { found, is_past } => {
-                let found = found.to_string();
-                other_uid(&request.index_name, &request.uid, &found, is_past)
-            }
+            RegistryError::OtherUid { found } => Error::UidMismatch {
+                index: request.index_name.clone(),
+                requested: request.uid.clone(),
+                found: found.to_string(),
+            },
+            RegistryError::UnknownUid => unknown(&request.index_name, &request.uid),
             error => registry_error(&request.index_name, error),
         })?;
         Ok(v1::DeleteIndexResponse {

@@ -7,7 +7,7 @@ use super::{
     answer::{AnswerBudget, NeighborColumns, search},
     check::{self, Violations},
     neighbor_spec::NeighborSpec,
-    read_view::{ReadView, revision, revision_number},
+    read_view::{ReadView, revision, revision_number, uid_of},
 };
 use crate::identity::Role;
 
@@ -113,7 +113,8 @@ impl Service {
         call: &Call,
         request: NeighborRequest,
     ) -> Result<(v1::Neighbors, v1::Revision), Error> {
-        let hosted = self.index(call, Role::Read, &request.index, "")?;
+        let uid = uid_of(request.min_revision.as_ref());
+        let hosted = self.index(call, Role::Read, &request.index, uid)?;
         let (limits, space) = (self.limits(), hosted.space());
         let mut pace = call.pace(DOING);
         let mut violations = Violations::default();

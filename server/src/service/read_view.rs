@@ -168,6 +168,11 @@ impl Source for ReadView<'_> {
     }
 }
 
+/// The uid of the revision that a request names; empty for none.
+pub(super) fn uid_of(named: Option<&v1::Revision>) -> &str {
+    named.map_or("", |named| &named.uid)
+}
+
 /// A revision of `hosted`, as answers name it.
 pub(super) fn revision(hosted: &Hosted, number: u64) -> v1::Revision {
     v1::Revision {
@@ -200,23 +205,18 @@ pub(super) fn check_uid(hosted: &Hosted, uid: &str) -> Result<(), Error> {
     if uid.is_empty() || uid == hosted.uid_text() {
         return Ok(());
     }
-    let is_past = hosted.is_past(uid);
-    Err(other_uid(hosted.name(), uid, hosted.uid_text(), is_past))
-}
-
-/// The error of a call that names another uid than the index has here.
-pub(super) fn other_uid(index: &str, requested: &str, found: &str, is_past: bool) -> Error {
-    match is_past {
-        true => Error::UidMismatch {
-            index: index.into(),
-            requested: requested.into(),
-            found: found.into(),
-        },
-        false => unknown(index, requested),
+    match hosted.is_past(uid) {
+        true => Err(Error::UidMismatch {
+            index: hosted.name().into(),
+            requested: uid.into(),
+            found: hosted.uid_text().into(),
+        }),
+        false => Err(unknown(hosted.name(), uid)),
     }
 }
 
-fn unknown(index: &str, requested: &str) -> Error {
+/// The error of a call for an index with a uid of which this server has not heard.
+pub(super) fn unknown(index: &str, requested: &str) -> Error {
     Error::UidUnknown {
         index: index.into(),
         requested: requested.into(),

@@ -9,7 +9,7 @@ use super::{
     Call, Error, Service,
     answer::PointColumns,
     check::{self, Violations},
-    read_view::{ReadView, revision, revision_number},
+    read_view::{ReadView, revision, revision_number, uid_of},
     revision_pin::RevisionPin,
     stored::BATCH_ROWS,
 };
@@ -42,7 +42,8 @@ pub struct Scan {
 impl Service {
     /// Begins to read all points at one pinned revision, in the order of their ids.
     pub async fn scan(&self, call: &Call, request: v1::ScanRequest) -> Result<Scan, Error> {
-        let hosted = self.index(call, Role::Read, &request.index_name, "")?;
+        let uid = uid_of(request.min_revision.as_ref());
+        let hosted = self.index(call, Role::Read, &request.index_name, uid)?;
         let mut violations = Violations::default();
         let filter = check::filter("filter", request.filter, &hosted, &mut violations)?;
         let min = request.min_revision.as_ref();

@@ -8,8 +8,12 @@ use wayfold_proto::{
 };
 
 use super::{
-    Call, Error, Limits, Service, check::Violations, read_view::revision_number,
-    revision_pin::RevisionPin, session_pages::SessionPages, stored,
+    Call, Error, Limits, Service,
+    check::Violations,
+    read_view::{revision_number, uid_of},
+    revision_pin::RevisionPin,
+    session_pages::SessionPages,
+    stored,
 };
 use crate::{
     identity::Role,
@@ -52,7 +56,8 @@ impl Service {
         call: &Call,
         request: v1::SnapshotIndexRequest,
     ) -> Result<Snapshot, Error> {
-        let hosted = self.index(call, Role::Read, &request.index_name, "")?;
+        let uid = uid_of(request.min_revision.as_ref());
+        let hosted = self.index(call, Role::Read, &request.index_name, uid)?;
         let mut violations = Violations::default();
         let min = request.min_revision.as_ref();
         let min = revision_number(&hosted, "min_revision", min, &mut violations)?;

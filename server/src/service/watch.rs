@@ -10,7 +10,7 @@ use super::{
     answer::PointColumns,
     check::Violations,
     error_map::registry_error,
-    read_view::{check_uid, revision},
+    read_view::{check_uid, revision, uid_of},
 };
 use crate::{
     identity::Role,
@@ -72,7 +72,7 @@ impl Service {
     /// Begins to follow an index.
     pub async fn watch(&self, call: &Call, request: v1::WatchRequest) -> Result<Watch, Error> {
         let after = request.after_revision;
-        let uid = after.as_ref().map_or("", |after| &after.uid);
+        let uid = uid_of(after.as_ref());
         let hosted = self.index_of(call, Role::Read, &request.index_name, uid)?;
         let mut violations = Violations::default();
         if after.as_ref().is_some_and(|after| after.uid.is_empty()) {

@@ -16,7 +16,8 @@ const MAX_ARRIVALS: usize = 1 << 20;
 /// this number or greater.
 const MAX_SUPERSET: usize = 1 << 16;
 
-/// The most distances for the exact answers to the searches of one batch: about a second. The feed waits for them.
+/// With more than [`MAX_SUPERSET`] points of others, the most distances for the exact answers to the searches of one batch.
+/// The feed waits for them, some seconds at most.
 const MAX_DISTANCES: usize = 1 << 26;
 
 /// The most distances that the thread of all calls computes at once: about a millisecond.
@@ -141,12 +142,15 @@ pub(super) struct OpenSearches {
 /// The number of a change of a point, and the point's old tag if only the tag is new.
 type Change = (u64, Option<u64>);
 
+/// The contents of a point, each before a step of the batch.
+pub(super) type Versions = Vec<(usize, Option<Content>)>;
+
 /// Questions whose points the server has stored, with everything that their answers need.
 #[derive(Debug)]
 pub(super) struct Answerable {
     searches: Vec<OpenSearch>,
-    /// The changes of each point, the oldest first, its id and its content.
-    arrived: Vec<(Vec<Change>, u64, Content)>,
+    /// The changes of each point, the oldest first, its id, and its contents.
+    arrived: Vec<(Vec<Change>, u64, Versions)>,
     /// The last change by which another writer removed or moved a point, or gave it another tag.
     departure: u64,
     snapshot: Option<ForestSnapshot>,
@@ -195,13 +199,13 @@ impl OpenSearches {
         self.stored.clear();
     }
 
-    /// The server has stored the points of these searches. `published` is what is published under an id at their place, and
-    /// `snapshot` takes all points. `oldest` is the oldest of the searches that stay open.
+    /// The server has stored the points of these searches. `published` has what is published under an id, and `snapshot` takes
+    /// all points. `oldest` is the oldest of the searches that stay open.
     pub(super) fn answerable(
         &mut self,
         mut searches: Vec<OpenSearch>,
         oldest: Option<&OpenSearch>,
-        published: impl Fn(u64) -> Option<Content>,
+        mut published: impl FnMut(u64) -> Versions,
         snapshot: impl FnOnce() -> ForestSnapshot,
     ) -> Option<Answerable> {
         let first = searches.first()?.at;
@@ -219,7 +223,7 @@ impl OpenSearches {
         // A point that was stored twice counts as it is now.
         let arrived = changes
             .into_iter()
-            .filter_map(|(id, changes)| Some((changes, id, published(id)?)));
+            .map(|(id, changes)| (changes, id, published(id)));
         let answerable = Answerable {
             arrived: arrived.collect(),
             departure: self.departure,
@@ -287,7 +291,12 @@ impl Answerable {
     fn arrived(&self, open: &OpenSearch, space: &Space) -> Vec<Neighbor> {
         let filter = open.filter;
         let passes = |tag: u64| tag & filter.tag_mask == filter.tag_value;
-        let unseen = self.arrived.iter().filter(|(changes, id, (tag, _))| {
+        let contents = self.arrived.iter().filter_map(|(changes, id, versions)| {
+            let mut versions = versions.iter();
+            let (_, content) = versions.find(|(step, _)| *step > open.step)?;
+            Some((changes, *id, content.as_ref()?))
+        });
+        let unseen = contents.filter(|(changes, id, (tag, _))| {
             let later = changes.iter().filter(|(at, _)| *at > open.at);
             let Some((_, old_tag)) = later.clone().next() else {
                 return false;
@@ -299,7 +308,7 @@ impl Answerable {
         });
         let neighbors = unseen.map(|(_, id, (_, row))| Neighbor {
             distance: space.distance(&open.row, row),
-            id: *id,
+            id,
         });
         let bound = match self.departure > open.at {
             true => open.radius,

@@ -6,11 +6,13 @@
 //! bucket does not name, and does not serve it.
 
 mod bucket;
+mod missing_uids;
 mod value;
 
 use std::{
-    collections::{BTreeMap, BTreeSet, VecDeque},
+    collections::{BTreeMap, BTreeSet},
     sync::Arc,
+    time::Duration,
 };
 
 use parking_lot::Mutex;
@@ -22,14 +24,15 @@ use tokio_util::task::AbortOnDropHandle;
 use tracing::warn;
 
 use self::{
-    bucket::Bucket,
+    bucket::{Bucket, COMPARE_INTERVAL},
+    missing_uids::MissingUids,
     value::{CatalogueValue, newest},
 };
 use super::{NatsError, connection::Connection};
 use crate::log::{Catalogue, Entry, LogError, LostIndex, Uid};
 
-/// The most uids that are remembered as forgotten.
-const MAX_FORGOTTEN: usize = 1000;
+/// The time for which the bucket's leader does not name an index that counts as gone.
+const MISSING_TIME: Duration = COMPARE_INTERVAL.saturating_mul(2);
 
 /// The attempts to change an entry that other servers change too.
 const MAX_ATTEMPTS: usize = 10;
@@ -44,8 +47,7 @@ pub(super) struct NatsCatalogue {
     /// The uids of restored indices whose claims got no answer, by name: NATS may have taken such a claim, and may take it
     /// until it has taken another one of the name.
     unanswered: Mutex<BTreeMap<String, Vec<Uid>>>,
-    /// The uids that the bucket's leader did not name when it was asked, oldest first.
-    forgotten: Arc<Mutex<VecDeque<Uid>>>,
+    missing: Arc<Mutex<MissingUids>>,
     /// Held while the leader is asked.
     asking: Arc<Semaphore>,
     _watching: AbortOnDropHandle<()>,
@@ -69,7 +71,7 @@ impl NatsCatalogue {
             runtime,
             local,
             unanswered: Mutex::default(),
-            forgotten: Arc::default(),
+            missing: Arc::default(),
             asking: Arc::new(Semaphore::new(1)),
             _watching: AbortOnDropHandle::new(watching),
         })
@@ -162,28 +164,22 @@ impl NatsCatalogue {
 }
 
 impl NatsCatalogue {
-    /// True if the bucket's leader has told that it does not name an index: NATS or the list of the deleted ones may have
-    /// forgotten it. Otherwise it is asked now, for the next call.
+    /// True if the bucket's leader has not named an index for so long that NATS, or the list of the deleted ones, must have
+    /// forgotten it: what a server knows and NATS has lost is written again before. The leader is asked for the next call.
     fn is_forgotten(&self, name: &str, uid: Uid) -> bool {
-        if self.forgotten.lock().contains(&uid) {
-            return true;
-        }
+        let asked = (name.to_owned(), uid);
         if let Ok(asking) = Arc::clone(&self.asking).try_acquire_owned() {
-            let (bucket, forgotten) = (Arc::clone(&self.bucket), Arc::clone(&self.forgotten));
-            let name = name.to_owned();
+            let (bucket, missing) = (Arc::clone(&self.bucket), Arc::clone(&self.missing));
+            let asked = asked.clone();
             self.runtime.spawn(async move {
-                let named = bucket.refresh(&name).await;
-                if named.is_ok_and(|named| !named.is_some_and(|named| named.is(uid))) {
-                    let mut forgotten = forgotten.lock();
-                    forgotten.push_back(uid);
-                    if forgotten.len() > MAX_FORGOTTEN {
-                        forgotten.pop_front();
-                    }
+                if let Ok(named) = bucket.refresh(&asked.0).await {
+                    let is_named = named.is_some_and(|named| named.is(asked.1));
+                    missing.lock().note(asked, is_named);
                 }
                 drop(asking);
             });
         }
-        false
+        self.missing.lock().time(&asked) >= MISSING_TIME
     }
 }
 

@@ -49,6 +49,87 @@ async fn create(
     service.create_index(&Call::default(), request).await
 }
 
+/// A service over a log with another catalogue.
+fn service_over(local: &Arc<MemoryLog>, catalogue: Arc<dyn Catalogue>) -> Service {
+    let log = Log {
+        catalogue,
+        ..Log::from(Arc::clone(local))
+    };
+    let registry = Registry::new(log, RegistryOptions::default());
+    let service = Service::new(registry, Limits::default());
+    service.set_ready();
+    service
+}
+
+/// A catalogue that has not heard of what other servers made.
+struct Behind(Arc<MemoryLog>);
+
+impl Catalogue for Behind {
+    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
+        self.0.indexes()
+    }
+
+    fn create(&self, entry: Entry) -> Result<(), LogError> {
+        self.0.create(entry)
+    }
+
+    fn delete(&self, uid: Uid) -> Result<(), LogError> {
+        self.0.delete(uid)
+    }
+
+    fn is_past(&self, _: &str, _: &str, _: Option<Uid>) -> bool {
+        false
+    }
+}
+
+#[tokio::test]
+async fn a_server_that_is_behind_does_not_judge_a_uid() {
+    let local = Arc::new(MemoryLog::new());
+    let service = service_over(&local, Arc::new(Behind(Arc::clone(&local))));
+    create(&service, "arm", "R1").await.unwrap();
+    let call = Call::default();
+    for index_name in ["arm", "leg"].map(String::from) {
+        let uid = Uid::unique().to_string();
+        let revision = v1::Revision {
+            uid: uid.clone(),
+            number: 1,
+        };
+        let delete = v1::DeleteIndexRequest {
+            index_name: index_name.clone(),
+            uid: uid.clone(),
+        };
+        let get = v1::GetRequest {
+            index_name: index_name.clone(),
+            min_revision: Some(revision.clone()),
+            ..Default::default()
+        };
+        let scan = v1::ScanRequest {
+            index_name: index_name.clone(),
+            min_revision: Some(revision.clone()),
+            ..Default::default()
+        };
+        let watch = v1::WatchRequest {
+            index_name: index_name.clone(),
+            after_revision: Some(revision),
+            ..Default::default()
+        };
+        let write = v1::WriteRequest {
+            index_name,
+            uid,
+            ..Default::default()
+        };
+        for refused in [
+            service.delete_index(&call, delete).await.map(drop),
+            service.get(&call, get).await.map(drop),
+            service.scan(&call, scan).await.map(drop),
+            service.watch(&call, watch).await.map(drop),
+            service.write(&call, write).await.map(drop),
+        ] {
+            assert_eq!(refused.unwrap_err().reason(), "UID_UNKNOWN");
+        }
+    }
+}
+
 /// A catalogue that finds `arm` by its service while it creates another index, which no other change may overtake.
 struct Overtaken {
     local: Arc<MemoryLog>,
@@ -84,13 +165,7 @@ async fn an_index_that_exists_is_found_while_another_is_created() {
         local: Arc::clone(&local),
         service: OnceLock::new(),
     });
-    let log = Log {
-        catalogue: Arc::clone(&catalogue) as Arc<dyn Catalogue>,
-        ..Log::from(local)
-    };
-    let registry = Registry::new(log, RegistryOptions::default());
-    let service = Service::new(registry, Limits::default());
-    service.set_ready();
+    let service = service_over(&local, Arc::clone(&catalogue) as Arc<dyn Catalogue>);
     assert!(create(&service, "arm", "R1").await.unwrap().created);
     let inner = Arc::downgrade(&service.inner);
     catalogue.service.set(inner).unwrap();

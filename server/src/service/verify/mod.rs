@@ -15,8 +15,12 @@ use std::{
 use wayfold_proto::v1::{self, verify_index_response::Result as Answer};
 
 use super::{
-    Call, Error, Service, check::Violations, indexes::describe, read_view::revision_number,
-    revision_pin::RevisionPin, stored,
+    Call, Error, Service,
+    check::Violations,
+    indexes::describe,
+    read_view::{revision_number, uid_of},
+    revision_pin::RevisionPin,
+    stored,
 };
 use crate::{
     identity::Role,
@@ -62,7 +66,8 @@ impl Service {
         call: &Call,
         request: v1::VerifyIndexRequest,
     ) -> Result<Verification, Error> {
-        let hosted = self.index(call, Role::Read, &request.index_name, "")?;
+        let uid = uid_of(request.min_revision.as_ref());
+        let hosted = self.index(call, Role::Read, &request.index_name, uid)?;
         let mut violations = Violations::default();
         let min = request.min_revision.as_ref();
         let min = revision_number(&hosted, "min_revision", min, &mut violations)?;

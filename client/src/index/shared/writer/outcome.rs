@@ -10,7 +10,7 @@ use crate::{
     Error,
     index::{
         local::{LocalPoints, NewRow},
-        shared::{meanwhile::Answerable, rebased::Content},
+        shared::meanwhile::{Answerable, Versions},
     },
 };
 
@@ -90,8 +90,8 @@ impl Writer {
             self.published_points += if is_newer { 0 } else { batch.len() };
             return Ok(None);
         }
-        // What the searches find under ids that later steps of the batch change.
-        let mut before: HashMap<u64, Option<Content>> = HashMap::new();
+        // What is published under ids before the steps of the batch that change them.
+        let mut before: HashMap<u64, Versions> = HashMap::new();
         let first = searches.first().map_or(usize::MAX, |open| open.step);
         let mut unplaced = searches.iter_mut().peekable();
         for (at, (id, _)) in batch.steps(self.width).enumerate() {
@@ -103,7 +103,8 @@ impl Writer {
                 continue;
             };
             if at > first {
-                before.entry(id).or_insert_with(|| rebased.base.clone());
+                let base = rebased.base.clone();
+                before.entry(id).or_default().push((at, base));
             }
             let was_stored = rebased.base.is_some();
             let is_settled = rebased.confirm(is_newer);
@@ -117,10 +118,14 @@ impl Writer {
             }
         }
         let oldest = self.queue.iter().find_map(|batch| batch.searches.first());
-        let published = |id| match (before.get(&id), self.rebased.get(&id)) {
-            (Some(content), _) => content.clone(),
-            (None, Some(rebased)) => rebased.base.clone(),
-            (None, None) => points.get(id).map(|point| (point.tag, point.row)),
+        let published = |id| {
+            let last = match self.rebased.get(&id) {
+                Some(rebased) => rebased.base.clone(),
+                None => points.get(id).map(|point| (point.tag, point.row)),
+            };
+            let mut versions = before.remove(&id).unwrap_or_default();
+            versions.push((usize::MAX, last));
+            versions
         };
         let snapshot = || points.forest.snapshot();
         Ok(self

@@ -28,7 +28,7 @@ use crate::log::{
 const SET_TIME: Duration = Duration::from_secs(5);
 
 /// The time between two comparisons of the bucket with what is known of it.
-const COMPARE_INTERVAL: Duration = Duration::from_secs(10);
+pub(super) const COMPARE_INTERVAL: Duration = Duration::from_secs(10);
 
 /// The values by name, each with the revision of its key.
 pub(super) type CatalogueValues = BTreeMap<String, (CatalogueValue, u64)>;

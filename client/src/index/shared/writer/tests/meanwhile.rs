@@ -207,6 +207,31 @@ fn a_later_write_of_its_own_hides_no_neighbor() {
     }
 }
 
+/// Two searches in a batch, with a write between them on a point that another writer moves later.
+#[test]
+fn a_search_finds_what_is_published_at_its_place_in_the_batch() {
+    let mut search = Search::nearest_r(1.0);
+    (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
+    let (mut writer, mut points) = writer();
+    foreign(&mut writer, &mut points, 2, 0, 5.0);
+    for is_first in [true, false] {
+        let id = insert(&mut writer, &mut points, 0.0);
+        writer.ask(id, &[0.0], &search, &[], points.read_revision().0);
+        if is_first {
+            let step = Step::SetTag(1);
+            writer.change(2, &step, &mut points).expect("a tag");
+        }
+    }
+    foreign(&mut writer, &mut points, 2, 0, 0.5);
+    writer.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writer, &mut points, 1);
+    let [first, second] = &answers[..] else {
+        panic!("{answers:?}");
+    };
+    assert!(first.neighbors.is_empty(), "{first:?}");
+    assert_eq!(neighbor_ids(second), [2]);
+}
+
 /// Each search would look at each of the points.
 #[test]
 fn very_many_points_of_others_make_a_superset() {
