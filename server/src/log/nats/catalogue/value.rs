@@ -32,7 +32,10 @@ impl CatalogueValue {
     /// True if an index had the name before `hosted`, which a server has under it; false if it has it now or had it later.
     /// None if this does not tell.
     pub(super) fn is_past(&self, uid: Uid, hosted: Option<Uid>) -> Option<bool> {
-        let place = |uid: Uid| self.deleted.iter().position(|it| *it == uid.to_string());
+        let place = |uid: Uid| {
+            let uid = uid.to_string();
+            self.deleted.iter().position(|it| *it == uid)
+        };
         match (place(uid), hosted.and_then(place)) {
             (Some(place), hosted) => Some(hosted.is_none_or(|hosted| place < hosted)),
             // The server has yet to host the present one.
