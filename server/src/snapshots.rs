@@ -301,7 +301,7 @@ fn resolved(path: &Path) -> io::Result<PathBuf> {
         } else {
             resolved.push(part);
         }
-        // What does not exist has no links.
+        // A path that does not exist has no links.
         resolved = resolved.canonicalize().unwrap_or(resolved);
     }
     Ok(resolved)

@@ -182,7 +182,7 @@ impl Client {
                 |connection, remaining| Call::send(connection, within(remaining, request.clone()));
             let (answer, _) = self.call_at(CALL, timeout, deadline, attempt).await?;
             let info = IndexInfo::from_message(CALL, answer.index)?;
-            // What other calls of this client have seen since the first answer does not count: there may always be more.
+            // Revisions that other calls have seen since the first answer do not count: more may always come.
             let seen = || self.newest(&info.revision).number();
             let awaited_here = awaited.filter(|it| it.uid == info.revision.uid);
             let newest = awaited_here.map_or_else(seen, |it| it.number);

@@ -5,6 +5,9 @@ use wayfold_proto::v1::PayloadEncoding;
 
 use super::{Digest, LogError, Record, Uid};
 
+/// The longest name of an index.
+pub(crate) const MAX_NAME_BYTES: usize = 63;
+
 /// An index of the catalogue. The registry keeps names unique.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {

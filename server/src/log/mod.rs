@@ -47,6 +47,7 @@ pub use self::fjall::{
     Durability, FjallLog, OpenError, RepairError, RepairReport, StoreOptions, repair,
 };
 pub use effects::{Effects, Operation, Outcome};
+pub(crate) use entry::MAX_NAME_BYTES;
 pub use entry::{Entry, LostIndex, Origin};
 pub use error::LogError;
 pub use memory::MemoryLog;

@@ -11,7 +11,10 @@ use super::{
     sparse::SparseLines,
     trace::trace_ids,
 };
-use crate::service::{Call, Code, MAX_NAME_BYTES};
+use crate::{
+    log::MAX_NAME_BYTES,
+    service::{Call, Code},
+};
 
 /// The lines of calls that found damage: a damaged index fails all its calls.
 static DAMAGE: SparseLines = SparseLines::new();

@@ -18,7 +18,7 @@ use super::{
 };
 use crate::{
     identity::{Caller, Role},
-    log::Uid,
+    log::{MAX_NAME_BYTES, Uid},
     registry::{Hosted, IndexLimit, IndexState, Published, Registry, RegistryError},
 };
 
@@ -282,9 +282,6 @@ pub(super) fn describe(hosted: &Hosted, published: &Published) -> v1::Index {
         payload_encoding: hosted.payload_encoding().into(),
     }
 }
-
-/// The longest name of an index.
-pub(crate) const MAX_NAME_BYTES: usize = 63;
 
 /// Names are `[a-z0-9][a-z0-9_-]{0,62}`.
 fn is_name(name: &str) -> bool {

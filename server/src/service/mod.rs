@@ -84,7 +84,6 @@ pub use code::Code;
 pub(crate) use copy::{CopyOutcome, IndexCopy};
 pub use error::{Error, Unavailability, Violation};
 pub use forward::{NotForwarded, Owners};
-pub(crate) use indexes::MAX_NAME_BYTES;
 pub use indexes::{Damaged, Listing};
 pub use limits::Limits;
 pub(crate) use member::{

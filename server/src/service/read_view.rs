@@ -34,7 +34,7 @@ impl Service {
         Ok(hosted)
     }
 
-    /// The same of an index that may have another uid. If there is none, one with `uid` may come.
+    /// Does the same for an index that may have another uid. A missing index is not judged if one with `uid` may come.
     pub(super) fn index_of(
         &self,
         call: &Call,

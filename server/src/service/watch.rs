@@ -87,9 +87,7 @@ impl Service {
         if after.is_none() {
             self.newest(call, &hosted).await?;
         }
-        let checked = after
-            .as_ref()
-            .map_or(Ok(()), |it| check_uid(&hosted, &it.uid));
+        let checked = check_uid(&hosted, uid);
         if let Err(unknown @ Error::UidUnknown { .. }) = checked {
             return Err(unknown);
         }

@@ -16,7 +16,7 @@ use super::{
     effects, submit, synced,
 };
 
-/// What the directory holds.
+/// The content of the directory, as [`dump`] writes it.
 const CONTENT: &str = include_str!("version-3.txt");
 
 /// Opens session 3 of `leg` and writes its first batch.

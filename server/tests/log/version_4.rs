@@ -17,7 +17,7 @@ use super::{
     effects, submit, synced,
 };
 
-/// What the directory holds.
+/// The content of the directory, as [`dump`] writes it.
 const CONTENT: &str = include_str!("version-4.txt");
 
 /// Writes the next batch of session 2, and asserts that it took the session's place.

@@ -23,11 +23,9 @@ use super::{
     directory::sync_directory,
     layout::{Number, seal, unseal},
 };
-use crate::log::{Digest, Uid, cursor::Cursor};
+use crate::log::{Digest, MAX_NAME_BYTES, Uid, cursor::Cursor};
 
 pub(super) const SLOT_BYTES: usize = 128;
-/// The contract fixes it.
-const MAX_NAME_BYTES: usize = 63;
 /// Set in the byte of the name's length.
 const DELETED: u8 = 0x80;
 /// The beginning of a layout. No uid is equal to it.

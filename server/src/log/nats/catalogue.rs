@@ -29,7 +29,7 @@ use self::{
     value::{CatalogueValue, newest},
 };
 use super::{NatsError, connection::Connection};
-use crate::log::{Catalogue, Entry, LogError, LostIndex, Uid};
+use crate::log::{Catalogue, Entry, LogError, LostIndex, MAX_NAME_BYTES, Uid};
 
 /// The time for which the bucket's leader does not name an index that counts as gone.
 const MISSING_TIME: Duration = COMPARE_INTERVAL.saturating_mul(2);
@@ -287,6 +287,10 @@ impl Catalogue for NatsCatalogue {
         let Ok(uid) = uid.parse() else {
             return true;
         };
+        // No index has such a name, and it would be remembered.
+        if name.len() > MAX_NAME_BYTES {
+            return true;
+        }
         let known = self.bucket.known().get(name).cloned();
         let is_past = known.and_then(|(named, _)| named.is_past(uid, hosted));
         is_past.unwrap_or_else(|| self.is_forgotten(name, uid))

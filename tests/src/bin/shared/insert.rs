@@ -12,7 +12,7 @@ use wayfold_tests::{States, figures::processor_seconds, measuring, report::Repor
 
 use crate::Arguments;
 
-/// Pending writes are counted once in so many inserts, because a count locks the writer.
+/// Pending writes are counted once in this many inserts, because a count locks the writer.
 const PENDING_EVERY: u32 = 1_000;
 
 pub(crate) fn measure(arguments: &Arguments, directory: &Path, space: &str, report: &mut Report) {

@@ -7,7 +7,8 @@ use tempfile::TempDir;
 use tokio::runtime::Runtime;
 use wayfold::{Client, Code, ConnectionStatus, Index, ResetReason, Revision, WatchEvent};
 use wayfold_index::Space;
-use wayfold_tests::{Process, ServerProcess, Signal, nats, server};
+use wayfold_proto::v1::GetRequest;
+use wayfold_tests::{Process, ServerProcess, Signal, Stubs, nats, server};
 
 use super::{
     checks::wait_for_status,
@@ -48,6 +49,35 @@ impl Nats {
             .env("WAYFOLD_DATA__DIR", "memory")
             .envs(nats::member_settings(&format!("nats://{address}"), 1));
         ServerProcess::ready(Process::spawn(&mut command))
+    }
+}
+
+/// Two servers, of which the second one reaches NATS through a proxy.
+struct TwoServers {
+    runtime: Runtime,
+    way: Proxy,
+    first: ServerProcess,
+    second: ServerProcess,
+    uris: String,
+    nats: Nats,
+}
+
+impl TwoServers {
+    fn start() -> TwoServers {
+        let nats = Nats::start();
+        let runtime = Runtime::new().unwrap();
+        let way = runtime.block_on(Proxy::to(&nats.uri()));
+        let first = Nats::server(&nats.address);
+        let second = Nats::server(way.uri.trim_start_matches("http://"));
+        let uris = format!("{},{}", first.uri(), second.uri());
+        TwoServers {
+            runtime,
+            way,
+            first,
+            second,
+            uris,
+            nats,
+        }
     }
 }
 
@@ -102,13 +132,15 @@ fn writes_of_a_copy_are_there_once_after_its_server_has_died() {
 #[test]
 #[ignore = "needs nats-server"]
 fn a_server_that_lags_is_not_older_to_its_client() {
-    let nats = Nats::start();
-    let runtime = Runtime::new().unwrap();
-    let way = runtime.block_on(Proxy::to(&nats.uri()));
-    let first = Nats::server(&nats.address);
-    let second = Nats::server(way.uri.trim_start_matches("http://"));
+    let TwoServers {
+        runtime,
+        way,
+        first,
+        second,
+        uris,
+        nats,
+    } = TwoServers::start();
     let space: Space = "R2".parse().unwrap();
-    let uris = format!("{},{}", first.uri(), second.uri());
     let copy = shared(&uris, &space);
     wait_for_index(second.uri());
     runtime.block_on(async {
@@ -148,13 +180,15 @@ fn a_server_that_lags_is_not_older_to_its_client() {
 /// The second server hears nothing of NATS while the index is made, maybe again, and for a while after the first one has
 /// died.
 fn makes_unheard(has_older: bool) {
-    let nats = Nats::start();
-    let runtime = Runtime::new().unwrap();
-    let way = runtime.block_on(Proxy::to(&nats.uri()));
-    let first = Nats::server(&nats.address);
-    let second = Nats::server(way.uri.trim_start_matches("http://"));
+    let TwoServers {
+        runtime,
+        way,
+        first,
+        second,
+        uris,
+        nats,
+    } = TwoServers::start();
     let space: Space = "R2".parse().unwrap();
-    let uris = format!("{},{}", first.uri(), second.uri());
     if has_older {
         drop(shared(first.uri(), &space));
         wait_for_index(second.uri());
@@ -217,6 +251,19 @@ async fn a_uid_that_nothing_knows_is_past() {
         panic!("a feed of an index that is gone");
     };
     assert_eq!(reset.reason, ResetReason::UidChanged);
+
+    // A name that no index may have is not asked for.
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let read = GetRequest {
+        index_name: "a".repeat(64),
+        min_revision: Some(wayfold_proto::v1::Revision {
+            uid: reset.revision.uid.to_string(),
+            number: 1,
+        }),
+        ..Default::default()
+    };
+    let refused = stubs.points.get(read).await.unwrap_err();
+    assert_eq!(refused.code(), tonic::Code::NotFound, "{refused}");
 }
 
 /// Its connections stay open, and nothing comes.

@@ -90,7 +90,7 @@ impl Writer {
             self.published_points += if is_newer { 0 } else { batch.len() };
             return Ok(None);
         }
-        // What is published under ids before the steps of the batch that change them.
+        // Steps of the batch change these ids: the content that is published before each of the steps.
         let mut before: HashMap<u64, Versions> = HashMap::new();
         let first = searches.first().map_or(usize::MAX, |open| open.step);
         let mut unplaced = searches.iter_mut().peekable();
