@@ -10,7 +10,7 @@ const MAX_CHANGES: usize = 1 << 16;
 /// One change: its number, and the id that it stored or removed.
 #[derive(Clone, Copy, Debug)]
 struct Change {
-    at: u64,
+    number: u64,
     id: u64,
 }
 
@@ -23,20 +23,20 @@ pub(super) struct History {
 }
 
 impl History {
-    /// Notes that change number `at` stored or removed the point with this id.
-    pub(super) fn push(&mut self, at: u64, id: u64) {
+    /// Notes that change number `change` stored or removed the point with this id.
+    pub(super) fn push(&mut self, change: u64, id: u64) {
         if self.changes.len() == MAX_CHANGES
             && let Some(oldest) = self.changes.pop_front()
         {
-            self.forgotten = oldest.at;
+            self.forgotten = oldest.number;
         }
-        self.changes.push_back(Change { at, id });
+        self.changes.push_back(Change { number: change, id });
     }
 
-    /// Forgets everything up to change number `at`.
-    pub(super) fn forget(&mut self, at: u64) {
+    /// Forgets everything up to change number `change`.
+    pub(super) fn forget(&mut self, change: u64) {
         self.changes = VecDeque::new();
-        self.forgotten = at;
+        self.forgotten = change;
     }
 
     /// The ids that changed after the revision `since`, each once, the newest change first. None if some of them are
@@ -46,7 +46,7 @@ impl History {
             return None;
         }
         let newer = self.changes.iter().rev();
-        let newer = newer.take_while(|change| change.at > since.0);
+        let newer = newer.take_while(|change| change.number > since.0);
         let mut known = HashSet::new();
         Some(
             newer
@@ -64,8 +64,8 @@ mod tests {
     #[test]
     fn an_id_that_changed_twice_is_named_once() {
         let mut history = History::default();
-        for (at, id) in [(1, 7), (2, 8), (3, 7)] {
-            history.push(at, id);
+        for (change, id) in [(1, 7), (2, 8), (3, 7)] {
+            history.push(change, id);
         }
         assert_eq!(history.after(ReadRevision(0)), Some(vec![7, 8]));
         assert_eq!(history.after(ReadRevision(2)), Some(vec![7]));
@@ -75,8 +75,8 @@ mod tests {
     #[test]
     fn forgotten_changes_are_reported() {
         let mut history = History::default();
-        for at in 1..=MAX_CHANGES as u64 + 2 {
-            history.push(at, at);
+        for change in 1..=MAX_CHANGES as u64 + 2 {
+            history.push(change, change);
         }
         assert_eq!(history.after(ReadRevision(1)), None);
         assert_eq!(

@@ -47,8 +47,8 @@ impl LocalPoints {
 
     /// Stores one point, in place of one with the same id.
     pub(super) fn store(&mut self, id: u64, tag: u64, row: &[f64]) -> Result<(), Error> {
-        let at = self.forest.revision() + 1;
-        self.store_as_of(id, tag, at, row)
+        let change = self.forest.revision() + 1;
+        self.store_as_of(id, tag, change, row)
     }
 
     /// Sets the tag of a point; false if there is none with this id.
@@ -68,9 +68,9 @@ impl LocalPoints {
             return Ok(false);
         }
         self.one.clear();
-        let at = self.forest.revision() + 1;
-        self.forest.apply(at, &self.one, &[])?;
-        self.history.push(at, id);
+        let change = self.forest.revision() + 1;
+        self.forest.apply(change, &self.one, &[])?;
+        self.history.push(change, id);
         Ok(true)
     }
 
@@ -83,9 +83,9 @@ impl LocalPoints {
             revision: stored_at,
             row,
         });
-        let at = self.forest.revision() + 1;
-        self.forest.apply(at, &self.one, &[])?;
-        self.history.push(at, id);
+        let change = self.forest.revision() + 1;
+        self.forest.apply(change, &self.one, &[])?;
+        self.history.push(change, id);
         self.unmerged += 1;
         Ok(())
     }
@@ -96,9 +96,9 @@ impl LocalPoints {
             return Ok(false);
         }
         self.one.clear();
-        let at = self.forest.revision() + 1;
-        self.forest.apply(at, &self.one, &[id])?;
-        self.history.push(at, id);
+        let change = self.forest.revision() + 1;
+        self.forest.apply(change, &self.one, &[id])?;
+        self.history.push(change, id);
         self.unmerged += 1;
         Ok(true)
     }
@@ -110,7 +110,7 @@ impl LocalPoints {
         stored: impl Iterator<Item = NewRow<'a>>,
         removed: &[u64],
     ) -> Result<(), Error> {
-        let at = self.forest.revision() + 1;
+        let change = self.forest.revision() + 1;
         let mut points = Points::new(self.forest.space().coordinates());
         for NewRow {
             id,
@@ -120,11 +120,11 @@ impl LocalPoints {
         } in stored
         {
             let held = if is_new { None } else { self.forest.get(id) };
-            points.push(id, tag, held.map_or(at, |held| held.revision), row);
+            points.push(id, tag, held.map_or(change, |held| held.revision), row);
         }
-        self.forest.apply(at, &points, removed)?;
+        self.forest.apply(change, &points, removed)?;
         for &id in points.ids().iter().chain(removed) {
-            self.history.push(at, id);
+            self.history.push(change, id);
         }
         self.unmerged += points.len() + removed.len();
         Ok(())
@@ -134,8 +134,8 @@ impl LocalPoints {
     pub(super) fn clear(&mut self) -> Result<Forest, Error> {
         let space = self.forest.space().clone();
         let mut empty = Forest::new(space.clone(), ForestOptions::for_space(&space));
-        let at = self.forest.revision() + 1;
-        empty.apply(at, &Points::new(space.coordinates()), &[])?;
+        let change = self.forest.revision() + 1;
+        empty.apply(change, &Points::new(space.coordinates()), &[])?;
         Ok(self.replace(empty))
     }
 

@@ -14,7 +14,7 @@ use wayfold_index::{
 
 use super::{
     local::{self, LocalPoints, MAX_ID, NewRow, check_id},
-    merger::{self, Merged},
+    merger::{self, MergeOwner},
     origin::Origin,
 };
 use crate::Error;
@@ -66,20 +66,13 @@ impl Memory {
     }
 
     fn read(&self) -> Result<RwLockReadGuard<'_, State>, Error> {
-        self.check_fork()?;
+        self.origin.check()?;
         Ok(self.state.read())
     }
 
     fn write(&self) -> Result<RwLockWriteGuard<'_, State>, Error> {
-        self.check_fork()?;
+        self.origin.check()?;
         Ok(self.state.write())
-    }
-
-    fn check_fork(&self) -> Result<(), Error> {
-        match self.origin.is_current() {
-            true => Ok(()),
-            false => Err(Error::Forked),
-        }
     }
 
     fn after_change(&self, points: &mut LocalPoints) {
@@ -90,7 +83,7 @@ impl Memory {
     }
 }
 
-impl Merged for Memory {
+impl MergeOwner for Memory {
     fn with_points(&self, change: &mut dyn FnMut(&mut LocalPoints)) {
         change(&mut self.state.write().points);
     }
@@ -281,8 +274,8 @@ mod tests {
     #[test]
     fn inline_merges_leave_the_levels_of_the_plain_policy() {
         let index = Memory::new(&"R4".parse().unwrap(), Merges::Inline);
-        for at in 0..3 * 8192u32 {
-            let row = [15_199, 10_187, 18_003, 5_806].map(|factor| f64::from(at * factor % 24_593));
+        for n in 0..3 * 8192u32 {
+            let row = [15_199, 10_187, 18_003, 5_806].map(|factor| f64::from(n * factor % 24_593));
             insert(&index, &row, &[]);
         }
         // 16,384 points, 8,192, and the growing level.

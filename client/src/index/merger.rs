@@ -26,7 +26,7 @@ const REST: Duration = Duration::from_millis(250);
 const MERGE_NICE: i32 = 5;
 
 /// An index whose levels are merged here.
-pub(super) trait Merged: Send + Sync {
+pub(super) trait MergeOwner: Send + Sync {
     /// Runs `change` with exclusive access to the points.
     fn with_points(&self, change: &mut dyn FnMut(&mut LocalPoints));
 }
@@ -34,14 +34,14 @@ pub(super) trait Merged: Send + Sync {
 /// An index, and what is done with it.
 enum Work {
     /// Swap a level in.
-    Merged(Weak<dyn Merged>, wayfold_index::Merged),
+    Merged(Weak<dyn MergeOwner>, wayfold_index::Merged),
     /// Look for a pause in the changes.
-    Watch(Weak<dyn Merged>),
+    Watch(Weak<dyn MergeOwner>),
 }
 
 /// The way to the two threads.
 struct Threads {
-    merges: Sender<(Weak<dyn Merged>, Merge)>,
+    merges: Sender<(Weak<dyn MergeOwner>, Merge)>,
     work: Sender<Work>,
     /// The process that started them.
     origin: Origin,
@@ -50,7 +50,7 @@ struct Threads {
 static THREADS: OnceLock<Option<Threads>> = OnceLock::new();
 
 /// Hands over the work that changes have left: call it under the index's lock after each.
-pub(super) fn after_change(points: &mut LocalPoints, index: impl Fn() -> Weak<dyn Merged>) {
+pub(super) fn after_change(points: &mut LocalPoints, index: impl Fn() -> Weak<dyn MergeOwner>) {
     // In a forked process, and where no thread could be started, the caller merges.
     let threads = THREADS.get_or_init(start).as_ref();
     let Some(threads) = threads.filter(|threads| threads.origin.is_current()) else {
@@ -71,7 +71,7 @@ pub(super) fn after_change(points: &mut LocalPoints, index: impl Fn() -> Weak<dy
 }
 
 fn start() -> Option<Threads> {
-    let (merges, due) = channel::<(Weak<dyn Merged>, Merge)>();
+    let (merges, due) = channel::<(Weak<dyn MergeOwner>, Merge)>();
     let (work, received) = channel();
     let (more, merged) = (merges.clone(), work.clone());
     let thread = |name: &str| thread::Builder::new().name(name.to_owned());
@@ -107,11 +107,11 @@ fn lower_priority() {
 
 /// An index that changed not long ago, and its last change that the thread has noticed.
 struct Watched {
-    index: Weak<dyn Merged>,
+    index: Weak<dyn MergeOwner>,
     noticed: u64,
 }
 
-fn run(work: &Receiver<Work>, merges: &Sender<(Weak<dyn Merged>, Merge)>, rest: Duration) {
+fn run(work: &Receiver<Work>, merges: &Sender<(Weak<dyn MergeOwner>, Merge)>, rest: Duration) {
     let mut watched: Vec<Watched> = Vec::new();
     // The time of the next look at the watched indices. Messages do not postpone it.
     let mut look_at = Instant::now();
@@ -156,7 +156,7 @@ fn run(work: &Receiver<Work>, merges: &Sender<(Weak<dyn Merged>, Merge)>, rest: 
 }
 
 /// Swaps a level in. Returns the merge that it leads to.
-fn finish(index: &Weak<dyn Merged>, merged: wayfold_index::Merged) -> Option<Merge> {
+fn finish(index: &Weak<dyn MergeOwner>, merged: wayfold_index::Merged) -> Option<Merge> {
     let (mut merged, mut next, mut replaced) = (Some(merged), None, None);
     index.upgrade()?.with_points(&mut |points| {
         replaced = merged

@@ -8,6 +8,8 @@ use std::sync::{
     atomic::{AtomicU64, Ordering},
 };
 
+use crate::Error;
+
 /// The number of forks between the first process that asked and this one.
 static FORKS: AtomicU64 = AtomicU64::new(0);
 
@@ -30,6 +32,14 @@ impl Origin {
     /// True in the process in which this value was made, and false in those forked from it.
     pub(super) fn is_current(self) -> bool {
         FORKS.load(Ordering::Relaxed) == self.forks
+    }
+
+    /// Refuses a call in a process that was forked from the one in which this value was made.
+    pub(super) fn check(self) -> Result<(), Error> {
+        match self.is_current() {
+            true => Ok(()),
+            false => Err(Error::Forked),
+        }
     }
 }
 

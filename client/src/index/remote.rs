@@ -323,11 +323,11 @@ impl NearestNeighbors for Remote {
             let mut watch = index.watch().after(index.revision_at(since.0)).await?;
             // The server may lag behind one that answered this client before.
             let newest = watch.newest().number.max(index.revision().number);
-            let (mut changed, mut at) = (BTreeMap::new(), since.0);
-            while at < newest {
+            let (mut changed, mut revision) = (BTreeMap::new(), since.0);
+            while revision < newest {
                 match watch.next().await? {
                     Some(WatchEvent::Mutation(mutation)) => {
-                        at = mutation.revision.number;
+                        revision = mutation.revision.number;
                         changed.extend(mutation.removed_ids.iter().map(|&id| (id, None)));
                         changed.extend(mutation.stored.iter().map(|point| {
                             let state = point.state.to_vec();
@@ -344,7 +344,7 @@ impl NearestNeighbors for Remote {
             let mut changes = Changes {
                 stored: Points::new(index.coordinates()),
                 removed: Vec::new(),
-                read_revision: ReadRevision(at),
+                read_revision: ReadRevision(revision),
             };
             for (id, point) in changed {
                 match point {

@@ -16,29 +16,36 @@ struct Owned {
     origin: Origin,
 }
 
-static RUNTIME: OnceLock<Result<Owned, Arc<std::io::Error>>> = OnceLock::new();
+static RUNTIME: OnceLock<Owned> = OnceLock::new();
 
-/// The runtime of all shared and remote indices.
+/// The runtime of all shared and remote indices. If it cannot start, the next call tries again.
 fn runtime() -> Result<&'static Runtime, Error> {
-    let start = || {
-        let runtime = Builder::new_multi_thread()
-            .worker_threads(1)
-            .thread_name("wayfold-io")
-            .enable_all()
-            .build()
-            .map_err(Arc::new)?;
-        Ok(Owned {
-            runtime,
-            origin: Origin::current(),
-        })
+    let owned = loop {
+        if let Some(owned) = RUNTIME.get() {
+            break owned;
+        }
+        if let Err(second) = RUNTIME.set(start()?) {
+            // Another thread was first. A drop would wait, which panics in another runtime's task.
+            second.runtime.shutdown_background();
+        }
     };
-    match RUNTIME.get_or_init(start) {
-        Ok(owned) if owned.origin.is_current() => Ok(&owned.runtime),
-        Ok(_) => Err(Error::Forked),
-        Err(source) => Err(Error::Thread {
-            source: Arc::clone(source),
-        }),
-    }
+    owned.origin.check()?;
+    Ok(&owned.runtime)
+}
+
+fn start() -> Result<Owned, Error> {
+    let started = Builder::new_multi_thread()
+        .worker_threads(1)
+        .thread_name("wayfold-io")
+        .enable_all()
+        .build();
+    let runtime = started.map_err(|source| Error::Thread {
+        source: Arc::new(source),
+    })?;
+    Ok(Owned {
+        runtime,
+        origin: Origin::current(),
+    })
 }
 
 /// Runs a task on the runtime, in the trace of the caller.

@@ -1,16 +1,17 @@
 //! A client of several servers: where it connects, when it goes to another one, and what it never goes back behind.
 
-use std::{thread, time::Duration};
+use std::thread;
 
 use tokio::runtime::Runtime;
 use tonic::Status as Answer;
-use wayfold::{Client, Code, ConnectionStatus, Error, Index, RetryPolicy, WatchEvent};
+use wayfold::{Client, Code, Error, Index, RetryPolicy, WatchEvent};
 use wayfold_proto::v1;
 
 use crate::{
-    fake::{self, Fake},
+    fake::Fake,
+    retrying::quick,
     server::Server,
-    watching::{message, piece, points},
+    watching::{message, piece, scanned, wait_for, wait_until_caught_up},
 };
 
 /// An address that refuses connections.
@@ -22,12 +23,7 @@ fn several<const N: usize>(addresses: [&str; N]) -> String {
 
 /// A client of these servers that tries a call four times, with short pauses.
 async fn connect<const N: usize>(addresses: [&str; N]) -> Client {
-    let policy = RetryPolicy {
-        attempts: 4,
-        first: Duration::from_micros(10),
-        longest: Duration::from_micros(10),
-    };
-    let client = Client::builder().retry(policy);
+    let client = Client::builder().retry(quick(4));
     client.connect(&several(addresses)).await.unwrap()
 }
 
@@ -70,13 +66,21 @@ async fn where_no_server_is_every_address_is_named_with_the_reason() {
 #[tokio::test]
 async fn the_address_that_is_none_is_named() {
     let fake = Fake::start().await;
-    for wrong in ["", "ftp://127.0.0.1:0", "http://a b"] {
-        let error = Client::connect(&several([&fake.uri, wrong])).await;
-        let error = error.unwrap_err();
-        assert!(
-            matches!(&error, Error::Address { uri, .. } if uri == wrong),
-            "{error}"
-        );
+    for wrong in [
+        "",
+        "http://",
+        "ftp://127.0.0.1:0",
+        "http://a b",
+        "http://127.0.0.1:99999",
+        "[::1]:x",
+    ] {
+        for addresses in [wrong, &several([&fake.uri, wrong])] {
+            let error = Client::connect(addresses).await.unwrap_err();
+            assert!(
+                matches!(&error, Error::Address { uri, .. } if uri == wrong),
+                "{error}"
+            );
+        }
     }
 }
 
@@ -121,7 +125,7 @@ async fn a_call_that_is_unavailable_is_retried_at_the_next_server() {
 }
 
 #[tokio::test]
-async fn other_refusals_do_not_move_the_client() {
+async fn other_refusals_are_not_retried() {
     let (first, second) = (Fake::start().await, Fake::start().await);
     let index = connect([&first.uri, &second.uri]).await;
     let index = index.index("line").await.unwrap();
@@ -129,12 +133,14 @@ async fn other_refusals_do_not_move_the_client() {
         Code::InvalidArgument,
         Code::NotFound,
         Code::ResourceExhausted,
+        Code::Internal,
+        Code::Unknown,
         Code::DeadlineExceeded,
     ] {
         first.fail(move |_, _| Some(Answer::new(code, "no")));
         assert_eq!(index.knn([[0.0]]).await.unwrap_err().code(), code);
+        assert_eq!((first.calls(), second.calls()), (1, 0), "{code:?}");
     }
-    assert_eq!((first.calls(), second.calls()), (1, 0));
 }
 
 /// Each retry is the same mutation, wherever it goes.
@@ -172,6 +178,29 @@ async fn the_next_server_is_asked_for_the_newest_revision_that_was_seen() {
     assert_eq!(asked_for(reads.map(|read| read.min_revision)), [9]);
     let waits = second.get_requests().into_iter();
     assert_eq!(asked_for(waits.map(|wait| wait.min_revision)), [9, 9]);
+}
+
+/// Other calls see newer revisions all the time.
+#[tokio::test]
+async fn a_description_waits_for_no_revision_that_was_seen_after_its_first_answer() {
+    let (first, second) = (Fake::start().await, Fake::start().await);
+    let client = connect([&first.uri, &second.uri]).await;
+    let index = client.index("line").await.unwrap();
+    first.tell([9]);
+    index.insert([[0.0]]).await.unwrap();
+    first.unavailable(usize::MAX);
+    second.tell([3, 9]);
+    let other = index.clone();
+    second.fail(move |number, _| {
+        if number > 0 {
+            let newer = other.revision_at(9 + number as u64);
+            other.see_revision(&newer).unwrap();
+        }
+        None
+    });
+    assert_eq!(index.info().await.unwrap().revision.number, 9);
+    // Described, waited, and described again.
+    assert_eq!((second.calls(), second.gets().len()), (3, 1));
 }
 
 /// The points that a mutation names may be missing in an older revision.
@@ -234,31 +263,11 @@ async fn a_watch_ends_when_the_client_leaves_its_server() {
     assert_eq!(mutation.revision.number, 8);
 }
 
-/// Waits until a shared index has these points and no others.
-fn wait_for(index: &Index, expected: &[(u64, f64)]) {
-    let content = || -> Vec<(u64, f64)> {
-        let points = index.scan().unwrap().map(Result::unwrap);
-        points.map(|point| (point.id, point.state[0])).collect()
-    };
-    while content() != expected {
-        thread::yield_now();
-    }
-}
-
-fn scanned(revision: u64, found: &[(u64, f64)]) -> v1::ScanResponse {
-    v1::ScanResponse {
-        points: Some(points(revision, found)),
-        revision: fake::revision(revision),
-        point_count: found.len() as u64,
-        held_scan: String::new(),
-    }
-}
-
 /// The fake's scans and watches are the script: a scan more would find nothing.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn the_copy_of_a_shared_index_goes_on_at_a_server_that_lags() {
     let (first, second) = (Fake::start().await, Fake::start().await);
-    first.scan_answers(vec![scanned(3, &[(1, 0.0)])], true);
+    first.scan_answers(scanned(3, &[(1, 0.0)]), true);
     first.watch_tells(vec![
         Ok(message(5, vec![])),
         Ok(message(5, vec![piece(4, &[(2, 1.0)], &[], (0, false))])),
@@ -277,19 +286,14 @@ async fn the_copy_of_a_shared_index_goes_on_at_a_server_that_lags() {
         asked_for(requests.map(|request| request.after_revision))
     };
     assert_eq!((after(&first), after(&second)), (vec![3], vec![4]));
-    while !matches!(
-        index.status(),
-        Some(ConnectionStatus::Following { behind: 0 })
-    ) {
-        thread::yield_now();
-    }
+    wait_until_caught_up(&index);
 }
 
 /// A server that was cut off may not know an index yet.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn the_copy_looks_for_its_index_at_the_next_server() {
     let (first, second) = (Fake::start().await, Fake::start().await);
-    first.scan_answers(vec![scanned(3, &[(1, 0.0)])], true);
+    first.scan_answers(scanned(3, &[(1, 0.0)]), true);
     first.watch_tells(vec![Err(Answer::not_found("no index is named so"))]);
     second.watch_tells(vec![
         Ok(message(4, vec![])),
@@ -304,7 +308,7 @@ async fn the_copy_looks_for_its_index_at_the_next_server() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn writes_to_a_server_that_lacks_the_index_go_to_the_next_one() {
     let (first, second) = (Fake::start().await, Fake::start().await);
-    first.scan_answers(vec![scanned(3, &[(1, 0.0)])], true);
+    first.scan_answers(scanned(3, &[(1, 0.0)]), true);
     first.watch_tells(vec![Ok(message(3, vec![]))]);
     let servers = several([&first.uri, &second.uri]);
     let index = Index::shared(&servers, "line").open().unwrap();
@@ -327,7 +331,7 @@ async fn a_scan_leaves_a_server_that_lacks_the_newest_revision() {
     first.tell([9]);
     index.knn([[0.0]]).await.unwrap();
     first.fail(|_, _| Some(Answer::deadline_exceeded("waiting for revision 9")));
-    second.scan_answers(vec![scanned(9, &[(1, 0.0)])], true);
+    second.scan_answers(scanned(9, &[(1, 0.0)]), true);
     index.scan().await.unwrap();
     assert_eq!((first.calls(), second.gets().len()), (1, 1));
 }

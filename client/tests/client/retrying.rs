@@ -13,7 +13,7 @@ use wayfold::{Client, Code, Error, Include, READ_ROWS, RetryPolicy};
 use crate::fake::Fake;
 
 /// A policy of `attempts` tries with short pauses.
-fn quick(attempts: u32) -> RetryPolicy {
+pub(crate) fn quick(attempts: u32) -> RetryPolicy {
     RetryPolicy {
         attempts,
         first: Duration::from_micros(10),
@@ -71,23 +71,6 @@ async fn no_try_begins_after_the_deadline() {
         Code::Unavailable
     );
     assert_eq!(fake.calls(), 1);
-}
-
-#[tokio::test]
-async fn other_refusals_are_not_asked_again() {
-    let fake = Fake::start().await;
-    let index = connect(&fake, quick(5)).await.index("line").await.unwrap();
-    for code in [
-        Code::InvalidArgument,
-        Code::ResourceExhausted,
-        Code::Internal,
-        Code::Unknown,
-        Code::DeadlineExceeded,
-    ] {
-        fake.fail(move |_, _| Some(Status::new(code, "no")));
-        assert_eq!(index.knn([[0.0]]).await.unwrap_err().code(), code);
-        assert_eq!(fake.calls(), 1, "{code:?}");
-    }
 }
 
 #[tokio::test]
@@ -331,13 +314,6 @@ async fn where_no_server_is_the_address_is_named() {
         message.starts_with("connect: no connection to http://127.0.0.1:0: Connection refused"),
         "{message}"
     );
-    for wrong in ["", "http://", "ftp://127.0.0.1:0", "http://a b"] {
-        let error = Client::connect(wrong).await.unwrap_err();
-        assert!(
-            matches!(&error, Error::Address { uri, .. } if uri == wrong),
-            "{error}"
-        );
-    }
 }
 
 #[tokio::test]

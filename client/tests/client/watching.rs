@@ -1,7 +1,11 @@
 //! Following an index: whole mutations, in order, or an error, or a reset.
 
+use std::thread;
+
 use tonic::Status;
-use wayfold::{Code, Error, Include, Mutation, ResetReason, Watch, WatchEvent};
+use wayfold::{
+    Code, ConnectionStatus, Error, Include, Index, Mutation, ResetReason, Watch, WatchEvent,
+};
 use wayfold_proto::v1;
 
 use crate::{
@@ -39,7 +43,7 @@ pub(crate) fn piece(
 }
 
 /// Points of the line, all stored by one revision.
-pub(crate) fn points(revision: u64, points: &[(u64, f64)]) -> v1::Points {
+fn points(revision: u64, points: &[(u64, f64)]) -> v1::Points {
     v1::Points {
         ids: points.iter().map(|(id, _)| *id).collect(),
         states: Some(v1::States {
@@ -49,6 +53,37 @@ pub(crate) fn points(revision: u64, points: &[(u64, f64)]) -> v1::Points {
         tags: vec![0; points.len()],
         revisions: vec![revision; points.len()],
         payloads: Vec::new(),
+    }
+}
+
+/// The points that a scan finds at a revision.
+pub(crate) fn scanned(revision: u64, found: &[(u64, f64)]) -> Vec<v1::ScanResponse> {
+    vec![v1::ScanResponse {
+        points: Some(points(revision, found)),
+        revision: self::revision(revision),
+        point_count: found.len() as u64,
+        held_scan: String::new(),
+    }]
+}
+
+/// Waits until an index has these points and no others.
+pub(crate) fn wait_for(index: &Index, expected: &[(u64, f64)]) {
+    let content = || -> Vec<(u64, f64)> {
+        let points = index.scan().unwrap().map(Result::unwrap);
+        points.map(|point| (point.id, point.state[0])).collect()
+    };
+    while content() != expected {
+        thread::yield_now();
+    }
+}
+
+/// Waits until a shared index follows its server and is not behind.
+pub(crate) fn wait_until_caught_up(index: &Index) {
+    while !matches!(
+        index.status(),
+        Some(ConnectionStatus::Following { behind: 0 })
+    ) {
+        thread::yield_now();
     }
 }
 

@@ -191,9 +191,9 @@ impl Batch {
         let mut rows = self.coordinates.chunks_exact(width);
         let mut payloads = self.payloads.iter();
         let mut payload = move || payloads.next().map_or(&[][..], |payload| payload);
-        (0..self.len()).map(move |at| {
-            let tag = self.tags[at];
-            let step = match StepKind::try_from(self.kinds[at]) {
+        (0..self.len()).map(move |position| {
+            let tag = self.tags[position];
+            let step = match StepKind::try_from(self.kinds[position]) {
                 Ok(StepKind::Put) => Step::Put {
                     tag,
                     row: rows.next().unwrap_or_default(),
@@ -209,7 +209,7 @@ impl Batch {
                 Ok(StepKind::SetPayload) => Step::SetPayload(payload()),
                 _ => Step::Remove,
             };
-            (self.ids[at], step)
+            (self.ids[position], step)
         })
     }
 

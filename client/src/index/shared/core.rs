@@ -1,6 +1,7 @@
 //! The state that a shared index's callers and its two tasks share.
 
 use std::{
+    fmt,
     sync::{Arc, OnceLock, Weak},
     time::{Duration, Instant},
 };
@@ -13,14 +14,14 @@ use super::{
     batch::UnsentWrite,
     link::Link,
     meanwhile::{Answerable, MeanwhileAnswers},
+    pending::PendingWrites,
     status::ConnectionStatus,
-    writer::Writer,
 };
 use crate::{
     Error, IndexInfo,
     index::{
         local::LocalPoints,
-        merger::{self, Merged},
+        merger::{self, MergeOwner},
         origin::Origin,
     },
     net::request::MAX_WAIT,
@@ -29,13 +30,13 @@ use crate::{
 /// The ids that are reserved at once, unless the server reserves fewer. The next ones are asked for when half are left.
 pub(super) const ID_BLOCK: u64 = 1 << 16;
 
-/// The order of locks: `writer`, `points`, `published`, `connection`.
+/// The order of locks: `pending_writes`, `points`, `published`, `connection`.
 pub(in crate::index) struct Core {
     pub(super) space: Space,
     pub(super) link: Link,
     pub(in crate::index) settings: Settings,
-    pub(super) writer: Mutex<Writer>,
-    /// Wakes callers that wait for `writer`.
+    pub(super) pending_writes: Mutex<PendingWrites>,
+    /// Wakes callers that wait for `pending_writes`.
     pub(super) progress: Condvar,
     /// Wakes the sender if it waits for writes.
     pub(super) work: Notify,
@@ -69,7 +70,7 @@ pub(in crate::index) struct Settings {
 struct Connection {
     behind: u64,
     is_reloading: bool,
-    /// When and why the feed was lost, and the connection for writes.
+    /// When and why each task lost its connection, by [`Task`].
     lost: [Option<(Instant, Arc<Error>)>; 2],
 }
 
@@ -86,15 +87,15 @@ impl Core {
         index: Arc<IndexInfo>,
         revision: u64,
         points: LocalPoints,
-        mut writer: Writer,
+        mut writes: PendingWrites,
         settings: Settings,
     ) -> Arc<Core> {
-        writer.published_points = points.forest.len();
+        writes.published_points = points.forest.len();
         Arc::new_cyclic(|this| Core {
             space: index.space.clone(),
             link,
             settings,
-            writer: Mutex::new(writer),
+            pending_writes: Mutex::new(writes),
             progress: Condvar::new(),
             work: Notify::new(),
             urgent: Notify::new(),
@@ -113,16 +114,9 @@ impl Core {
         !self.origin.is_current()
     }
 
-    fn check(&self) -> Result<(), Error> {
-        match self.is_forked() {
-            true => Err(Error::Forked),
-            false => Ok(()),
-        }
-    }
-
     /// Refuses a read if the index is gone.
     pub(super) fn check_readable(&self) -> Result<(), Error> {
-        self.check()?;
+        self.origin.check()?;
         match self.ended.get() {
             Some(why) => Err(Error::Ended {
                 why: Arc::clone(why),
@@ -132,22 +126,26 @@ impl Core {
     }
 
     /// Waits until writes of `bytes` may be pending, with as many new ids as they need.
-    pub(super) fn room(&self, bytes: usize, ids: u64) -> Result<MutexGuard<'_, Writer>, Error> {
-        self.check()?;
-        let mut writer = self.writer.lock();
+    pub(super) fn room(
+        &self,
+        bytes: usize,
+        ids: u64,
+    ) -> Result<MutexGuard<'_, PendingWrites>, Error> {
+        self.origin.check()?;
+        let mut writes = self.pending_writes.lock();
         let mut until = None;
         loop {
-            self.check_writable(&writer)?;
+            self.check_writable(&writes)?;
             let max_bytes = self.settings.max_pending_bytes;
-            let has_room = writer.bytes == 0 || writer.bytes + bytes <= max_bytes;
-            if has_room && writer.ids.len() >= ids {
-                return Ok(writer);
+            let has_room = writes.bytes == 0 || writes.bytes + bytes <= max_bytes;
+            if has_room && writes.ids.len() >= ids {
+                return Ok(writes);
             }
-            writer.requested_ids = writer.requested_ids.max(ids);
-            self.wake(&mut writer);
+            writes.requested_ids = writes.requested_ids.max(ids);
+            self.wake(&mut writes);
             self.urgent.notify_one();
             let until = *until.get_or_insert_with(|| deadline(self.settings.timeout));
-            if self.progress.wait_until(&mut writer, until).timed_out() {
+            if self.progress.wait_until(&mut writes, until).timed_out() {
                 return Err(Error::timeout("write", self.settings.timeout));
             }
         }
@@ -155,21 +153,18 @@ impl Core {
 
     /// True if the copy has a point with this id, and takes writes.
     pub(super) fn contains(&self, id: u64) -> Result<bool, Error> {
-        self.check()?;
-        let writer = self.writer.lock();
-        self.check_writable(&writer)?;
+        self.origin.check()?;
+        let writes = self.pending_writes.lock();
+        self.check_writable(&writes)?;
         Ok(self.points.read().forest.contains(id))
     }
 
-    fn check_writable(&self, writer: &Writer) -> Result<(), Error> {
-        if let Some(why) = self.ended.get() {
-            let why = Arc::clone(why);
-            return Err(Error::Ended { why });
-        }
-        if writer.is_closed {
+    fn check_writable(&self, writes: &PendingWrites) -> Result<(), Error> {
+        self.check_readable()?;
+        if writes.is_closed {
             return Err(Error::Closed);
         }
-        match &writer.refused {
+        match &writes.refused {
             Some(why) => Err(Error::WritesRefused {
                 why: Arc::clone(why),
             }),
@@ -178,63 +173,63 @@ impl Core {
     }
 
     /// Wakes the sender if it waits.
-    pub(super) fn wake(&self, writer: &mut Writer) {
-        if writer.is_idle {
-            writer.is_idle = false;
+    pub(super) fn wake(&self, writes: &mut PendingWrites) {
+        if writes.is_idle {
+            writes.is_idle = false;
             self.work.notify_one();
         }
     }
 
     /// Ends a write: merges what is due and wakes the sender.
-    pub(super) fn written(&self, writer: &mut Writer, points: &mut LocalPoints) {
+    pub(super) fn end_write(&self, writes: &mut PendingWrites, points: &mut LocalPoints) {
         self.after_change(points);
-        self.wake(writer);
+        self.wake(writes);
     }
 
     pub(super) fn after_change(&self, points: &mut LocalPoints) {
         merger::after_change(points, || self.this.clone());
     }
 
-    /// The writer; `None` in a forked process.
-    fn writer_here(&self) -> Option<MutexGuard<'_, Writer>> {
-        (!self.is_forked()).then(|| self.writer.lock())
+    /// The pending writes; `None` in a forked process.
+    fn lock_here(&self) -> Option<MutexGuard<'_, PendingWrites>> {
+        (!self.is_forked()).then(|| self.pending_writes.lock())
     }
 
     /// The number of writes that the server has not acknowledged.
     pub(in crate::index) fn pending(&self) -> u64 {
-        let writer = self.writer_here();
-        writer.map_or(0, |writer| writer.written - writer.settled)
+        let writes = self.lock_here();
+        writes.map_or(0, |writes| writes.written - writes.resolved)
     }
 
     /// Waits until the server has acknowledged every write before now.
     pub(in crate::index) fn flush(&self, timeout: Duration) -> Result<(), Error> {
-        self.check()?;
+        self.origin.check()?;
         let until = deadline(timeout);
-        let mut writer = self.writer.lock();
-        if let Some(why) = &writer.refused {
+        let mut writes = self.pending_writes.lock();
+        if let Some(why) = &writes.refused {
             let why = Arc::clone(why);
             return Err(Error::WritesRefused { why });
         }
-        let (written, refusals) = (writer.written, writer.refusals);
-        while writer.settled < written {
-            self.wake(&mut writer);
+        let (written, refusals) = (writes.written, writes.refusals);
+        while writes.resolved < written {
+            self.wake(&mut writes);
             self.urgent.notify_one();
-            if self.progress.wait_until(&mut writer, until).timed_out() {
+            if self.progress.wait_until(&mut writes, until).timed_out() {
                 return Err(Error::timeout("flush", timeout));
             }
-            if writer.refusals > refusals {
-                return Err(writer.refusal());
+            if writes.refusals > refusals {
+                return Err(writes.refusal());
             }
         }
         Ok(())
     }
 
     /// The number of ids to reserve now.
-    pub(super) fn reserve_count(&self, writer: &Writer) -> u64 {
+    pub(super) fn reserve_count(&self, writes: &PendingWrites) -> u64 {
         let id_block = self.settings.id_block;
-        match writer.ids.len() {
-            left if left < writer.requested_ids => {
-                let missing = writer.requested_ids - left;
+        match writes.ids.len() {
+            left if left < writes.requested_ids => {
+                let missing = writes.requested_ids - left;
                 missing.clamp(id_block, self.settings.max_reserved_ids)
             }
             left if left < id_block / 2 => id_block,
@@ -243,8 +238,8 @@ impl Core {
     }
 
     /// The server refused a write for good.
-    pub(super) fn refuse(&self, writer: &mut Writer, error: Error) {
-        let refused = writer.refuse(Arc::new(error), &mut self.points.write());
+    pub(super) fn refuse(&self, writes: &mut PendingWrites, error: Error) {
+        let refused = writes.refuse(Arc::new(error), &mut self.points.write());
         debug_assert!(refused.is_ok(), "{refused:?}");
         self.progress.notify_all();
     }
@@ -259,7 +254,7 @@ impl Core {
         for answerable in searches {
             let compute = || {
                 for answer in answerable.answers(&self.space) {
-                    self.writer.lock().open_searches.add(answer);
+                    self.pending_writes.lock().open_searches.add(answer);
                 }
             };
             match answerable.is_long() {
@@ -272,69 +267,69 @@ impl Core {
 
     /// Takes the answers to searches.
     pub(in crate::index) fn meanwhile(&self) -> MeanwhileAnswers {
-        let writer = self.writer_here();
-        writer.map_or_else(Default::default, |mut it| it.open_searches.take())
+        let writes = self.lock_here();
+        writes.map_or_else(Default::default, |mut it| it.open_searches.take())
     }
 
     /// Takes the answers to searches; waits for one if none is here and one is under way.
     pub(in crate::index) fn wait_meanwhile(&self, timeout: Duration) -> MeanwhileAnswers {
         let until = deadline(timeout);
-        let Some(mut writer) = self.writer_here() else {
+        let Some(mut writes) = self.lock_here() else {
             return MeanwhileAnswers::default();
         };
-        while writer.open_searches.are_awaited() && !self.has_ended() {
-            self.wake(&mut writer);
+        while writes.open_searches.are_awaited() && !self.has_ended() {
+            self.wake(&mut writes);
             self.urgent.notify_one();
-            if self.progress.wait_until(&mut writer, until).timed_out() {
+            if self.progress.wait_until(&mut writes, until).timed_out() {
                 break;
             }
         }
-        writer.open_searches.take()
+        writes.open_searches.take()
     }
 
     /// Gives back the writes that the server did not take, after which writing begins again.
     pub(in crate::index) fn take_unsent(&self) -> Vec<UnsentWrite> {
-        let Some(mut writer) = self.writer_here() else {
+        let Some(mut writes) = self.lock_here() else {
             return Vec::new();
         };
-        let unsent = writer.take_unsent();
-        self.wake(&mut writer);
+        let unsent = writes.take_unsent();
+        self.wake(&mut writes);
         unsent
     }
 
     /// Takes no more writes, waits for the pending ones, and gives back those that the server did not take in time.
     pub(in crate::index) fn close(&self, timeout: Duration) -> Vec<UnsentWrite> {
-        match self.writer_here() {
-            Some(mut writer) => writer.is_closed = true,
+        match self.lock_here() {
+            Some(mut writes) => writes.is_closed = true,
             None => return Vec::new(),
         }
         self.progress.notify_all();
         let flushed = self.flush(timeout);
-        let mut writer = self.writer.lock();
-        if flushed.is_err() && writer.settled < writer.written {
-            self.refuse(&mut writer, Error::Closed);
+        let mut writes = self.pending_writes.lock();
+        if flushed.is_err() && writes.resolved < writes.written {
+            self.refuse(&mut writes, Error::Closed);
         }
-        writer.take_unsent()
+        writes.take_unsent()
     }
 
-    pub(super) fn following(&self, behind: u64) {
+    pub(super) fn set_following(&self, behind: u64) {
         let mut connection = self.connection.lock();
         connection.behind = behind;
         connection.is_reloading = false;
         connection.lost[Task::Subscriber as usize] = None;
     }
 
-    pub(super) fn reloading(&self) {
+    pub(super) fn set_reloading(&self) {
         let mut connection = self.connection.lock();
         connection.is_reloading = true;
         connection.lost[Task::Subscriber as usize] = None;
     }
 
-    pub(super) fn sending(&self) {
+    pub(super) fn set_sending(&self) {
         self.connection.lock().lost[Task::Sender as usize] = None;
     }
 
-    pub(super) fn disconnected(&self, task: Task, error: Error) {
+    pub(super) fn set_disconnected(&self, task: Task, error: Error) {
         let lost = &mut self.connection.lock().lost[task as usize];
         let since = lost.take().map_or_else(Instant::now, |(since, _)| since);
         *lost = Some((since, Arc::new(error)));
@@ -343,9 +338,9 @@ impl Core {
     /// The index is gone: nothing will be read or written any more, and no search gets a further answer.
     pub(super) fn end(&self, error: Error) {
         let why = Arc::clone(self.ended.get_or_init(|| Arc::new(error)));
-        let mut writer = self.writer.lock();
-        self.refuse(&mut writer, Error::Ended { why });
-        writer.open_searches.close(usize::MAX);
+        let mut writes = self.pending_writes.lock();
+        self.refuse(&mut writes, Error::Ended { why });
+        writes.open_searches.close(usize::MAX);
     }
 
     pub(super) fn has_ended(&self) -> bool {
@@ -357,9 +352,9 @@ impl Core {
             let why = Arc::new(Error::Forked);
             return ConnectionStatus::Ended { why };
         }
-        let writer = self.writer.lock();
+        let writes = self.pending_writes.lock();
         let connection = self.connection.lock();
-        if writer.is_closed {
+        if writes.is_closed {
             return ConnectionStatus::Closed;
         }
         if let Some(why) = self.ended.get() {
@@ -367,7 +362,7 @@ impl Core {
                 why: Arc::clone(why),
             };
         }
-        if let Some(why) = &writer.refused {
+        if let Some(why) = &writes.refused {
             return ConnectionStatus::Refused {
                 why: Arc::clone(why),
             };
@@ -390,7 +385,15 @@ fn deadline(timeout: Duration) -> Instant {
     Instant::now() + timeout.min(MAX_WAIT)
 }
 
-impl Merged for Core {
+impl fmt::Debug for Core {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Core")
+            .field("status", &self.status())
+            .finish_non_exhaustive()
+    }
+}
+
+impl MergeOwner for Core {
     fn with_points(&self, change: &mut dyn FnMut(&mut LocalPoints)) {
         change(&mut self.points.write());
     }

@@ -12,9 +12,10 @@ pub(super) struct ReservedIds {
     left: VecDeque<Range<u64>>,
     /// All blocks of the session, to tell its ids from those of others.
     blocks: Vec<Range<u64>>,
-    /// Ids above all blocks that the caller gave: the server may reserve a block around them before it has them.
-    given: Vec<u64>,
-    /// Ids of `left` that the caller gave.
+    /// Ids above all blocks that the caller chose. Their writes may still be pending when the server reserves a block
+    /// that includes them.
+    caller_ids: Vec<u64>,
+    /// Ids of `left` that the caller chose.
     skipped: HashSet<u64>,
 }
 
@@ -23,10 +24,10 @@ impl ReservedIds {
         if block.is_empty() {
             return;
         }
-        let given = self.given.iter().filter(|id| block.contains(id));
-        self.skipped.extend(given);
+        let chosen = self.caller_ids.iter().filter(|id| block.contains(id));
+        self.skipped.extend(chosen);
         // Blocks ascend, so the next one may be around the ids above this one.
-        self.given.retain(|id| *id >= block.end);
+        self.caller_ids.retain(|id| *id >= block.end);
         self.left.push_back(block.clone());
         self.blocks.push(block);
     }
@@ -57,13 +58,13 @@ impl ReservedIds {
         }
     }
 
-    /// The caller has given an id of its own.
-    pub(super) fn give(&mut self, id: u64) {
-        self.given.push(id);
+    /// Notes an id that the caller chose.
+    pub(super) fn note_caller_id(&mut self, id: u64) {
+        self.caller_ids.push(id);
     }
 
     /// True if `id` was reserved for this session.
-    pub(super) fn contain(&self, id: u64) -> bool {
+    pub(super) fn contains(&self, id: u64) -> bool {
         self.blocks.iter().any(|block| block.contains(&id))
     }
 }
@@ -73,23 +74,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_id_that_the_caller_gave_is_not_given_again() {
+    fn an_id_that_the_caller_chose_is_not_given() {
         let mut ids = ReservedIds::default();
         ids.add(0..2);
-        ids.give(11);
-        ids.give(50);
+        ids.note_caller_id(11);
+        ids.note_caller_id(50);
         ids.add(10..13);
         assert_eq!(ids.len(), 4);
         let given: Vec<u64> = std::iter::from_fn(|| ids.next()).collect();
         assert_eq!(given, [0, 1, 10, 12]);
-        assert!(ids.contain(11) && !ids.contain(50));
+        assert!(ids.contains(11) && !ids.contains(50));
         assert_eq!(ids.len(), 0);
     }
 
     #[test]
-    fn an_id_above_a_block_is_not_given_again_in_the_next_block() {
+    fn an_id_that_the_caller_chose_is_not_given_in_the_next_block() {
         let mut ids = ReservedIds::default();
-        ids.give(21);
+        ids.note_caller_id(21);
         ids.add(10..12);
         ids.add(20..23);
         assert_eq!(ids.len(), 4);

@@ -143,7 +143,8 @@ impl Link {
         let request = v1::GetIndexRequest {
             index_name: self.name.clone(),
         };
-        self.described(&request, |answer| answer.index).await
+        let answer = self.call(&request).await?;
+        IndexInfo::from_message(v1::GetIndexRequest::NAME, answer.index)
     }
 
     /// Creates the index if it is missing.
@@ -157,16 +158,8 @@ impl Link {
             space_form: Some(SpaceForm::Space(space::to_message(space))),
             payload_encoding: payload_encoding.into(),
         };
-        self.described(&request, |answer| answer.index).await
-    }
-
-    async fn described<C: Call>(
-        &self,
-        request: &C,
-        index: fn(C::Answer) -> Option<v1::Index>,
-    ) -> Result<IndexInfo, Error> {
-        let answer = self.call(request).await?;
-        IndexInfo::from_message(C::NAME, index(answer))
+        let answer = self.call(&request).await?;
+        IndexInfo::from_message(v1::CreateIndexRequest::NAME, answer.index)
     }
 
     /// Opens a writer session.
@@ -197,15 +190,15 @@ impl Link {
         Ok((answer.reserved, revision.number))
     }
 
-    /// The payloads of points at revision `at` or later ones, in the order of the ids; `None` for a point that is not
-    /// stored.
+    /// The payloads of points at revision `min_revision` or later ones, in the order of the ids; `None` for a point that
+    /// is not stored.
     pub(super) async fn payloads(
         &self,
         index: &IndexInfo,
-        at: u64,
+        min_revision: u64,
         ids: &[u64],
     ) -> Result<Vec<Option<Vec<u8>>>, Error> {
-        let read = |part: Range<usize>| self.some_payloads(index, at, &ids[part]);
+        let read = |part: Range<usize>| self.some_payloads(index, min_revision, &ids[part]);
         read_in_parts(ids.len(), READ_ROWS, read, |all, mut part| {
             all.append(&mut part);
         })
@@ -215,12 +208,12 @@ impl Link {
     async fn some_payloads(
         &self,
         index: &IndexInfo,
-        at: u64,
+        min_revision: u64,
         ids: &[u64],
     ) -> Result<Vec<Option<Vec<u8>>>, Error> {
         let mut stored = ids.to_vec();
         let payloads = loop {
-            match self.stored_payloads(index, at, &stored).await {
+            match self.stored_payloads(index, min_revision, &stored).await {
                 // These points have been removed. The server names some of them.
                 Err(Error::Refused(refusal))
                     if refusal.reason == "POINTS_NOT_FOUND"
@@ -243,7 +236,7 @@ impl Link {
     async fn stored_payloads(
         &self,
         index: &IndexInfo,
-        at: u64,
+        min_revision: u64,
         ids: &[u64],
     ) -> Result<Vec<Vec<u8>>, Error> {
         let include = Include::none().payloads();
@@ -251,7 +244,7 @@ impl Link {
             index_name: index.name.clone(),
             ids: ids.to_vec(),
             include: include.to_message(),
-            min_revision: Some(index.revision_at(at).to_message()),
+            min_revision: Some(index.revision_at(min_revision).to_message()),
             latest: false,
         };
         let answer = self.call(&request).await?;
@@ -311,10 +304,10 @@ pub(super) fn is_transient(error: &Error) -> bool {
     }
 }
 
-/// The handle of the index at revision `at`.
-fn handle(client: &Client, index: &IndexInfo, at: u64) -> IndexHandle {
+/// The handle of the index at `revision`.
+fn handle(client: &Client, index: &IndexInfo, revision: u64) -> IndexHandle {
     let info = IndexInfo {
-        revision: index.revision_at(at),
+        revision: index.revision_at(revision),
         ..index.clone()
     };
     IndexHandle::new(client.clone(), info)

@@ -71,7 +71,7 @@ pub(super) struct OpenSearch {
     /// The neighbours that the insert found, if the last of them is the bound.
     found: Vec<Neighbor>,
     /// The change that stored the point in the copy.
-    at: u64,
+    change: u64,
     /// The number of published points before the insert, once it is published.
     pub(super) points_before: usize,
     /// True if the copy was read again since, or too many points arrived.
@@ -79,14 +79,14 @@ pub(super) struct OpenSearch {
 }
 
 impl OpenSearch {
-    /// The search with which the point `id` was inserted by a step of its batch, and what it found: change number `at`
-    /// of the copy stored the point.
+    /// The search with which the point `id` was inserted by a step of its batch, and what it found: change number
+    /// `change` of the copy stored the point.
     pub(super) fn new(
         (id, step): (u64, usize),
         row: &[f64],
         search: &Search<'_>,
         found: &[Neighbor],
-        at: u64,
+        change: u64,
     ) -> OpenSearch {
         let farthest = found.last().filter(|_| found.len() >= search.k);
         OpenSearch {
@@ -99,7 +99,7 @@ impl OpenSearch {
             radius: search.radius,
             // Otherwise the radius is the bound.
             found: farthest.map_or_else(Vec::new, |_| found.to_vec()),
-            at,
+            change,
             points_before: 0,
             searches_all: false,
         }
@@ -119,13 +119,13 @@ impl OpenSearch {
 /// A point that another writer stored.
 #[derive(Debug)]
 struct Arrival {
-    at: u64,
+    change: u64,
     id: u64,
     /// Its tag before, if only the tag is new.
     old_tag: Option<u64>,
 }
 
-/// Questions under way, what others stored meanwhile, and answers for the caller.
+/// Searches under way, the points that others stored since, and the answers for the caller.
 #[derive(Debug, Default)]
 pub(super) struct OpenSearches {
     open: usize,
@@ -145,7 +145,7 @@ type Change = (u64, Option<u64>);
 /// The contents of a point, each before a step of the batch.
 pub(super) type Versions = Vec<(usize, Option<Content>)>;
 
-/// Questions whose points the server has stored, with everything that their answers need.
+/// Searches whose points the server has stored, with everything that their answers need.
 #[derive(Debug)]
 pub(super) struct Answerable {
     searches: Vec<OpenSearch>,
@@ -162,7 +162,7 @@ impl OpenSearches {
         self.open += 1;
     }
 
-    /// Questions will get no answer.
+    /// `count` searches will get no answer.
     pub(super) fn close(&mut self, count: usize) {
         self.open -= count.min(self.open);
         if self.open == 0 {
@@ -175,17 +175,21 @@ impl OpenSearches {
         self.open > 0
     }
 
-    /// Another writer stored a point, as change number `at` of the copy; `old_tag` if only its tag is new.
-    pub(super) fn push(&mut self, at: u64, id: u64, old_tag: Option<u64>) {
+    /// Another writer stored a point, as change number `change` of the copy; `old_tag` if only its tag is new.
+    pub(super) fn push(&mut self, change: u64, id: u64, old_tag: Option<u64>) {
         if self.are_open() {
-            self.stored.push_back(Arrival { at, id, old_tag });
+            self.stored.push_back(Arrival {
+                change,
+                id,
+                old_tag,
+            });
         }
     }
 
-    /// Another writer removed or moved a point or gave it another tag, as change number `at` of the copy: the point may
-    /// have been in an answer.
-    pub(super) fn depart(&mut self, at: u64) {
-        self.departure = at;
+    /// Another writer removed or moved a point or gave it another tag, as change number `change` of the copy: the point
+    /// may have been in an answer.
+    pub(super) fn depart(&mut self, change: u64) {
+        self.departure = change;
     }
 
     /// True if the points that others stored take too much memory: answer the open searches from all points
@@ -208,8 +212,10 @@ impl OpenSearches {
         mut published: impl FnMut(u64) -> Versions,
         snapshot: impl FnOnce() -> ForestSnapshot,
     ) -> Option<Answerable> {
-        let first = searches.first()?.at;
-        let mut after = self.stored.partition_point(|arrival| arrival.at <= first);
+        let first = searches.first()?.change;
+        let mut after = self
+            .stored
+            .partition_point(|arrival| arrival.change <= first);
         let arrivals = self.stored.len() - after;
         if arrivals > MAX_SUPERSET && searches.len().saturating_mul(arrivals) > MAX_DISTANCES {
             searches.iter_mut().for_each(OpenSearch::search_all);
@@ -218,7 +224,7 @@ impl OpenSearches {
         let mut changes: HashMap<u64, Vec<Change>> = HashMap::new();
         for arrival in self.stored.range(after..) {
             let of_point = changes.entry(arrival.id).or_default();
-            of_point.push((arrival.at, arrival.old_tag));
+            of_point.push((arrival.change, arrival.old_tag));
         }
         // A point that was stored twice counts as it is now.
         let arrived = changes
@@ -233,7 +239,7 @@ impl OpenSearches {
         if let Some(oldest) = oldest {
             let kept = self
                 .stored
-                .partition_point(|arrival| arrival.at <= oldest.at);
+                .partition_point(|arrival| arrival.change <= oldest.change);
             self.stored.drain(..kept);
         }
         Some(answerable)
@@ -297,7 +303,7 @@ impl Answerable {
             Some((changes, *id, content.as_ref()?))
         });
         let unseen = contents.filter(|(changes, id, (tag, _))| {
-            let later = changes.iter().filter(|(at, _)| *at > open.at);
+            let later = changes.iter().filter(|(change, _)| *change > open.change);
             let Some((_, old_tag)) = later.clone().next() else {
                 return false;
             };
@@ -310,7 +316,7 @@ impl Answerable {
             distance: space.distance(&open.row, row),
             id,
         });
-        let bound = match self.departure > open.at {
+        let bound = match self.departure > open.change {
             true => open.radius,
             false => open.bound,
         };

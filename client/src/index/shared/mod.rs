@@ -1,9 +1,9 @@
 //! The form of an index that many processes share: a copy in this process, whose writes travel in the background.
 //!
-//! `core` is what callers and the two tasks share: the points of the copy, and the `writer`. The writer holds the
-//! pending writes in batches (`batch`), the ids to give (`ids`), what is published under ids with pending writes
-//! (`rebased`) and the searches whose answers are not complete (`meanwhile`). `sender` sends the batches, `subscriber`
-//! applies what the server publishes; both call the server through `link`, over gRPC or Zenoh.
+//! `core` is what callers and the two tasks share: the points of the copy, and the pending writes (`pending`): their
+//! batches (`batch`), the ids to give (`ids`), what is published under ids with pending writes (`rebased`) and the
+//! searches whose answers are not complete (`meanwhile`). `sender` sends the batches, `subscriber` applies what the
+//! server publishes; both call the server through `link`, over gRPC or Zenoh.
 
 mod batch;
 mod core;
@@ -11,13 +11,13 @@ mod ids;
 mod link;
 mod meanwhile;
 mod open;
+mod pending;
 mod rebased;
 mod sender;
 mod status;
 mod subscriber;
 #[cfg(test)]
 mod tests;
-mod writer;
 
 pub use batch::UnsentWrite;
 pub(super) use core::Core;
@@ -27,7 +27,6 @@ pub use status::ConnectionStatus;
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    fmt,
     sync::Arc,
 };
 
@@ -68,18 +67,18 @@ impl SharedIndex {
         let width = self.core.space.coordinates();
         let count = rows.len() / width;
         let bytes = count * Batch::step_bytes(&plain_put(tag, &rows[..width]));
-        let mut writer = self.core.room(bytes, count as u64)?;
-        let refusals = writer.refusals;
+        let mut writes = self.core.room(bytes, count as u64)?;
+        let refusals = writes.refusals;
         if before.is_some_and(|before| before != refusals) {
-            return Err(writer.refusal());
+            return Err(writes.refusal());
         }
         let mut points = self.core.points.write();
         for row in rows.chunks_exact(width) {
-            let id = writer.ids.next().ok_or(Error::Closed)?;
-            writer.insert(id, &plain_put(tag, row), &mut points)?;
+            let id = writes.ids.next().ok_or(Error::Closed)?;
+            writes.insert(id, &plain_put(tag, row), &mut points)?;
             ids.push(id);
         }
-        self.core.written(&mut writer, &mut points);
+        self.core.end_write(&mut writes, &mut points);
         Ok(refusals)
     }
 
@@ -101,13 +100,13 @@ impl SharedIndex {
         if !self.core.contains(id)? {
             return Ok(false);
         }
-        let mut writer = self.core.room(Batch::step_bytes(step), 0)?;
+        let mut writes = self.core.room(Batch::step_bytes(step), 0)?;
         let mut points = self.core.points.write();
         if !points.forest.contains(id) {
             return Ok(false);
         }
-        writer.change(id, step, &mut points)?;
-        self.core.written(&mut writer, &mut points);
+        writes.change(id, step, &mut points)?;
+        self.core.end_write(&mut writes, &mut points);
         Ok(true)
     }
 }
@@ -158,14 +157,14 @@ impl NearestNeighbors for SharedIndex {
             payload: point.payload,
         };
         let bytes = Batch::step_bytes(&step);
-        let mut writer = self.core.room(bytes, u64::from(point.id.is_none()))?;
+        let mut writes = self.core.room(bytes, u64::from(point.id.is_none()))?;
         found.clear();
         let mut search = None;
         {
-            // Only the holder of the writer changes the points, so the answer holds until the point is stored.
+            // Only the holder of this lock changes the points, so the answer holds until the point is stored.
             let points = self.core.points.read();
             if let Some(id) = point.id
-                && (points.forest.contains(id) || writer.ids.contain(id))
+                && (points.forest.contains(id) || writes.ids.contains(id))
             {
                 return Err(Error::IdTaken { id });
             }
@@ -177,21 +176,21 @@ impl NearestNeighbors for SharedIndex {
         }
         let id = match point.id {
             Some(id) => id,
-            None => writer.ids.next().ok_or(Error::Closed)?,
+            None => writes.ids.next().ok_or(Error::Closed)?,
         };
         let mut points = self.core.points.write();
         match point.id {
-            None => writer.insert(id, &step, &mut points)?,
+            None => writes.insert(id, &step, &mut points)?,
             Some(_) => {
-                writer.ids.give(id);
-                writer.change(id, &step, &mut points)?;
+                writes.ids.note_caller_id(id);
+                writes.change(id, &step, &mut points)?;
             }
         }
         let read_revision = points.read_revision();
         if let Some(search) = search {
-            writer.ask(id, point.row, &search, found, read_revision.0);
+            writes.note_search(id, point.row, &search, found, read_revision.0);
         }
-        self.core.written(&mut writer, &mut points);
+        self.core.end_write(&mut writes, &mut points);
         Ok((id, read_revision))
     }
 
@@ -252,18 +251,18 @@ impl NearestNeighbors for SharedIndex {
         let mut payloads = vec![None; ids.len()];
         let mut missing = Vec::new();
         {
-            let writer = self.core.writer.lock();
+            let writes = self.core.pending_writes.lock();
             let points = self.core.points.read();
             let stored = ids.iter().copied().enumerate();
             let stored: Vec<(usize, u64)> = stored
                 .filter(|(_, id)| points.forest.contains(*id))
                 .collect();
-            let pending = writer.payloads(stored.iter().map(|(_, id)| *id));
-            for (at, id) in stored {
+            let pending = writes.payloads(stored.iter().map(|(_, id)| *id));
+            for (position, id) in stored {
                 let payload = pending.get(&id).copied().flatten();
-                payloads[at] = payload.map(<[u8]>::to_vec);
-                if payloads[at].is_none() {
-                    missing.push((id, at));
+                payloads[position] = payload.map(<[u8]>::to_vec);
+                if payloads[position].is_none() {
+                    missing.push((id, position));
                 }
             }
         }
@@ -275,12 +274,12 @@ impl NearestNeighbors for SharedIndex {
         let ids = Vec::from_iter(ids);
         let core = Arc::clone(&self.core);
         let answers = wait_for(async move {
-            let (index, at) = core.published.lock().clone();
-            let answers = core.link.payloads(&index, at, &ids).await?;
+            let (index, revision) = core.published.lock().clone();
+            let answers = core.link.payloads(&index, revision, &ids).await?;
             Ok(BTreeMap::from_iter(ids.into_iter().zip(answers)))
         })?;
-        for (id, at) in missing {
-            payloads[at] = answers.get(&id).cloned().flatten();
+        for (id, position) in missing {
+            payloads[position] = answers.get(&id).cloned().flatten();
         }
         Ok(payloads)
     }
@@ -315,8 +314,8 @@ impl Drop for SharedIndex {
             return;
         }
         self.tasks.iter().for_each(AbortHandle::abort);
-        let writer = self.core.writer.lock();
-        let (pending, unsent) = (writer.written - writer.settled, writer.unsent.len());
+        let writes = self.core.pending_writes.lock();
+        let (pending, unsent) = (writes.written - writes.resolved, writes.unsent.len());
         if pending > 0 || unsent > 0 {
             let index = self.core.published.lock().0.name.clone();
             tracing::warn!(
@@ -326,13 +325,5 @@ impl Drop for SharedIndex {
                 "dropped with writes that the server has not acknowledged"
             );
         }
-    }
-}
-
-impl fmt::Debug for Core {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Core")
-            .field("status", &self.status())
-            .finish_non_exhaustive()
     }
 }

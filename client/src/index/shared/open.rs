@@ -9,9 +9,9 @@ use super::{
     SharedIndex,
     core::{Core, ID_BLOCK, Settings},
     link::{Address, Link},
+    pending::PendingWrites,
     sender,
     subscriber::Subscriber,
-    writer::Writer,
 };
 use crate::{
     Credentials, Error, Index, PayloadEncoding,
@@ -133,12 +133,12 @@ impl OpenShared {
             Some(space) => link.create(space, self.payload_encoding).await?,
             None => link.index().await?,
         });
-        let mut writer = Writer::new(index.coordinate_count);
-        writer.limit(limits.max_rows_per_call, limits.max_request_bytes);
+        let mut writes = PendingWrites::new(index.coordinate_count);
+        writes.limit(limits.max_rows_per_call, limits.max_request_bytes);
         let operation_id = fresh_operation_id();
         let id_block = ID_BLOCK.min(limits.max_reserved_ids);
         let opened = link.open_session(&index, id_block, &operation_id).await?;
-        writer.open(opened.session, opened.reserved);
+        writes.open(opened.session, opened.reserved);
         let mut points = LocalPoints::new(&index.space);
         let (forest, revision) = link.load(&index, 0, points.read_revision().0 + 1).await?;
         drop(points.replace(forest));
@@ -147,7 +147,7 @@ impl OpenShared {
             index,
             revision,
             points,
-            writer,
+            writes,
             Settings {
                 timeout: self.timeout,
                 max_pending_bytes: self.max_pending_bytes,
@@ -194,18 +194,18 @@ pub(super) mod tests {
             payload_encoding: PayloadEncoding::Unspecified,
             space: space.clone(),
         };
-        let mut writer = Writer::new(space.coordinates());
+        let mut writes = PendingWrites::new(space.coordinates());
         let reserved = v1::IdBlock {
             first_id: 7,
             id_count: 1,
         };
-        writer.open(1, Some(reserved));
+        writes.open(1, Some(reserved));
         Core::new(
             Link::of_client(client),
             Arc::new(index),
             0,
             LocalPoints::new(&space),
-            writer,
+            writes,
             Settings {
                 timeout,
                 max_pending_bytes,

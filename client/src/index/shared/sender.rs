@@ -32,9 +32,9 @@ pub(super) async fn run(core: Arc<Core>) {
         let began = Instant::now();
         let sent = match next(&core, &index) {
             Next::Nothing => {
-                // The feed may have confirmed the batch whose answer was lost.
+                // Nothing is left to send: the feed may have confirmed the batch whose answer was lost.
                 failures = 0;
-                core.sending();
+                core.set_sending();
                 core.work.notified().await;
                 continue;
             }
@@ -61,7 +61,7 @@ pub(super) async fn run(core: Arc<Core>) {
         };
         let Err(error) = sent else {
             failures = 0;
-            core.sending();
+            core.set_sending();
             tokio::select! {
                 () = sleep_until(began + BATCH_INTERVAL) => {}
                 () = core.urgent.notified() => {}
@@ -73,29 +73,29 @@ pub(super) async fn run(core: Arc<Core>) {
         }
         failures += 1;
         let pause = core.link.pause(failures, Some(&error));
-        core.disconnected(Task::Sender, error);
+        core.set_disconnected(Task::Sender, error);
         sleep_until(Instant::now() + pause).await;
     }
 }
 
 fn next(core: &Core, index: &IndexInfo) -> Next {
-    let mut writer = core.writer.lock();
-    let is_over = core.has_ended() || writer.is_closed && writer.settled == writer.written;
-    if writer.refused.is_none() && !is_over {
-        let Some(session) = writer.session else {
+    let mut writes = core.pending_writes.lock();
+    let is_over = core.has_ended() || writes.is_closed && writes.resolved == writes.written;
+    if writes.refused.is_none() && !is_over {
+        let Some(session) = writes.session else {
             return Next::Session;
         };
-        let reserve_count = core.reserve_count(&writer);
+        let reserve_count = core.reserve_count(&writes);
         // If the index was made again meanwhile, the next look finds no session.
         if core.is_current(index)
-            && let Some(mut request) = writer.next(session, reserve_count)
+            && let Some(mut request) = writes.next(session, reserve_count)
         {
             request.index_name = index.name.clone();
             request.uid = index.uid().to_string();
             return Next::Batch(Box::new(request));
         }
     }
-    writer.is_idle = true;
+    writes.is_idle = true;
     Next::Nothing
 }
 
@@ -104,9 +104,9 @@ async fn open(core: &Core, index: &IndexInfo, operation_id: &str) -> Result<(), 
         .link
         .open_session(index, core.settings.id_block, operation_id)
         .await?;
-    let mut writer = core.writer.lock();
+    let mut writes = core.pending_writes.lock();
     if core.is_current(index) {
-        writer.open(opened.session, opened.reserved);
+        writes.open(opened.session, opened.reserved);
         core.progress.notify_all();
     }
     Ok(())
@@ -115,15 +115,15 @@ async fn open(core: &Core, index: &IndexInfo, operation_id: &str) -> Result<(), 
 async fn write(core: &Core, index: &IndexInfo, request: &v1::WriteRequest) -> Result<(), Error> {
     let (reserved, revision) = core.link.write(index, request).await?;
     let answerable = {
-        let mut writer = core.writer.lock();
-        if writer.session != Some(request.session) || !core.is_current(index) {
+        let mut writes = core.pending_writes.lock();
+        if writes.session != Some(request.session) || !core.is_current(index) {
             return Ok(());
         }
-        writer.reserve(reserved);
-        writer.requested_ids = 0;
+        writes.reserve(reserved);
+        writes.requested_ids = 0;
         let mut points = core.points.write();
         let published = core.published.lock().1;
-        let answerable = writer.acknowledge(request.batch, revision, published, &mut points)?;
+        let answerable = writes.acknowledge(request.batch, revision, published, &mut points)?;
         core.progress.notify_all();
         answerable
     };
@@ -131,8 +131,8 @@ async fn write(core: &Core, index: &IndexInfo, request: &v1::WriteRequest) -> Re
     Ok(())
 }
 
-/// True if the server opens no session of the index. The subscriber reads an index that was made again, and ends if there
-/// is none.
+/// True if opening a session cannot succeed later. NOT_FOUND and a changed uid are left to the subscriber, which reloads
+/// or ends.
 fn is_final(error: &Error) -> bool {
     let is_other_index = matches!(
         error.code(),
@@ -143,8 +143,8 @@ fn is_final(error: &Error) -> bool {
 
 /// The server refused a batch or a session for good, unless the session is another one by now.
 fn refuse(core: &Core, index: &IndexInfo, session: Option<u64>, error: Error) {
-    let mut writer = core.writer.lock();
-    if writer.session == session && core.is_current(index) {
-        core.refuse(&mut writer, error);
+    let mut writes = core.pending_writes.lock();
+    if writes.session == session && core.is_current(index) {
+        core.refuse(&mut writes, error);
     }
 }

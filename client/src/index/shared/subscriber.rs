@@ -7,7 +7,7 @@ use tokio::time::{Instant, sleep_until};
 use super::{
     core::{Core, Task},
     meanwhile::Answerable,
-    writer::Writer,
+    pending::PendingWrites,
 };
 use crate::{
     Code, Error, IndexInfo, Mutation, Reset, ResetReason, Watch, WatchEvent,
@@ -17,8 +17,11 @@ use crate::{
 /// The time for which the name may be missing before the index counts as deleted: it may be created again at once.
 const MISSING_TIME: Duration = Duration::from_secs(5);
 
-/// The changes that a copy which is read again skips, so that writes go on while it is read.
+/// A reload numbers its points this many changes later, so that writes made during the reload get smaller numbers.
 const RELOAD_CHANGES: u64 = 1 << 40;
+
+/// A feed that has stood for this long has recovered: the pause after its end is short again.
+const RECOVERY_TIME: Duration = Duration::from_secs(1);
 
 /// The rows and mutations after which the lock of the copy is given back between two mutations: inserts and searches
 /// wait for less than a millisecond.
@@ -33,6 +36,7 @@ pub(super) struct Subscriber {
     is_unfiltered: bool,
     /// The time since which no index has the name.
     missing: Option<Instant>,
+    /// The number of failures since the last mutation, or since the last feed that stood for [`RECOVERY_TIME`].
     failures: u32,
     /// The number of reloads since the last mutation.
     reloads: u32,
@@ -91,15 +95,20 @@ impl Subscriber {
     async fn follow(&mut self) -> Result<std::convert::Infallible, Stop> {
         let session = match self.is_unfiltered {
             true => 0,
-            false => self.core.writer.lock().session.unwrap_or(0),
+            false => self.core.pending_writes.lock().session.unwrap_or(0),
         };
         let watch = self.core.link.watch(&self.index, self.revision, session);
         let mut watch = watch.await?;
+        let opened = Instant::now();
+        self.missing = None;
         loop {
-            (self.missing, self.failures) = (None, 0);
             self.core
-                .following(watch.newest().number.saturating_sub(self.revision));
-            match watch.next().await? {
+                .set_following(watch.newest().number.saturating_sub(self.revision));
+            let next = watch.next().await;
+            if opened.elapsed() >= RECOVERY_TIME {
+                self.failures = 0;
+            }
+            match next? {
                 Some(first) => self.apply(first, &mut watch, session)?,
                 None => return Err(Error::protocol("watch", "the feed ended").into()),
             }
@@ -110,7 +119,7 @@ impl Subscriber {
     /// feed leaves out the points that `left_out` wrote.
     fn apply(&mut self, first: WatchEvent, watch: &mut Watch, left_out: u64) -> Result<(), Stop> {
         let core = Arc::clone(&self.core);
-        let mut writer = core.writer.lock();
+        let mut writes = core.pending_writes.lock();
         let mut points = core.points.write();
         let (mut answerable, mut rows) = (Vec::new(), 0);
         let (mut next, mut applied) = (Some(first), Ok(()));
@@ -118,9 +127,10 @@ impl Subscriber {
             applied = match event {
                 WatchEvent::Mutation(mutation) => {
                     rows += 1 + mutation.stored.len() + mutation.removed_ids.len();
-                    apply(&mutation, left_out, &mut writer, &mut points).map(|answers| {
+                    apply(&mutation, left_out, &mut writes, &mut points).map(|answers| {
                         answerable.extend(answers);
-                        (self.revision, self.reloads) = (mutation.revision.number, 0);
+                        self.revision = mutation.revision.number;
+                        (self.failures, self.reloads) = (0, 0);
                     })
                 }
                 WatchEvent::Reset(reset) => Err(Stop::Reset(reset)),
@@ -132,7 +142,7 @@ impl Subscriber {
         core.after_change(&mut points);
         core.published.lock().1 = self.revision;
         drop(points);
-        drop(writer);
+        drop(writes);
         core.answer(answerable);
         applied
     }
@@ -140,7 +150,7 @@ impl Subscriber {
     /// Reads all points again, and shows them with the pending writes in place of the old ones.
     async fn reload(&mut self, reset: &Reset) -> Result<(), Error> {
         let core = Arc::clone(&self.core);
-        core.reloading();
+        core.set_reloading();
         self.reloads += 1;
         if self.reloads > 1 {
             // Reading takes longer than the server keeps mutations.
@@ -163,31 +173,31 @@ impl Subscriber {
                 found: index.space.to_string(),
             });
         }
-        let at = core.points.read().read_revision().0 + RELOAD_CHANGES;
+        let change = core.points.read().read_revision().0 + RELOAD_CHANGES;
         // A server that lags behind the copy waits for the revision, or refuses the read.
-        let after = match index.uid() == self.index.uid() {
+        let min_revision = match index.uid() == self.index.uid() {
             true => self.revision,
             false => 0,
         };
-        let (forest, revision) = core.link.load(&index, after, at).await?;
-        let mut writer = core.writer.lock();
+        let (forest, revision) = core.link.load(&index, min_revision, change).await?;
+        let mut writes = core.pending_writes.lock();
         if index.uid() != self.index.uid() {
             // Its writer session and pending writes belong to the history that is gone.
-            if writer.has_session() {
+            if writes.has_session() {
                 let uid = self.index.revision_at(self.revision).check_uid(index.uid());
-                core.refuse(&mut writer, uid.err().unwrap_or(Error::Closed));
+                core.refuse(&mut writes, uid.err().unwrap_or(Error::Closed));
             }
-            writer.forget_history();
+            writes.forget_history();
         }
         let mut points = core.points.write();
         let old = points.replace(forest);
-        let answerable = writer.reloaded(revision, &mut points)?;
+        let answerable = writes.reloaded(revision, &mut points)?;
         core.after_change(&mut points);
         *core.published.lock() = (Arc::clone(&index), revision);
-        core.wake(&mut writer);
+        core.wake(&mut writes);
         core.progress.notify_all();
         drop(points);
-        drop(writer);
+        drop(writes);
         drop(old);
         (self.index, self.revision) = (index, revision);
         core.answer(answerable);
@@ -212,7 +222,7 @@ impl Subscriber {
         }
         self.failures = self.failures.saturating_add(1);
         let pause = self.core.link.pause(self.failures, Some(&error));
-        self.core.disconnected(Task::Subscriber, error);
+        self.core.set_disconnected(Task::Subscriber, error);
         sleep_until(Instant::now() + pause).await;
         Ok(())
     }
@@ -222,13 +232,13 @@ impl Subscriber {
 fn apply(
     mutation: &Mutation,
     left_out: u64,
-    writer: &mut Writer,
+    writes: &mut PendingWrites,
     points: &mut LocalPoints,
 ) -> Result<Vec<Answerable>, Stop> {
     let (session, number) = (mutation.session, mutation.revision.number);
     if session != 0
-        && writer.is_own(session)
-        && let Some(answerable) = writer.confirm(session, mutation.batch, points)?
+        && writes.is_own(session)
+        && let Some(answerable) = writes.confirm(session, mutation.batch, points)?
     {
         return Ok(answerable);
     }
@@ -242,6 +252,6 @@ fn apply(
         row: point.state,
         is_new: point.revision == number,
     });
-    writer.apply(stored, &mutation.removed_ids, points)?;
+    writes.apply(stored, &mutation.removed_ids, points)?;
     Ok(Vec::new())
 }

@@ -21,7 +21,7 @@ fn idle(max_pending_bytes: usize, id_count: u64) -> (Arc<Core>, SharedIndex) {
     let core = core(Duration::ZERO, max_pending_bytes);
     let first_id = 100;
     let block = v1::IdBlock { first_id, id_count };
-    core.writer.lock().reserve(Some(block));
+    core.pending_writes.lock().reserve(Some(block));
     let task = spawn(async {}).unwrap().abort_handle();
     let tasks = [task.clone(), task];
     (Arc::clone(&core), SharedIndex { core, tasks })
@@ -67,8 +67,8 @@ fn a_point_with_a_pending_write_that_is_stored_again_has_changed() {
             row,
             is_new,
         };
-        let (mut writer, mut points) = (core.writer.lock(), core.points.write());
-        let applied = writer.apply([stored].into_iter(), &[], &mut points);
+        let (mut writes, mut points) = (core.pending_writes.lock(), core.points.write());
+        let applied = writes.apply([stored].into_iter(), &[], &mut points);
         applied.unwrap();
     };
     store(true);
@@ -109,17 +109,17 @@ fn a_refusal_whose_writes_were_taken_back_has_its_cause() {
             Ok(())
         })
         .unwrap();
-        let mut writer = core.writer.lock();
-        core.refuse(&mut writer, quota_exceeded());
-        assert_eq!(writer.take_unsent().len(), 1);
-        drop(writer);
+        let mut writes = core.pending_writes.lock();
+        core.refuse(&mut writes, quota_exceeded());
+        assert_eq!(writes.take_unsent().len(), 1);
+        drop(writes);
         flush.join().unwrap()
     });
     let reserved = v1::IdBlock {
         first_id: 200,
         id_count: 1,
     };
-    core.writer.lock().open(2, Some(reserved));
+    core.pending_writes.lock().open(2, Some(reserved));
     let inserted = shared.insert_rows(&[2.0], 0, &mut ids, Some(before));
     for refused in [flushed, inserted.map(drop)] {
         let refused = refused.unwrap_err();
@@ -138,7 +138,7 @@ fn many_writes_on_one_point_are_given_back_by_one_change() {
         assert!(index.replace(id, [f64::from(number)]).unwrap());
     }
     let before = core.points.read().read_revision().0;
-    core.refuse(&mut core.writer.lock(), quota_exceeded());
+    core.refuse(&mut core.pending_writes.lock(), quota_exceeded());
     assert_eq!(core.points.read().read_revision().0, before + 1);
     assert_eq!((index.len().unwrap(), index.pending()), (0, 0));
     assert_eq!(index.take_unsent().len(), 1_000);
@@ -246,16 +246,16 @@ fn a_payload_that_a_refusal_gives_back_is_a_change() {
     let index = Index::of_shared(shared);
     let options = InsertOptions::new().payload(b"p");
     let id = index.insert_with([1.0], options).unwrap().id;
-    let batch = core.writer.lock().next(1, 0).unwrap().batch;
+    let batch = core.pending_writes.lock().next(1, 0).unwrap().batch;
     let confirmed = core
-        .writer
+        .pending_writes
         .lock()
         .confirm(1, batch, &mut core.points.write());
     confirmed.unwrap().unwrap();
     index.replace(id, [2.0]).unwrap();
     index.replace(id, [1.0]).unwrap();
     let since = core.points.read().read_revision();
-    core.refuse(&mut core.writer.lock(), quota_exceeded());
+    core.refuse(&mut core.pending_writes.lock(), quota_exceeded());
     let changes = index.changes(since).unwrap().unwrap();
     assert_eq!(changes.stored.len(), 1);
     assert_eq!(changes.stored[0].id, id);
@@ -267,7 +267,7 @@ fn random_pending_writes_keep_their_payloads_and_are_given_back_in_order() {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let (core, shared) = idle(1 << 24, 1_000);
         // Smaller than what is written between two of them: several batches wait.
-        core.writer.lock().limit(8, 1 << 20);
+        core.pending_writes.lock().limit(8, 1 << 20);
         let index = Index::of_shared(shared);
         let (mut ids, mut pending) = (Vec::new(), VecDeque::new());
         let mut published = Content::new();
@@ -275,16 +275,16 @@ fn random_pending_writes_keep_their_payloads_and_are_given_back_in_order() {
             pending.extend(random_write(&index, &mut ids, &mut rng));
             let is_last_sent = step == 450;
             if is_last_sent || step < 450 && rng.random_bool(0.05) {
-                let mut writer = core.writer.lock();
-                let Some(batch) = writer.next(1, 0) else {
+                let mut writes = core.pending_writes.lock();
+                let Some(batch) = writes.next(1, 0) else {
                     continue;
                 };
                 let points = &mut core.points.write();
                 if is_last_sent {
                     // The server takes it, and the feed does not name it yet.
-                    writer.acknowledge(batch.batch, 1, 0, points).unwrap();
+                    writes.acknowledge(batch.batch, 1, 0, points).unwrap();
                 } else {
-                    writer.confirm(1, batch.batch, points).unwrap().unwrap();
+                    writes.confirm(1, batch.batch, points).unwrap().unwrap();
                 }
                 let sent = pending.drain(..batch.ids.len());
                 sent.for_each(|write| apply(&write, &mut published));
@@ -293,7 +293,7 @@ fn random_pending_writes_keep_their_payloads_and_are_given_back_in_order() {
                 check_payloads(&index, &ids, &pending);
             }
         }
-        core.refuse(&mut core.writer.lock(), quota_exceeded());
+        core.refuse(&mut core.pending_writes.lock(), quota_exceeded());
         assert_eq!(index.take_unsent(), Vec::from(pending));
         let held = ids
             .iter()

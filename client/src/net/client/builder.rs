@@ -251,6 +251,12 @@ fn endpoint(uri: &str, credentials: &Credentials) -> Result<Endpoint, Error> {
     if let None | Some("") = endpoint.uri().host() {
         return Err(refused("it names no host"));
     }
+    let authority = endpoint.uri().authority().map_or("", |it| it.as_str());
+    // The address of an IPv6 host has colons within brackets.
+    let after_host = authority.rsplit(']').next().unwrap_or_default();
+    if after_host.contains(':') && endpoint.uri().port_u16().is_none() {
+        return Err(refused("its port is no number from 0 to 65535"));
+    }
     if endpoint.uri().scheme_str() != Some("https") {
         return Ok(endpoint);
     }

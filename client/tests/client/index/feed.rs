@@ -4,6 +4,7 @@ use std::{
     fmt::Debug,
     sync::{Arc, Mutex},
     thread,
+    time::{Duration, Instant},
 };
 
 use tonic::Status as Answer;
@@ -16,19 +17,9 @@ use wayfold::{Code, ConnectionStatus, Error, Index, InsertOptions};
 use wayfold_proto::v1;
 
 use crate::{
-    fake::{self, Fake},
-    watching::{message, piece, points},
+    fake::Fake,
+    watching::{message, piece, scanned, wait_for, wait_until_caught_up},
 };
-
-/// The points that a scan finds at a revision.
-fn scanned(revision: u64, found: &[(u64, f64)]) -> Vec<v1::ScanResponse> {
-    vec![v1::ScanResponse {
-        points: Some(points(revision, found)),
-        revision: fake::revision(revision),
-        point_count: found.len() as u64,
-        held_scan: String::new(),
-    }]
-}
 
 fn reset(reason: v1::ResetReason, revision: u64) -> v1::WatchResponse {
     let mut reset = message(revision, vec![]);
@@ -38,17 +29,6 @@ fn reset(reason: v1::ResetReason, revision: u64) -> v1::WatchResponse {
 
 fn open(fake: &Fake) -> Index {
     Index::shared(&fake.uri, "line").open().unwrap()
-}
-
-/// Waits until an index has these points and no others.
-fn wait_for(index: &Index, expected: &[(u64, f64)]) {
-    let content = || -> Vec<(u64, f64)> {
-        let points = index.scan().unwrap().map(Result::unwrap);
-        points.map(|point| (point.id, point.state[0])).collect()
-    };
-    while content() != expected {
-        thread::yield_now();
-    }
 }
 
 /// Waits until the fake was asked to watch this many times. Returns the `after_revision` of each of these requests.
@@ -82,12 +62,7 @@ async fn a_feed_that_breaks_in_mid_mutation_is_taken_up_where_it_was_whole() {
     let index = open(&fake);
     wait_for(&index, &[(1, 0.0), (2, 10.0), (4, 6.0)]);
     assert_eq!(after_revisions(&fake, 2), [Some(3), Some(4)]);
-    while !matches!(
-        index.status(),
-        Some(ConnectionStatus::Following { behind: 0 })
-    ) {
-        thread::yield_now();
-    }
+    wait_until_caught_up(&index);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
@@ -112,6 +87,23 @@ async fn a_gap_and_a_repeat_are_not_applied_but_asked_for_again() {
     assert_eq!(after_revisions(&fake, 3), [Some(3), Some(3), Some(4)]);
 }
 
+/// Five pauses, of at least half of 50, 100, 200, 400 and 800 ms.
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn pauses_grow_if_feeds_open_and_cannot_go_on() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
+    for _ in 0..5 {
+        let gap = message(5, vec![piece(5, &[(5, 5.0)], &[], (0, false))]);
+        fake.watch_tells(vec![Ok(message(5, vec![])), Ok(gap)]);
+    }
+    let next = message(4, vec![piece(4, &[(4, 4.0)], &[], (0, false))]);
+    fake.watch_tells(vec![Ok(message(4, vec![])), Ok(next)]);
+    let began = Instant::now();
+    wait_for(&open(&fake), &[(1, 0.0), (4, 4.0)]);
+    let waited = began.elapsed();
+    assert!(waited >= Duration::from_millis(700), "{waited:?}");
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn after_a_reset_all_points_are_read_again() {
     let fake = Fake::start().await;
@@ -131,12 +123,7 @@ async fn after_a_reset_all_points_are_read_again() {
     let index = open(&fake);
     wait_for(&index, &[(9, 1.0)]);
     assert_eq!(after_revisions(&fake, 3), [Some(3), Some(3), Some(9)]);
-    while !matches!(
-        index.status(),
-        Some(ConnectionStatus::Following { behind: 0 })
-    ) {
-        thread::yield_now();
-    }
+    wait_until_caught_up(&index);
 }
 
 /// The scan after a reset never ends: the copy answers from its points meanwhile, and says what it does.

@@ -26,17 +26,18 @@ pub(super) struct Part {
 pub(super) type Parts = BoxStream<'static, Result<Part, Error>>;
 
 impl Link {
-    /// All points of the index at revision `after` or a later one, and that revision. The changes of the forest are `at`.
+    /// All points of the index at revision `min_revision` or a later one, and that revision. Every point counts as stored
+    /// by change `change`.
     pub(in crate::index::shared) async fn load(
         &self,
         index: &IndexInfo,
-        after: u64,
-        at: u64,
+        min_revision: u64,
+        change: u64,
     ) -> Result<(Forest, u64), Error> {
         let (mut ended, mut refused) = (0, 0);
         let deadline = Instant::now() + self.timeout;
         let (points, revision) = loop {
-            match self.read_all(index, after, at).await {
+            match self.read_all(index, min_revision, change).await {
                 Err(error) if error.reason() == Some("SCAN_ENDED") && ended < MAX_ENDED_SCANS => {
                     ended += 1;
                 }
@@ -48,7 +49,7 @@ impl Link {
             }
         };
         let space = index.space.clone();
-        let building = tokio::task::spawn_blocking(move || build(&space, points, at));
+        let building = tokio::task::spawn_blocking(move || build(&space, points, change));
         let built = building.await;
         let forest = built.map_err(|error| {
             Error::protocol(CALL, format!("its points cannot be built: {error}"))
@@ -59,18 +60,21 @@ impl Link {
     async fn read_all(
         &self,
         index: &IndexInfo,
-        after: u64,
-        at: u64,
+        min_revision: u64,
+        change: u64,
     ) -> Result<(Points, u64), Error> {
         let mut parts: Parts = match &self.transport {
             Transport::Grpc(client) => {
-                let scan = handle(client, index, after).scan().include(COLUMNS).await?;
+                let scan = handle(client, index, min_revision)
+                    .scan()
+                    .include(COLUMNS)
+                    .await?;
                 let total = scan.point_count();
                 let parts = scan.into_stream();
                 parts.map_ok(move |points| Part { points, total }).boxed()
             }
             #[cfg(feature = "zenoh")]
-            Transport::Zenoh(link) => link.scan(index, after),
+            Transport::Zenoh(link) => link.scan(index, min_revision),
         };
         let mut points = Points::new(index.coordinate_count);
         let (mut revision, mut announced) = (0, 0);
@@ -80,7 +84,7 @@ impl Link {
                 points.push_point(PointRef {
                     id: point.id,
                     tag: point.tag,
-                    revision: at,
+                    revision: change,
                     row: point.state,
                 });
             }
@@ -107,9 +111,9 @@ fn is_scan_limit(error: &Error) -> bool {
 }
 
 /// A forest of the points, without anything left to merge.
-fn build(space: &Space, points: Points, at: u64) -> Result<Forest, Error> {
+fn build(space: &Space, points: Points, change: u64) -> Result<Forest, Error> {
     let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
-    let applied = forest.apply(at, &points, &[]);
+    let applied = forest.apply(change, &points, &[]);
     applied.map_err(|error| Error::protocol(CALL, error.to_string()))?;
     drop(points);
     forest.settle();

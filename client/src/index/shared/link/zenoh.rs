@@ -125,11 +125,11 @@ impl ZenohLink {
         .await
     }
 
-    /// All points of an index at revision `after` or a later one, page by page.
-    pub(super) fn scan(&self, index: &IndexInfo, after: u64) -> Parts {
+    /// All points of an index at revision `min_revision` or a later one, page by page.
+    pub(super) fn scan(&self, index: &IndexInfo, min_revision: u64) -> Parts {
         let request = v1::ScanRequest {
             include: COLUMNS.to_message(),
-            min_revision: Some(index.revision_at(after).to_message()),
+            min_revision: Some(index.revision_at(min_revision).to_message()),
             ..Default::default()
         };
         let pages = Pages {

@@ -5,7 +5,7 @@ use std::{
     sync::Arc,
 };
 
-use super::{Batch, RebasedPoint, Writer};
+use super::{Batch, PendingWrites, RebasedPoint};
 use crate::{
     Error,
     index::{
@@ -14,7 +14,7 @@ use crate::{
     },
 };
 
-impl Writer {
+impl PendingWrites {
     /// The server has taken a batch of the session and made this revision of it; the copy has reached revision
     /// `published`.
     pub(in crate::index::shared) fn acknowledge(
@@ -30,7 +30,7 @@ impl Writer {
             return Ok(Vec::new());
         };
         if batch.revision.replace(revision).is_none() {
-            self.settled += batch.len() as u64;
+            self.resolved += batch.len() as u64;
         }
         // The copy was read at a later revision, so its feed does not name the batch.
         self.confirm_up_to(published, points)
@@ -59,12 +59,12 @@ impl Writer {
         points: &mut LocalPoints,
     ) -> Result<Option<Vec<Answerable>>, Error> {
         let is_it = |batch: &Batch| batch.session == session && batch.number == number;
-        let Some(at) = self.queue.iter().position(is_it) else {
+        let Some(position) = self.queue.iter().position(is_it) else {
             return Ok(None);
         };
         let mut answerable = Vec::new();
         // The feed does not name a batch that was published before the copy was read.
-        for _ in 0..at {
+        for _ in 0..position {
             answerable.extend(self.confirm_first(true, points)?);
         }
         answerable.extend(self.confirm_first(false, points)?);
@@ -82,7 +82,7 @@ impl Writer {
         };
         self.bytes -= batch.held_bytes();
         if batch.revision.is_none() {
-            self.settled += batch.len() as u64;
+            self.resolved += batch.len() as u64;
         }
         let mut searches = std::mem::take(&mut batch.searches);
         if self.rebased.is_empty() && searches.is_empty() {
@@ -94,26 +94,26 @@ impl Writer {
         let mut before: HashMap<u64, Versions> = HashMap::new();
         let first = searches.first().map_or(usize::MAX, |open| open.step);
         let mut unplaced = searches.iter_mut().peekable();
-        for (at, (id, _)) in batch.steps(self.width).enumerate() {
-            if let Some(open) = unplaced.next_if(|open| open.step == at) {
+        for (step, (id, _)) in batch.steps(self.width).enumerate() {
+            if let Some(open) = unplaced.next_if(|open| open.step == step) {
                 open.points_before = self.published_points;
             }
             let Some(rebased) = self.rebased.get_mut(&id) else {
                 self.published_points += usize::from(!is_newer);
                 continue;
             };
-            if at > first {
+            if step > first {
                 let base = rebased.base.clone();
-                before.entry(id).or_default().push((at, base));
+                before.entry(id).or_default().push((step, base));
             }
             let was_stored = rebased.base.is_some();
-            let is_settled = rebased.confirm(is_newer);
+            let was_last = rebased.confirm(is_newer);
             self.published_points += usize::from(rebased.base.is_some());
             self.published_points -= usize::from(was_stored);
             if is_newer {
                 show(id, rebased, points)?;
             }
-            if is_settled {
+            if was_last {
                 self.rebased.remove(&id);
             }
         }
@@ -143,7 +143,7 @@ impl Writer {
         if self.rebased.is_empty() && !self.open_searches.are_open() {
             return self.publish(stored, removed, points);
         }
-        let at = points.read_revision().0 + 1;
+        let change = points.read_revision().0 + 1;
         let mut plain = Vec::new();
         for row in stored {
             let held = if row.is_new { None } else { points.get(row.id) };
@@ -154,10 +154,10 @@ impl Writer {
                 (None, None) => row.is_new && points.forest.contains(row.id),
             };
             if is_departure {
-                self.open_searches.depart(at);
+                self.open_searches.depart(change);
             }
             self.open_searches
-                .push(at, row.id, held.map(|held| held.tag));
+                .push(change, row.id, held.map(|held| held.tag));
             match self.rebased.get_mut(&row.id) {
                 None => plain.push(row),
                 Some(rebased) => {
@@ -169,7 +169,7 @@ impl Writer {
             }
         }
         if !removed.is_empty() {
-            self.open_searches.depart(at);
+            self.open_searches.depart(change);
         }
         if self.open_searches.is_full() {
             self.open_searches.forget();
@@ -255,7 +255,7 @@ impl Writer {
         for batch in self.queue.split_off(taken) {
             self.bytes -= batch.held_bytes();
             self.open_searches.close(batch.searches.len());
-            self.settled += batch.len() as u64;
+            self.resolved += batch.len() as u64;
             for (id, _) in batch.steps(self.width) {
                 match self.rebased.get_mut(&id) {
                     // An insert under an id of this session.
@@ -266,11 +266,11 @@ impl Writer {
             self.unsent.extend(batch.unsent(self.width));
         }
         // Once an id: this applies all of its other pending writes.
-        for (id, is_settled) in given_up {
+        for (id, was_last) in given_up {
             if let Some(rebased) = self.rebased.get(&id) {
                 show_again(id, rebased, points)?;
             }
-            if is_settled {
+            if was_last {
                 self.rebased.remove(&id);
             }
         }
@@ -304,7 +304,7 @@ fn show(id: u64, rebased: &RebasedPoint, points: &mut LocalPoints) -> Result<(),
     Ok(())
 }
 
-/// Does the same, and counts the id as changed in any case: its payload may be another one.
+/// Like [`show`], and counts the id as changed even if its tag and state are equal: its payload may differ.
 fn show_again(id: u64, rebased: &RebasedPoint, points: &mut LocalPoints) -> Result<(), Error> {
     let before = points.read_revision();
     show(id, rebased, points)?;

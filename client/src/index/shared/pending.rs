@@ -1,6 +1,6 @@
 //! The pending writes of a shared index: their order, their batches, and what the copy shows of them.
 //!
-//! Nothing here waits or sends. The caller holds the lock of the writer, and passes the points of the copy.
+//! Nothing here waits or sends. The caller holds the lock of [`PendingWrites`], and passes the points of the copy.
 
 mod outcome;
 
@@ -30,7 +30,7 @@ const MAX_BATCH_BYTES: usize = 1 << 20;
 const REBASED_STEP_BYTES: usize = 256;
 
 #[derive(Debug)]
-pub(super) struct Writer {
+pub(super) struct PendingWrites {
     width: usize,
     /// The writer session, once it is open.
     pub(super) session: Option<u64>,
@@ -51,7 +51,7 @@ pub(super) struct Writer {
     /// The number of writes so far.
     pub(super) written: u64,
     /// The number of writes that the server has acknowledged, or that were given back.
-    pub(super) settled: u64,
+    pub(super) resolved: u64,
     pub(super) open_searches: OpenSearches,
     /// The reason for which the server takes no more writes, until the caller has taken back those that it did not
     /// take.
@@ -69,9 +69,9 @@ pub(super) struct Writer {
     pub(super) is_closed: bool,
 }
 
-impl Writer {
-    pub(super) fn new(width: usize) -> Writer {
-        Writer {
+impl PendingWrites {
+    pub(super) fn new(width: usize) -> PendingWrites {
+        PendingWrites {
             width,
             session: None,
             ids: ReservedIds::default(),
@@ -84,7 +84,7 @@ impl Writer {
             bytes: 0,
             requested_ids: 0,
             written: 0,
-            settled: 0,
+            resolved: 0,
             open_searches: OpenSearches::default(),
             refused: None,
             last_refusal: None,
@@ -102,7 +102,7 @@ impl Writer {
         self.max_batch_bytes = MAX_BATCH_BYTES.min(max_request_bytes / 2);
     }
 
-    /// Begins a session, whose first batch is number 1. `ids` keeps those that the caller gave since the last session.
+    /// Begins a session, whose first batch is number 1. `ids` keeps those that the caller chose since the last session.
     pub(super) fn open(&mut self, session: u64, reserved: Option<v1::IdBlock>) {
         self.session = Some(session);
         self.next_number = 1;
@@ -111,7 +111,7 @@ impl Writer {
 
     /// True if a session is open, or writes wait for one.
     pub(super) fn has_session(&self) -> bool {
-        self.session.is_some() || self.settled < self.written
+        self.session.is_some() || self.resolved < self.written
     }
 
     /// True if a session is or was this process's.
@@ -140,17 +140,17 @@ impl Writer {
     }
 
     /// Notes the search of the insert that was pushed last, and what it found.
-    pub(super) fn ask(
+    pub(super) fn note_search(
         &mut self,
         id: u64,
         row: &[f64],
         search: &Search<'_>,
         found: &[Neighbor],
-        at: u64,
+        change: u64,
     ) {
         if let Some(batch) = self.queue.back_mut() {
             let step = batch.len() - 1;
-            let open = OpenSearch::new((id, step), row, search, found, at);
+            let open = OpenSearch::new((id, step), row, search, found, change);
             batch.kept_bytes += open.bytes();
             self.bytes += open.bytes();
             batch.searches.push(open);

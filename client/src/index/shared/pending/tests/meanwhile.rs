@@ -3,17 +3,17 @@
 use super::*;
 
 /// Inserts a point at 0, whose search found the point 1 at distance 1.
-fn insert_near_1(writer: &mut Writer, points: &mut LocalPoints, search: &Search<'_>) {
-    let id = insert(writer, points, 0.0);
+fn insert_near_1(writes: &mut PendingWrites, points: &mut LocalPoints, search: &Search<'_>) {
+    let id = insert(writes, points, 0.0);
     let found = [Neighbor {
         distance: 1.0,
         id: 1,
     }];
-    writer.ask(id, &[0.0], search, &found, points.read_revision().0);
+    writes.note_search(id, &[0.0], search, &found, points.read_revision().0);
 }
 
 /// Another writer's record that gives a stored point another tag.
-fn foreign_tag(writer: &mut Writer, points: &mut LocalPoints, id: u64, tag: u64) {
+fn foreign_tag(writes: &mut PendingWrites, points: &mut LocalPoints, id: u64, tag: u64) {
     let row = points.get(id).expect("a point").row;
     let stored = NewRow {
         id,
@@ -21,14 +21,14 @@ fn foreign_tag(writer: &mut Writer, points: &mut LocalPoints, id: u64, tag: u64)
         row: &row,
         is_new: false,
     };
-    writer
+    writes
         .apply([stored].into_iter(), &[], points)
         .expect("a state");
 }
 
 /// The answers to the searches of a batch of session 1, which the feed has reached.
-fn confirmed(writer: &mut Writer, points: &mut LocalPoints, number: u64) -> Vec<Meanwhile> {
-    let named = writer.confirm(1, number, points).expect("a batch");
+fn confirmed(writes: &mut PendingWrites, points: &mut LocalPoints, number: u64) -> Vec<Meanwhile> {
+    let named = writes.confirm(1, number, points).expect("a batch");
     let named = named.expect("an own batch").into_iter();
     named
         .flat_map(|it| it.answers(&space()).collect::<Vec<_>>())
@@ -43,19 +43,19 @@ fn neighbor_ids(answer: &Meanwhile) -> Vec<u64> {
 /// The first batch is answered exactly, the second one after a reload by a superset.
 #[test]
 fn a_question_is_answered_when_its_point_is_published() {
-    let (mut writer, mut points) = writer();
-    let ask = |writer: &mut Writer, points: &mut LocalPoints, row: f64| {
-        let id = insert(writer, points, row);
-        let at = points.read_revision().0;
-        writer.ask(id, &[row], &Search::nearest_k(1), &[], at);
+    let (mut writes, mut points) = pending_writes();
+    let ask = |writes: &mut PendingWrites, points: &mut LocalPoints, row: f64| {
+        let id = insert(writes, points, row);
+        let change = points.read_revision().0;
+        writes.note_search(id, &[row], &Search::nearest_k(1), &[], change);
         id
     };
-    foreign(&mut writer, &mut points, 1, 0, 0.0);
-    let first = ask(&mut writer, &mut points, 1.0);
-    foreign(&mut writer, &mut points, 2, 0, 1.5);
-    foreign(&mut writer, &mut points, 3, 0, 1.25);
-    writer.next(1, 0).expect("a batch");
-    let answers = confirmed(&mut writer, &mut points, 1);
+    foreign(&mut writes, &mut points, 1, 0, 0.0);
+    let first = ask(&mut writes, &mut points, 1.0);
+    foreign(&mut writes, &mut points, 2, 0, 1.5);
+    foreign(&mut writes, &mut points, 3, 0, 1.25);
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 1);
     assert_eq!(answers.len(), 1);
     assert_eq!((answers[0].id, answers[0].neighbors.len()), (first, 1));
     assert_eq!(answers[0].points_before, 3);
@@ -64,106 +64,106 @@ fn a_question_is_answered_when_its_point_is_published() {
         (3, false)
     );
 
-    let second = ask(&mut writer, &mut points, 2.0);
-    writer.next(1, 0).expect("a batch");
+    let second = ask(&mut writes, &mut points, 2.0);
+    writes.next(1, 0).expect("a batch");
     reload(
-        &mut writer,
+        &mut writes,
         &mut points,
         30,
         &[(1, 0, 0.0), (first, 0, 1.0), (4, 0, 2.5)],
     );
-    let answers = writer.acknowledge(2, 40, 30, &mut points).expect("a batch");
+    let answers = writes.acknowledge(2, 40, 30, &mut points).expect("a batch");
     assert!(answers.is_empty());
-    let answers = confirmed(&mut writer, &mut points, 2);
+    let answers = confirmed(&mut writes, &mut points, 2);
     assert_eq!((answers[0].id, answers[0].is_superset), (second, true));
-    assert_eq!((answers[0].points_before, writer.bytes), (3, 0));
+    assert_eq!((answers[0].points_before, writes.bytes), (3, 0));
     assert_eq!(neighbor_ids(&answers[0]), [4, first, 1]);
 }
 
 /// Own and foreign changes between an insert and its place in the order.
 #[test]
 fn an_answer_counts_the_points_before_its_own() {
-    let (mut writer, mut points) = writer();
+    let (mut writes, mut points) = pending_writes();
     for id in [1, 2, 3] {
-        foreign(&mut writer, &mut points, id, 0, 0.0);
+        foreign(&mut writes, &mut points, id, 0, 0.0);
     }
-    writer
+    writes
         .change(1, &Step::Remove, &mut points)
         .expect("a point");
-    let ask = |writer: &mut Writer, points: &mut LocalPoints| {
-        let id = insert(writer, points, 1.0);
-        let at = points.read_revision().0;
-        writer.ask(id, &[1.0], &Search::nearest_r(0.1), &[], at);
+    let ask = |writes: &mut PendingWrites, points: &mut LocalPoints| {
+        let id = insert(writes, points, 1.0);
+        let change = points.read_revision().0;
+        writes.note_search(id, &[1.0], &Search::nearest_r(0.1), &[], change);
         id
     };
-    let first = ask(&mut writer, &mut points);
-    writer
+    let first = ask(&mut writes, &mut points);
+    writes
         .change(2, &Step::Remove, &mut points)
         .expect("a point");
-    insert(&mut writer, &mut points, 5.0);
-    let second = ask(&mut writer, &mut points);
+    insert(&mut writes, &mut points, 5.0);
+    let second = ask(&mut writes, &mut points);
     // The first removal has no effect, and the second one has: point 4 comes, and points 1 and 3 go.
-    foreign(&mut writer, &mut points, 4, 0, 9.0);
-    writer
+    foreign(&mut writes, &mut points, 4, 0, 9.0);
+    writes
         .apply(std::iter::empty(), &[1, 3], &mut points)
         .expect("points");
-    writer.next(1, 0).expect("a batch");
-    let answers = confirmed(&mut writer, &mut points, 1);
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 1);
     let counts: Vec<_> = answers.iter().map(|it| (it.id, it.points_before)).collect();
     assert_eq!(counts, [(first, 2), (second, 3)]);
     assert!(answers[0].neighbors.is_empty());
-    assert_eq!(writer.published_points, points.forest.len());
+    assert_eq!(writes.published_points, points.forest.len());
 }
 
 /// Answers without neighbours take memory too.
 #[test]
 fn answers_that_no_one_takes_are_dropped() {
-    let (mut writer, _) = writer();
+    let (mut writes, _) = pending_writes();
     let answer = |id| Meanwhile {
         id,
         points_before: 0,
         neighbors: Vec::new(),
         is_superset: false,
     };
-    (0..1_000_000).for_each(|id| writer.open_searches.add(answer(id)));
-    let taken = writer.open_searches.take();
+    (0..1_000_000).for_each(|id| writes.open_searches.add(answer(id)));
+    let taken = writes.open_searches.take();
     assert!(taken.has_dropped);
     assert!(taken.answers.len() * size_of::<Meanwhile>() <= 16 << 20);
     assert_eq!(taken.answers.last().map(|it| it.id), Some(999_999));
-    assert!(!writer.open_searches.take().has_dropped);
+    assert!(!writes.open_searches.take().has_dropped);
 }
 
 #[test]
 fn a_point_that_takes_the_place_of_a_removed_neighbor_is_answered() {
-    let (mut writer, mut points) = writer();
-    foreign(&mut writer, &mut points, 1, 0, 1.0);
-    insert_near_1(&mut writer, &mut points, &Search::nearest_k(1));
-    writer
+    let (mut writes, mut points) = pending_writes();
+    foreign(&mut writes, &mut points, 1, 0, 1.0);
+    insert_near_1(&mut writes, &mut points, &Search::nearest_k(1));
+    writes
         .apply(std::iter::empty(), &[1], &mut points)
         .expect("a point");
-    foreign(&mut writer, &mut points, 2, 0, 2.0);
-    writer.next(1, 0).expect("a batch");
-    let answers = confirmed(&mut writer, &mut points, 1);
+    foreign(&mut writes, &mut points, 2, 0, 2.0);
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 1);
     assert_eq!(neighbor_ids(&answers[0]), [2]);
 }
 
-/// A pending write of its own may hide the neighbor from the writer before it learns of the tag.
+/// A pending write of its own may hide the neighbor from this process before it learns of the tag.
 #[test]
 fn a_point_that_takes_the_place_of_a_neighbor_with_another_tag_is_answered() {
     let mut search = Search::nearest_k(1);
     (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
     for is_hidden in [false, true] {
-        let (mut writer, mut points) = writer();
-        foreign(&mut writer, &mut points, 1, 1, 1.0);
-        insert_near_1(&mut writer, &mut points, &search);
+        let (mut writes, mut points) = pending_writes();
+        foreign(&mut writes, &mut points, 1, 1, 1.0);
+        insert_near_1(&mut writes, &mut points, &search);
         if is_hidden {
             let tag = Step::SetTag(0);
-            writer.change(1, &tag, &mut points).expect("a point");
+            writes.change(1, &tag, &mut points).expect("a point");
         }
-        foreign_tag(&mut writer, &mut points, 1, 0);
-        foreign(&mut writer, &mut points, 2, 1, 3.0);
-        writer.next(1, 0).expect("a batch");
-        let answers = confirmed(&mut writer, &mut points, 1);
+        foreign_tag(&mut writes, &mut points, 1, 0);
+        foreign(&mut writes, &mut points, 2, 1, 3.0);
+        writes.next(1, 0).expect("a batch");
+        let answers = confirmed(&mut writes, &mut points, 1);
         assert_eq!(neighbor_ids(&answers[0]), [2], "{is_hidden}");
     }
 }
@@ -171,15 +171,15 @@ fn a_point_that_takes_the_place_of_a_neighbor_with_another_tag_is_answered() {
 /// Two writers store the same id at once.
 #[test]
 fn a_point_is_no_neighbor_of_its_own() {
-    let (mut writer, mut points) = writer();
+    let (mut writes, mut points) = pending_writes();
     let own = put(0, &[0.0]);
-    writer.change(5, &own, &mut points).expect("a state");
-    let at = points.read_revision().0;
-    writer.ask(5, &[0.0], &Search::nearest_k(1), &[], at);
-    foreign(&mut writer, &mut points, 5, 0, 0.5);
-    foreign(&mut writer, &mut points, 6, 0, 2.0);
-    writer.next(1, 0).expect("a batch");
-    let answers = confirmed(&mut writer, &mut points, 1);
+    writes.change(5, &own, &mut points).expect("a state");
+    let change = points.read_revision().0;
+    writes.note_search(5, &[0.0], &Search::nearest_k(1), &[], change);
+    foreign(&mut writes, &mut points, 5, 0, 0.5);
+    foreign(&mut writes, &mut points, 6, 0, 2.0);
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 1);
     assert_eq!(neighbor_ids(&answers[0]), [6]);
 }
 
@@ -189,20 +189,20 @@ fn a_later_write_of_its_own_hides_no_neighbor() {
     let mut search = Search::nearest_r(1.0);
     (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
     for is_sent in [true, false] {
-        let (mut writer, mut points) = writer();
-        let id = insert(&mut writer, &mut points, 0.0);
-        writer.ask(id, &[0.0], &search, &[], points.read_revision().0);
+        let (mut writes, mut points) = pending_writes();
+        let id = insert(&mut writes, &mut points, 0.0);
+        writes.note_search(id, &[0.0], &search, &[], points.read_revision().0);
         if is_sent {
-            writer.next(1, 0).expect("a batch");
+            writes.next(1, 0).expect("a batch");
         }
-        foreign(&mut writer, &mut points, 2, 1, 0.5);
-        foreign(&mut writer, &mut points, 3, 0, 0.5);
+        foreign(&mut writes, &mut points, 2, 1, 0.5);
+        foreign(&mut writes, &mut points, 3, 0, 0.5);
         for (id, tag) in [(2, 0), (3, 1)] {
             let step = Step::SetTag(tag);
-            writer.change(id, &step, &mut points).expect("a tag");
+            writes.change(id, &step, &mut points).expect("a tag");
         }
-        writer.next(1, 0).expect("a batch");
-        let answers = confirmed(&mut writer, &mut points, 1);
+        writes.next(1, 0).expect("a batch");
+        let answers = confirmed(&mut writes, &mut points, 1);
         assert_eq!(neighbor_ids(&answers[0]), [2], "{is_sent}");
     }
 }
@@ -212,19 +212,19 @@ fn a_later_write_of_its_own_hides_no_neighbor() {
 fn a_search_finds_what_is_published_at_its_place_in_the_batch() {
     let mut search = Search::nearest_r(1.0);
     (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
-    let (mut writer, mut points) = writer();
-    foreign(&mut writer, &mut points, 2, 0, 5.0);
+    let (mut writes, mut points) = pending_writes();
+    foreign(&mut writes, &mut points, 2, 0, 5.0);
     for is_first in [true, false] {
-        let id = insert(&mut writer, &mut points, 0.0);
-        writer.ask(id, &[0.0], &search, &[], points.read_revision().0);
+        let id = insert(&mut writes, &mut points, 0.0);
+        writes.note_search(id, &[0.0], &search, &[], points.read_revision().0);
         if is_first {
             let step = Step::SetTag(1);
-            writer.change(2, &step, &mut points).expect("a tag");
+            writes.change(2, &step, &mut points).expect("a tag");
         }
     }
-    foreign(&mut writer, &mut points, 2, 0, 0.5);
-    writer.next(1, 0).expect("a batch");
-    let answers = confirmed(&mut writer, &mut points, 1);
+    foreign(&mut writes, &mut points, 2, 0, 0.5);
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 1);
     let [first, second] = &answers[..] else {
         panic!("{answers:?}");
     };
@@ -236,14 +236,14 @@ fn a_search_finds_what_is_published_at_its_place_in_the_batch() {
 #[test]
 fn very_many_points_of_others_make_a_superset() {
     const SEARCHES: usize = 1000;
-    let (mut writer, mut points) = writer();
-    writer.reserve(block(1000, SEARCHES as u64));
+    let (mut writes, mut points) = pending_writes();
+    writes.reserve(block(1000, SEARCHES as u64));
     let search = Search::nearest_r(0.5);
     for _ in 0..SEARCHES {
-        let id = insert(&mut writer, &mut points, 0.0);
-        writer.ask(id, &[0.0], &search, &[], points.read_revision().0);
+        let id = insert(&mut writes, &mut points, 0.0);
+        writes.note_search(id, &[0.0], &search, &[], points.read_revision().0);
     }
-    writer.next(1, 0).expect("a batch");
+    writes.next(1, 0).expect("a batch");
     let rows: Vec<(u64, [f64; 1])> = (10_000..80_000).map(|id| (id, [id as f64])).collect();
     let stored = rows.iter().map(|(id, row)| NewRow {
         id: *id,
@@ -251,9 +251,9 @@ fn very_many_points_of_others_make_a_superset() {
         row,
         is_new: true,
     });
-    writer.apply(stored, &[], &mut points).expect("states");
-    foreign(&mut writer, &mut points, 1, 0, 0.25);
-    let answerable = writer.confirm(1, 1, &mut points).expect("states");
+    writes.apply(stored, &[], &mut points).expect("states");
+    foreign(&mut writes, &mut points, 1, 0, 0.25);
+    let answerable = writes.confirm(1, 1, &mut points).expect("states");
     let answerable = &answerable.expect("an own batch")[0];
     let first = answerable.answers(&space()).next().expect("an answer");
     assert!(first.is_superset);
