@@ -98,8 +98,10 @@ impl Failure {
                 timeout,
             },
             Failure::Client(source @ Error::Handshake { .. }) => Failure::Handshake { source },
+            // A server that stops ends its calls at once.
             Failure::Client(source)
-                if matches!(source.code(), Code::Unavailable | Code::DeadlineExceeded) =>
+                if matches!(source.code(), Code::Unavailable | Code::DeadlineExceeded)
+                    && source.reason() != Some("STOPPING") =>
             {
                 Failure::Late { timeout, source }
             }
@@ -126,6 +128,7 @@ impl Failure {
             | Failure::NoServer
             | Failure::Terminal => Status::Usage,
             Failure::Unreachable { .. } | Failure::Late { .. } => Status::NoAnswer,
+            Failure::Client(error) if error.code() == Code::Unavailable => Status::NoAnswer,
             Failure::Stopped { source, .. } => source.status(),
             Failure::Load(error) => error.status(),
             Failure::Client(_)

@@ -28,10 +28,13 @@ impl Status {
                 "the answer is negative: verify found a disagreement, list a damaged index, or\n     \
                  health a server that does not serve"
             }
-            Status::Usage => "the command line is wrong; nothing was sent",
+            Status::Usage => {
+                "the command line is wrong, or a file of certificates or tokens cannot be read; nothing\n     \
+                 was sent"
+            }
             Status::Failed => {
-                "the command failed: the server refused a call, TLS refused a certificate, a file cannot\n     \
-                 be read or written, or a signal ended load or the writing of a file"
+                "the command failed: the server refused a call, TLS refused a certificate, another file\n     \
+                 cannot be read or written, or a signal ended load or the writing of a file"
             }
             Status::NoAnswer => {
                 "no server was reached, it did not answer in time, or it answered UNAVAILABLE"

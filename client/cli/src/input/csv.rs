@@ -8,7 +8,7 @@ use wayfold::Space;
 use super::{
     Columns, InputError, Row, Rows,
     lines::Lines,
-    position::{File, InputPosition},
+    position::{File, InputPosition, RowNumber},
 };
 use crate::parse;
 use wayfold::coordinate_names;
@@ -40,8 +40,28 @@ pub(super) fn rows(
         return Ok(Box::new(std::iter::empty()));
     }
     let column = |named: Option<&str>| named.map(|column| find(name, &first, column));
+    if columns.ids.is_some() && columns.ids == columns.tags {
+        return Err(InputError::Format {
+            position: name.to_owned(),
+            problem: "--ids and --tags name the same column".to_owned(),
+        });
+    }
     let id_column = column(columns.ids).transpose()?;
     let tag_column = column(columns.tags).transpose()?;
+    let other_id = first
+        .iter()
+        .find(|column| column.eq_ignore_ascii_case("id"));
+    if has_header
+        && id_column.is_none()
+        && let Some(column) = other_id
+    {
+        return Err(InputError::Format {
+            position: format!("{name}:1"),
+            problem: format!(
+                "the column {column} would be a coordinate: say --ids {column} if it is the id"
+            ),
+        });
+    }
     let mut rows = CsvRows {
         file: Arc::new(File {
             name: name.to_owned(),
@@ -50,9 +70,6 @@ pub(super) fn rows(
             tag_column,
         }),
         space: space.to_string(),
-        names_id: has_header
-            && id_column.is_none()
-            && first.iter().any(|column| column.eq_ignore_ascii_case("id")),
         unread: None,
         reader,
     };
@@ -83,10 +100,14 @@ fn shortened(text: &str) -> String {
     }
 }
 
-/// A first line is a header if none of its fields is a number. (`nan` counts as a number, so that a file whose first
-/// row is bad has no header.)
+/// A first line is a header if none of its fields is a number or the beginning of one. (`nan` counts as a number, so that
+/// a file whose first row is bad has no header.)
 fn is_header(record: &StringRecord) -> bool {
-    record.iter().all(|field| field.parse::<f64>().is_err())
+    let begins_number = |first: char| first.is_ascii_digit() || "+-.".contains(first);
+    let is_name = |field: &str| !field.is_empty() && !field.starts_with(begins_number);
+    record
+        .iter()
+        .all(|field| is_name(field) && field.parse::<f64>().is_err())
 }
 
 fn find(file: &str, header: &StringRecord, column: &str) -> Result<usize, InputError> {
@@ -128,8 +149,6 @@ fn read(
 struct CsvRows<R> {
     file: Arc<File>,
     space: String,
-    /// True if the header has a column `id` that no option names.
-    names_id: bool,
     /// The first line, if it is not a header.
     unread: Option<StringRecord>,
     reader: Reader<R>,
@@ -176,9 +195,9 @@ impl<R> CsvRows<R> {
 
     /// The position of a record that has a column for each coordinate.
     fn check_width(&self, record: &StringRecord) -> Result<InputPosition, InputError> {
-        let position = InputPosition::Line {
+        let position = InputPosition {
             file: Arc::clone(&self.file),
-            line: record.position().map_or(0, csv::Position::line),
+            row: RowNumber::Line(record.position().map_or(0, csv::Position::line)),
         };
         let found = record.len().saturating_sub(self.file.other_columns());
         match found == self.file.coordinates.len() {
@@ -217,16 +236,11 @@ impl<R> CsvRows<R> {
     }
 
     fn wrong_width(&self, position: &InputPosition, found: usize) -> InputError {
-        let one_too_many = found == self.file.coordinates.len() + 1;
         InputError::Width {
             position: position.whole(),
             found,
             space: self.space.clone(),
             names: self.file.coordinates.clone(),
-            hint: match self.names_id && one_too_many {
-                true => "; is one column the id? Then say --ids id",
-                false => "",
-            },
         }
     }
 }
@@ -250,6 +264,29 @@ mod tests {
             let rows = plane(text.as_bytes()).unwrap();
             let error = rows.filter_map(Result::err).next().unwrap().to_string();
             assert!(error.starts_with(expected), "{text:?}: {error}");
+        }
+    }
+
+    #[test]
+    fn the_first_line_is_a_header_or_a_row() {
+        for (text, expected) in [
+            ("a,b\n1,2\n", Ok(1)),
+            ("1,2\n1,2\n", Ok(2)),
+            ("0x10,a\n1,2\n", Err("file:1:1 (x): \"0x10\"")),
+            ("a,1_0\n1,2\n", Err("file:1:1 (x): \"a\"")),
+            (",\n1,2\n", Err("file:1:1 (x): \"\"")),
+            ("Id,x\n1,2\n", Err("file:1: the column Id would")),
+            ("id,x,y\n7,1,2\n", Err("file:1: the column id would")),
+        ] {
+            let rows = plane(text.as_bytes()).and_then(|rows| rows.collect::<Result<Vec<_>, _>>());
+            match (rows, expected) {
+                (Ok(rows), Ok(count)) => assert_eq!(rows.len(), count, "{text:?}"),
+                (Err(error), Err(problem)) => {
+                    let error = error.to_string();
+                    assert!(error.starts_with(problem), "{text:?}: {error}");
+                }
+                (found, _) => panic!("{text:?}: {:?}", found.map(|rows| rows.len())),
+            }
         }
     }
 

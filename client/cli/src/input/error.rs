@@ -26,13 +26,12 @@ pub(crate) enum InputError {
         position: String,
         problem: StateProblem,
     },
-    #[error("{position}: {found} numbers, where a state of {space} has {}: {}{hint}", names.len(), names.join(", "))]
+    #[error("{position}: {found} numbers, where a state of {space} has {}: {}", names.len(), names.join(", "))]
     Width {
         position: String,
         found: usize,
         space: String,
         names: Vec<String>,
-        hint: &'static str,
     },
     #[error("{file}: no column {column:?} in the header; there are {}", columns.join(", "))]
     NoColumn {

@@ -4,13 +4,16 @@ use wayfold::Space;
 
 use super::{
     InputError, Row, Rows,
-    position::{File, InputPosition},
+    position::{File, InputPosition, RowNumber},
 };
 use wayfold::coordinate_names;
 
 pub(super) fn rows(text: &str, space: &Space) -> Result<Rows, InputError> {
     let file = File::of_states("--state", space);
-    let position = InputPosition::Flag { file };
+    let position = InputPosition {
+        file,
+        row: RowNumber::Flag,
+    };
     let mut state = Vec::with_capacity(space.coordinates());
     for (coordinate, number) in text.split(',').enumerate() {
         state.push(super::csv::number(number.trim(), || {
@@ -23,7 +26,6 @@ pub(super) fn rows(text: &str, space: &Space) -> Result<Rows, InputError> {
             found: state.len(),
             space: space.to_string(),
             names: coordinate_names(space),
-            hint: "",
         });
     }
     let row = Row {

@@ -10,7 +10,7 @@ use wayfold::Space;
 
 use super::{
     Columns, InputError, Row, Rows,
-    position::{File, InputPosition},
+    position::{File, InputPosition, RowNumber},
 };
 use wayfold::coordinate_names;
 
@@ -54,7 +54,6 @@ pub(super) fn rows(
                 found: width.unwrap_or(usize::MAX),
                 space: space.to_string(),
                 names: coordinate_names(space),
-                hint: "",
             });
         }
     };
@@ -111,9 +110,9 @@ impl Iterator for NpyRows {
         if self.next == self.rows {
             return None;
         }
-        let position = InputPosition::Row {
+        let position = InputPosition {
             file: Arc::clone(&self.file),
-            row: self.next,
+            row: RowNumber::Row(self.next),
         };
         self.next += 1;
         Some(self.row(position))

@@ -6,13 +6,20 @@ use wayfold::{Space, coordinate_names};
 
 /// The position of a row.
 #[derive(Clone, Debug)]
-pub(super) enum InputPosition {
+pub(super) struct InputPosition {
+    pub(super) file: Arc<File>,
+    pub(super) row: RowNumber,
+}
+
+/// The number of a row.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum RowNumber {
     /// A line of CSV, from 1.
-    Line { file: Arc<File>, line: u64 },
+    Line(u64),
     /// A row of an npy file, from 0.
-    Row { file: Arc<File>, row: u64 },
+    Row(u64),
     /// The value of `--state`.
-    Flag { file: Arc<File> },
+    Flag,
 }
 
 /// The file that the rows of a source share.
@@ -49,74 +56,46 @@ impl File {
         let mut columns = (0..).filter(|column| !others.contains(&Some(*column)));
         columns.nth(coordinate).unwrap_or(coordinate)
     }
-
-    fn coordinate(&self, coordinate: usize) -> &str {
-        self.coordinates
-            .get(coordinate)
-            .map_or("too many", String::as_str)
-    }
 }
 
 impl InputPosition {
     /// The position of a coordinate.
     pub(super) fn of(&self, coordinate: usize) -> String {
-        match self {
-            InputPosition::Line { file, line } => {
-                let column = file.column(coordinate) + 1;
-                format!(
-                    "{}:{line}:{column} ({})",
-                    file.name,
-                    file.coordinate(coordinate)
-                )
-            }
-            InputPosition::Row { file, row } => {
-                format!(
-                    "{}[{row}, {coordinate}] ({})",
-                    file.name,
-                    file.coordinate(coordinate)
-                )
-            }
-            InputPosition::Flag { file } => {
-                format!(
-                    "{}: number {} ({})",
-                    file.name,
-                    coordinate + 1,
-                    file.coordinate(coordinate)
-                )
-            }
-        }
+        let file = &self.file;
+        let place = match self.row {
+            RowNumber::Line(line) => format!(":{line}:{}", file.column(coordinate) + 1),
+            RowNumber::Row(row) => format!("[{row}, {coordinate}]"),
+            RowNumber::Flag => format!(": number {}", coordinate + 1),
+        };
+        let name = file.coordinates.get(coordinate);
+        let name = name.map_or("too many", String::as_str);
+        format!("{}{place} ({name})", file.name)
     }
 
-    /// The position of a column of CSV, from 0; the row's where there are no columns.
+    /// The position of a column of CSV, from 0.
     pub(super) fn of_column(&self, column: usize) -> String {
-        match self {
-            InputPosition::Line { file, line } => format!("{}:{line}:{}", file.name, column + 1),
-            InputPosition::Row { .. } | InputPosition::Flag { .. } => self.whole(),
+        format!("{}:{}", self.whole(), column + 1)
+    }
+
+    /// The position of the row.
+    pub(super) fn whole(&self) -> String {
+        match self.row {
+            RowNumber::Line(line) => format!("{}:{line}", self.file.name),
+            RowNumber::Row(row) => format!("{}[{row}]", self.file.name),
+            RowNumber::Flag => self.file.name.clone(),
         }
     }
 
     /// The position of the row's id.
     pub(super) fn of_id(&self) -> String {
-        match self {
-            InputPosition::Line { file, .. } => self.of_column(file.id_column.unwrap_or(0)),
-            InputPosition::Row { .. } | InputPosition::Flag { .. } => self.whole(),
-        }
-    }
-
-    /// The position of the row.
-    pub(super) fn whole(&self) -> String {
-        match self {
-            InputPosition::Line { file, line } => format!("{}:{line}", file.name),
-            InputPosition::Row { file, row } => format!("{}[{row}]", file.name),
-            InputPosition::Flag { file } => file.name.clone(),
-        }
+        self.of_column(self.file.id_column.unwrap_or(0))
     }
 
     /// The line of CSV; 0 elsewhere.
     pub(super) fn line(&self) -> u64 {
-        match self {
-            InputPosition::Line { line, .. } => *line,
-            InputPosition::Row { .. } | InputPosition::Flag { .. } => 0,
+        match self.row {
+            RowNumber::Line(line) => line,
+            RowNumber::Row(_) | RowNumber::Flag => 0,
         }
     }
 }

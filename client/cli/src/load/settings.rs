@@ -60,13 +60,13 @@ pub(super) struct RunSettings {
     seed: Option<u64>,
     /// Makes the calls of the first phase for this time before anything is counted
     #[arg(long, value_name = "TIME", value_parser = parse::duration)]
-    warmup: Option<Duration>,
+    pub(super) warmup: Option<Duration>,
     /// Stores this many points before the run [default: 1000 if the index is empty and the mix reads, else 0]
     #[arg(long, value_name = "N", value_parser = count_or_none)]
-    fill: Option<u64>,
+    pub(super) fill: Option<u64>,
     /// Leaves the points of the run in the index
     #[arg(long)]
-    keep: bool,
+    pub(super) keep: bool,
 }
 
 /// The way to the server.
@@ -182,27 +182,20 @@ impl RunSettings {
     /// The address of a server, with the defaults; `server` is the one of gRPC.
     pub(super) fn address(&self, server: &str) -> Result<Address, LoadError> {
         let face = self.face.unwrap_or_default();
-        if face != Face::Zenoh {
-            let option = match (&self.locator, &self.prefix) {
-                (Some(_), _) => "locator",
-                (None, Some(_)) => "prefix",
-                (None, None) => {
-                    return Ok(Address {
-                        face,
-                        server: server.to_owned(),
-                        prefix: None,
-                        credentials: Credentials::default(),
-                        zenoh_tls: Value::Null,
-                    });
-                }
-            };
-            return Err(LoadError::NotZenoh { option });
-        }
-        let prefix = self.prefix.as_deref().unwrap_or("wayfold/v1");
+        let (server, prefix) = match (face, &self.locator, &self.prefix) {
+            (Face::Zenoh, locator, prefix) => {
+                let prefix = prefix.as_deref().unwrap_or("wayfold/v1");
+                let locator = locator.clone().ok_or(LoadError::NoLocator)?;
+                (locator, Some(prefix.to_owned()))
+            }
+            (_, Some(_), _) => return Err(LoadError::NotZenoh { option: "locator" }),
+            (_, None, Some(_)) => return Err(LoadError::NotZenoh { option: "prefix" }),
+            (_, None, None) => (server.to_owned(), None),
+        };
         Ok(Address {
             face,
-            server: self.locator.clone().ok_or(LoadError::NoLocator)?,
-            prefix: Some(prefix.to_owned()),
+            server,
+            prefix,
             credentials: Credentials::default(),
             zenoh_tls: Value::Null,
         })
@@ -214,18 +207,6 @@ impl RunSettings {
 
     pub(super) fn seed(&self) -> u64 {
         self.seed.unwrap_or(1)
-    }
-
-    pub(super) fn warmup(&self) -> Option<Duration> {
-        self.warmup
-    }
-
-    pub(super) fn fill(&self) -> Option<u64> {
-        self.fill
-    }
-
-    pub(super) fn keep(&self) -> bool {
-        self.keep
     }
 }
 

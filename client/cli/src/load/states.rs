@@ -55,11 +55,6 @@ impl Sampler {
         }
     }
 
-    /// The number of coordinates of a state.
-    pub(super) fn width(&self) -> usize {
-        self.width
-    }
-
     /// A sequence of random numbers of its own.
     pub(super) fn stream(&self, number: u64) -> ChaCha8Rng {
         let mut rng = self.rng.clone();
@@ -124,7 +119,7 @@ mod tests {
         let sampler = Sampler::new(&space, range, 1);
         let mut rows = sampler.rows(&mut sampler.stream(0), 4_000);
         let mut sums = [0.0; 8];
-        for row in rows.chunks_exact_mut(sampler.width()) {
+        for row in rows.chunks_exact_mut(space.coordinates()) {
             assert!(row[..2].iter().all(|x| (-2.0..6.0).contains(x)), "{row:?}");
             assert!((-0.5..0.5).contains(&row[3]), "{row:?}");
             sums.iter_mut().zip(&*row).for_each(|(sum, x)| *sum += x);

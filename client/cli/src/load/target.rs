@@ -10,7 +10,6 @@ use wayfold::{Durability, Error, Neighbor, Space};
 
 use super::{
     error::LoadError,
-    mix::Verb,
     settings::{Address, Face},
 };
 use crate::failure::Failure;
@@ -30,29 +29,6 @@ pub(super) enum Request<'a> {
     Query { rows: &'a [f64], radius: f64 },
     /// Ids, each once.
     Get { ids: &'a [u64] },
-}
-
-impl Request<'_> {
-    pub(super) fn verb(&self) -> Verb {
-        match self {
-            Request::Insert { .. } => Verb::Insert,
-            Request::Knn { .. } => Verb::Knn,
-            Request::Query { .. } => Verb::Query,
-            Request::Get { .. } => Verb::Get,
-            Request::Stream { .. } => Verb::Stream,
-        }
-    }
-
-    /// The number of its states of `width` coordinates, or of its ids.
-    pub(super) fn rows(&self, width: usize) -> usize {
-        match self {
-            Request::Insert { rows, .. }
-            | Request::Knn { rows, .. }
-            | Request::Stream { rows, .. }
-            | Request::Query { rows, .. } => rows.len() / width,
-            Request::Get { ids } => ids.len(),
-        }
-    }
 }
 
 /// The server at the other end.

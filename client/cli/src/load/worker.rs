@@ -115,9 +115,9 @@ impl Worker {
         let mut rng = task.workload.sampler.stream(stream);
         let (phase, workload) = (&task.phase, &task.workload);
         let verb = phase.mix.verb(rng.random_range(0..phase.mix.total()));
-        let rows = match verb {
-            Verb::Get => Vec::new(),
-            _ => workload.sampler.rows(&mut rng, phase.batch),
+        let (rows, count) = match verb {
+            Verb::Get => (Vec::new(), phase.batch.min(workload.ids.len())),
+            _ => (workload.sampler.rows(&mut rng, phase.batch), phase.batch),
         };
         let request = match verb {
             Verb::Insert => Request::Insert {
@@ -137,7 +137,6 @@ impl Worker {
                 radius: phase.radius.unwrap_or_default(),
             },
             Verb::Get => {
-                let count = phase.batch.min(workload.ids.len());
                 let first = rng.random_range(0..=workload.ids.len() - count);
                 Request::Get {
                     ids: &workload.ids[first..first + count],
@@ -150,12 +149,9 @@ impl Worker {
         }
         let outcome = self.target.call(&request);
         let ended = task.began.elapsed();
-        let (latency, rows) = (
-            latency(ticket, ended),
-            request.rows(workload.sampler.width()),
-        );
+        let latency = latency(ticket, ended);
         task.recorder.write(self.number, ended, |tally| {
-            tally.record(request.verb(), rows, latency, outcome.as_ref().err());
+            tally.record(verb, count, latency, outcome.as_ref().err());
         });
         outcome.err().and_then(|error| pause(&error))
     }

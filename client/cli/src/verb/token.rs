@@ -2,7 +2,7 @@
 
 use std::{
     fmt::Write as _,
-    fs::OpenOptions,
+    fs::{self, OpenOptions},
     io::{self, Write},
     path::{Path, PathBuf},
 };
@@ -40,11 +40,11 @@ enum TokenCommand {
     Create(CreateArgs),
 }
 
-/// A name that the server accepts: it refuses the whole file for another one.
-fn identity_name(text: &str) -> Result<String, &'static str> {
+/// A name or a pattern that the server accepts: it refuses the whole file for another one.
+fn name(text: &str) -> Result<String, &'static str> {
     match text {
-        "" => Err("a name is not empty"),
-        _ if text.contains(char::is_control) => Err("a name has no control characters"),
+        "" => Err("it is empty"),
+        _ if text.contains(char::is_control) => Err("it has control characters"),
         _ => Ok(text.to_owned()),
     }
 }
@@ -52,13 +52,13 @@ fn identity_name(text: &str) -> Result<String, &'static str> {
 #[derive(Debug, clap::Args)]
 struct CreateArgs {
     /// The name of the identity, which log lines show
-    #[arg(value_parser = identity_name)]
+    #[arg(value_parser = name)]
     name: String,
     /// The rights: read; write, which includes read; admin, which includes both
     #[arg(long, value_enum)]
     role: Role,
     /// The indices by name; * stands for any characters. Give it again for more; without it there are none
-    #[arg(long = "index", value_name = "PATTERN")]
+    #[arg(long = "index", value_name = "PATTERN", value_parser = name)]
     indexes: Vec<String>,
     /// It may read /metrics, which names all indices
     #[arg(long)]
@@ -113,6 +113,10 @@ pub(crate) fn token(args: &TokenArgs, format: Format) -> Result<(), Failure> {
     };
     // A broken pipe is a failure here, because the entry is lost.
     let printed = printed.and_then(|()| output.flush());
+    if let (Err(_), Some(file)) = (&printed, &args.to) {
+        // The token is of no use without the entry, and its file would refuse the next attempt.
+        let _ = fs::remove_file(file);
+    }
     printed.map_err(|source| failed("standard output", source))?;
     if let (Format::Text, Some(token)) = (format, shown) {
         let written = writeln!(io::stderr(), "the token, shown only now: {token}");
@@ -160,11 +164,14 @@ fn write_secret(file: &Path, token: &str) -> Result<(), Failure> {
     options.write(true).create_new(true);
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    let written = options
-        .open(file)
-        .and_then(|mut file| writeln!(file, "{token}"));
-    written.map_err(|source| Failure::File {
+    let failed = |source| Failure::File {
         path: file.to_owned(),
         source,
-    })
+    };
+    let mut opened = options.open(file).map_err(failed)?;
+    let written = writeln!(opened, "{token}");
+    if written.is_err() {
+        let _ = fs::remove_file(file);
+    }
+    written.map_err(failed)
 }

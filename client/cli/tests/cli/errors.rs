@@ -29,6 +29,9 @@ fn wrong_usage_is_status_2() {
         &["list", "--output", "xml"],
         &["token", "create", "", "--role", "read"],
         &[
+            "token", "create", "x", "--role", "read", "--index", "a\u{7f}",
+        ],
+        &[
             "token",
             "create",
             "x",
@@ -199,7 +202,7 @@ async fn a_file_with_one_bad_row_is_named_and_not_sent() {
             "0,0,0,0,0,0,1",
             "stdin: --ids names a column of a CSV header",
         ),
-        (&[], &ids("7,0,0,0,0,0,0,1"), "Then say --ids id"),
+        (&[], &ids("7,0,0,0,0,0,0,1"), "say --ids id if it is the id"),
         (
             &[],
             "0;0;0;0;0;0;1\n0;0;0;0;0;0;1",

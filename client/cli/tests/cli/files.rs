@@ -65,23 +65,10 @@ pub(crate) fn f64s(numbers: &[f64]) -> Vec<u8> {
 fn csv_may_have_a_header_spaces_empty_lines_and_a_byte_order_mark() {
     let files = Files::new();
     let text = "\u{feff}x,y,theta\r\n0.5, 1.5 ,-0.25\r\n\r\n1e-3,+2,3.\r\n";
-    assert_eq!(files.insert("a.csv", text).line()["inserted_count"], 2);
+    assert_eq!(files.insert("a.txt", text).line()["inserted_count"], 2);
     assert_eq!(
         files.states(),
         [json!([0.5, 1.5, -0.25]), json!([0.001, 2.0, 3.0])]
-    );
-}
-
-#[test]
-fn csv_without_a_header_begins_with_a_state() {
-    let files = Files::new();
-    assert_eq!(
-        files.insert("a.txt", "0,1,2\n3,4,0.5").line()["inserted_count"],
-        2
-    );
-    assert_eq!(
-        files.states(),
-        [json!([0.0, 1.0, 2.0]), json!([3.0, 4.0, 0.5])]
     );
 }
 
@@ -159,29 +146,6 @@ fn npy_of_one_dimension_is_one_state_and_floats_are_widened() {
         1
     );
     assert_eq!(files.states(), [json!([f64::from(0.1_f32), 0.5, -1.0])]);
-}
-
-#[test]
-fn npy_holds_queries() {
-    let files = Files::new();
-    files.insert(
-        "a.npy",
-        npy(
-            "<f8",
-            false,
-            "(2, 3)",
-            &f64s(&[0.0, 0.0, 0.0, 9.0, 0.0, 0.0]),
-        ),
-    );
-    let path = files.directory.path().join("a.npy");
-    let lines = files
-        .server
-        .json(&["query", "car", path.to_str().unwrap(), "--radius", "1"])
-        .lines();
-    assert_eq!(
-        [&lines[0]["ids"], &lines[1]["ids"]],
-        [&json!([0]), &json!([1])]
-    );
 }
 
 #[test]

@@ -105,7 +105,7 @@ async fn a_closed_pipe_does_not_end_an_insert() {
     assert_eq!(client.index_info("line").await.unwrap().point_count, 5000);
 }
 
-/// The entry is lost, and a repeat finds that the file of the token exists.
+/// The entry is lost, and the token is of no use without it.
 #[test]
 fn a_token_whose_entry_no_one_reads_is_an_error() {
     let directory = tempfile::tempdir().unwrap();
@@ -119,6 +119,7 @@ fn a_token_whose_entry_no_one_reads_is_an_error() {
     assert_eq!(output.status.code(), Some(3), "{output:?}");
     let error = String::from_utf8_lossy(&output.stderr);
     assert!(error.contains("standard output"), "{error}");
+    assert!(!file.exists());
 }
 
 #[test]

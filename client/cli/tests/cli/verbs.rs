@@ -4,13 +4,6 @@ use serde_json::json;
 
 use crate::server::Server;
 
-const POSES: &str = "\
-x,y,z,qx,qy,qz,qw
-0.1,0.2,0.3,0,0,0,1
-0.5,0.2,0.3,0,0,0,-1
-0.1,0.2,1.3,0,0,0,1
-";
-
 #[test]
 fn an_index_is_created_listed_described_and_deleted() {
     let server = Server::start();
@@ -62,72 +55,6 @@ fn an_index_is_created_listed_described_and_deleted() {
 }
 
 #[test]
-fn inserted_points_are_found() {
-    let server = Server::start();
-    server
-        .json(&["create", "arm", "--space", "R3*SO3:0.15"])
-        .line();
-    let inserted = server.json_with(&["insert", "arm", "-"], POSES).line();
-    let first = server.revision("arm", 1);
-    let expected = json!({
-        "inserted_count": 3, "unchanged_count": 0, "replaced_count": 0, "too_close_count": 0, "first_id": 0,
-        "last_id": 2, "revision": first,
-    });
-    assert_eq!(inserted, expected);
-
-    // Distances along one axis, q and -q being the same rotation.
-    let nearest = server
-        .json(&["knn", "arm", "-k", "2", "--state", "0,0.2,0.3,0,0,0,1"])
-        .line();
-    assert_eq!(
-        nearest,
-        json!({"ids": [0, 1], "distances": [0.1, 0.5], "revision": first})
-    );
-    let within = [
-        "knn",
-        "arm",
-        "-k",
-        "2",
-        "--radius",
-        "0.25",
-        "--state",
-        "0.25,0.2,0.3,0,0,0,1",
-    ];
-    assert_eq!(
-        server.json(&within).line(),
-        json!({"ids": [0, 1], "distances": [0.15, 0.25], "revision": first})
-    );
-    let all = server
-        .json(&[
-            "query",
-            "arm",
-            "--radius",
-            "inf",
-            "--state",
-            "-0.9,0.2,0.3,0,0,0,1",
-        ])
-        .line();
-    assert_eq!(all["ids"], json!([0, 1, 2]));
-    let none = server
-        .json(&["query", "arm", "--radius", "0", "--state", "0,0,0,0,0,0,1"])
-        .line();
-    assert_eq!(none, json!({"ids": [], "distances": [], "revision": first}));
-
-    let points = server.json(&["get", "arm", "1", "0"]).lines();
-    let expected =
-        json!({"id": 1, "state": [0.5, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], "tag": 0, "revision": first});
-    assert_eq!((points.len(), &points[0]), (2, &expected));
-
-    let removed = server.json(&["remove", "arm", "1", "77"]).line();
-    let second = server.revision("arm", 2);
-    assert_eq!(
-        removed,
-        json!({"removed_count": 1, "missing_count": 1, "revision": second})
-    );
-    assert_eq!(server.json(&["info", "arm"]).line()["point_count"], 2);
-}
-
-#[test]
 fn text_is_a_table() {
     let server = Server::start();
     server.run(&["create", "line", "--space", "R1"]);
@@ -146,6 +73,12 @@ fn text_is_a_table() {
         server.run(&["get", "line", "7"]).stdout,
         "7  state 0.5  tag 0  revision 1\n"
     );
+    let point = server.json(&["get", "line", "7"]).line();
+    let first = server.revision("line", 1);
+    assert_eq!(
+        point,
+        json!({"id": 7, "state": [0.5], "tag": 0, "revision": first})
+    );
     assert_eq!(
         server.run(&["remove", "line", "7"]).stdout,
         "removed 1, missing 0; revision 2\n"
@@ -153,6 +86,12 @@ fn text_is_a_table() {
     assert_eq!(
         server.run(&["list"]).stdout,
         "NAME  POINTS  REVISION  SPACE\nline       1         2  R1\n"
+    );
+    let removed = server.json(&["remove", "line", "1000", "77"]).line();
+    let third = server.revision("line", 3);
+    assert_eq!(
+        removed,
+        json!({"removed_count": 1, "missing_count": 1, "revision": third})
     );
 }
 
