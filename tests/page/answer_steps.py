@@ -4,7 +4,8 @@ import re
 
 from playwright.sync_api import expect
 
-from support import PROBE, SPACE, open_index, picture, probe, row, running, set_slider, wait_for_count, wait_until_drawn
+from support import (PROBE, SPACE, open_index, picture, probe, row, running, set_slider, showing, wait_for_count,
+                     wait_until_drawn)
 
 
 def expect_no_answer(page):
@@ -13,10 +14,7 @@ def expect_no_answer(page):
 
 
 def an_answer_is_not_shown_beside_an_error(page, programs, pictures):
-    with running(programs) as server:
-        server.command("create", "arm", "--space", SPACE)
-        server.insert("arm", map(row, range(100)))
-        open_index(page, server, "arm")
+    with showing(page, programs, map(row, range(100))):
         probe(page, PROBE, 5)
         page.fill("#probe-state", "1,2")
         page.click("#probe-run")
@@ -85,11 +83,7 @@ def an_answer_beside_the_past_says_so(page, programs, pictures):
 
 def a_late_point_gives_way_to_what_came_after_it(page, programs, pictures):
     """The page asks the server for a point that it probes. Another search, or `Clear`, does not wait for that."""
-    with running(programs) as server:
-        server.command("create", "arm", "--space", "R2")
-        server.insert("arm", [(0, 0), (10, 10), (4, 4), (9, 3)])
-        open_index(page, server, "arm")
-        wait_for_count(page, 4)
+    with showing(page, programs, [(0, 0), (10, 10), (4, 4), (9, 3)], space="R2"):
         held = []
         page.route("**/arm/get", lambda route: held.append(route))
         for later in (lambda: probe(page, "9, 9", 2), lambda: page.click("#probe-clear")):
@@ -106,11 +100,7 @@ def a_late_point_gives_way_to_what_came_after_it(page, programs, pictures):
 
 
 def an_answer_says_how_many_are_drawn(page, programs, pictures):
-    with running(programs) as server:
-        server.command("create", "arm", "--space", SPACE)
-        server.insert("arm", map(row, range(500)))
-        open_index(page, server, "arm")
-        wait_for_count(page, 500)
+    with showing(page, programs, map(row, range(500))):
         probe(page, PROBE, 301)
         expect(page.locator("#answer-about")).to_contain_text("The nearest 300 are drawn.")
         expect(page.locator("#marks .neighbor")).to_have_count(300)
@@ -120,12 +110,8 @@ def an_answer_says_how_many_are_drawn(page, programs, pictures):
 
 def enter_probes_the_point_in_the_middle(page, programs, pictures):
     """Where no point is within a click's reach of the middle, too. In parallel coordinates, it is the line."""
-    with running(programs) as server:
-        server.command("create", "arm", "--space", "R2")
-        # The middle is (5, 5), and halfway between the axes about 5.5. The nearest differ, so that no old answer passes.
-        server.insert("arm", [(0, 0), (10, 10), (4, 4), (9, 3)])
-        open_index(page, server, "arm")
-        wait_for_count(page, 4)
+    # The middle is (5, 5), and halfway between the axes about 5.5. The nearest differ, so that no old answer passes.
+    with showing(page, programs, [(0, 0), (10, 10), (4, 4), (9, 3)], space="R2"):
         for preset, nearest in (("spatial", "4, 4"), ("parallel", "9, 3")):
             if preset == "parallel":
                 page.select_option("#axes-preset", "parallel")

@@ -9,8 +9,8 @@ import urllib.request
 
 from playwright.sync_api import expect
 
-from support import (MAX_WAIT_S, PROBE, SPACE, frame, identities, looks, open_index, picture, probe, row, running, sign_in,
-                     streams_of, wait_for_count)
+from support import (MAX_WAIT_S, PROBE, SPACE, frame, identities, looks, open_index, picture, probe, row, running,
+                     showing, sign_in, streams_of, wait_for_count)
 
 # A latency at the end that is no stream's: those are open for more than a second.
 SHORT = re.compile(r"[\d.]+\s(ms|µs)$")
@@ -18,11 +18,7 @@ SHORT = re.compile(r"[\d.]+\s(ms|µs)$")
 
 def a_server_that_comes_back_is_seen_again(page, programs, pictures):
     with tempfile.TemporaryDirectory() as data:
-        with running(programs, data=data) as server:
-            server.command("create", "arm", "--space", SPACE)
-            server.insert("arm", map(row, range(300)))
-            open_index(page, server, "arm")
-            wait_for_count(page, 300)
+        with showing(page, programs, map(row, range(300)), data=data) as server:
             ports = server.ports()
         expect(page.locator("#status")).to_contain_text("trying again")
         with running(programs, data=data, ports=ports) as server:
@@ -34,11 +30,7 @@ def a_server_that_comes_back_is_seen_again(page, programs, pictures):
 def the_addresses_of_a_new_start_are_shown(page, programs, pictures):
     """The page stays where it was, and gRPC listens on another port."""
     with tempfile.TemporaryDirectory() as data:
-        with running(programs, data=data) as server:
-            server.command("create", "arm", "--space", SPACE)
-            server.insert("arm", map(row, range(100)))
-            open_index(page, server, "arm")
-            wait_for_count(page, 100)
+        with showing(page, programs, map(row, range(100)), data=data) as server:
             probe(page, PROBE, 5)
             expect(page.locator("#snippets")).to_contain_text(server.uri)
             first, at = server.ports()
@@ -89,11 +81,7 @@ def damaged_and_lagging_indices_come_first(page, programs, pictures):
 
 def a_silent_server_is_noticed(page, programs, pictures):
     """A server that stands still keeps its connections, so only the silence tells."""
-    with running(programs) as server:
-        server.command("create", "arm", "--space", SPACE)
-        server.insert("arm", map(row, range(100)))
-        open_index(page, server, "arm")
-        wait_for_count(page, 100)
+    with showing(page, programs, map(row, range(100))) as server:
         urls = streams_of(page, "points")
         os.kill(server.process.pid, signal.SIGSTOP)
         expect(page.locator("#status")).to_contain_text("no word from the server")
@@ -106,11 +94,7 @@ def a_silent_server_is_noticed(page, programs, pictures):
 
 def a_quiet_index_is_no_silence(page, programs, pictures):
     """Where nothing happens, the server says so often enough."""
-    with running(programs) as server:
-        server.command("create", "arm", "--space", SPACE)
-        server.insert("arm", map(row, range(100)))
-        open_index(page, server, "arm")
-        wait_for_count(page, 100)
+    with showing(page, programs, map(row, range(100))):
         urls = streams_of(page, "points")
         page.wait_for_timeout(30_000)
         expect(page.locator("#status")).to_have_text("live")

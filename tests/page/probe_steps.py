@@ -6,7 +6,7 @@ import tempfile
 
 from playwright.sync_api import expect
 
-from support import (OUTSIDE, PROBE, SPACE, certify, identities, open_index, picture, probe, row, running, sign_in,
+from support import (OUTSIDE, PROBE, SPACE, certify, identities, picture, probe, row, running, showing, sign_in,
                      wait_for_count)
 from text_programs import run
 
@@ -16,11 +16,7 @@ def neighbors_of(answer):
 
 
 def the_probe_answers_as_the_command_line(page, programs, pictures):
-    with running(programs) as server:
-        server.command("create", "arm", "--space", SPACE)
-        server.insert("arm", map(row, range(1000)))
-        open_index(page, server, "arm")
-        wait_for_count(page, 1000)
+    with showing(page, programs, map(row, range(1000))) as server:
         shown = probe(page, PROBE, 7)
         answer = neighbors_of(server.json("knn", "arm", "--state", PROBE, "-k", "7"))
         assert shown == answer, (shown, answer)

@@ -162,6 +162,18 @@ def open_index(page, server, index):
     wait_until_drawn(page)
 
 
+@contextlib.contextmanager
+def showing(page, programs, rows, space=SPACE, **options):
+    """A server with the index `arm` of these rows, which the page shows."""
+    rows = list(rows)
+    with running(programs, **options) as server:
+        server.command("create", "arm", "--space", space)
+        server.insert("arm", rows)
+        open_index(page, server, "arm")
+        wait_for_count(page, len(rows))
+        yield server
+
+
 def set_slider(page, revision):
     """Moves the slider to a revision, as a hand does."""
     page.evaluate("r => { const s = document.getElementById('slider'); s.value = r; "

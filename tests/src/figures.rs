@@ -30,6 +30,11 @@ pub fn peak_resident_bytes(process: u32) -> Option<u64> {
     status_bytes(process, "VmHWM:")
 }
 
+/// The memory that only this process holds, if the system reports it.
+pub fn anonymous_bytes(process: u32) -> Option<u64> {
+    status_bytes(process, "RssAnon:")
+}
+
 /// Makes [`peak_resident_bytes`] start again from the memory of now, where the system allows it.
 pub fn reset_peak(process: u32) {
     let _ = fs::write(format!("/proc/{process}/clear_refs"), "5");

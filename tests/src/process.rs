@@ -249,11 +249,24 @@ impl ServerProcess {
     /// # Panics
     /// If it does not come up.
     pub fn start(program: impl AsRef<Path>, arguments: &[&str]) -> Self {
+        Self::start_with(program, arguments, &[])
+    }
+
+    /// The same with settings by environment variables.
+    ///
+    /// # Panics
+    /// If it does not come up.
+    pub fn start_with(
+        program: impl AsRef<Path>,
+        arguments: &[&str],
+        settings: &[(&str, &str)],
+    ) -> Self {
         let mut command = Command::new(program.as_ref());
         command
             .args(["--grpc", "127.0.0.1:0"])
             .env("WAYFOLD_DATA__DIR", "memory")
-            .args(arguments);
+            .args(arguments)
+            .envs(settings.iter().copied());
         Self::ready(Process::spawn(&mut command))
     }
 
@@ -336,10 +349,14 @@ impl ServerProcess {
     }
 }
 
-/// Starts the server under test; arguments are appended to its command line.
+/// Starts the server under test. Arguments are appended to its command line; settings follow a semicolon.
 #[macro_export]
 macro_rules! server {
-    ($($argument:expr),*) => {
-        $crate::ServerProcess::start(env!("CARGO_BIN_EXE_server-process"), &[$($argument),*])
+    ($($argument:expr),* $(; $($setting:expr),+)?) => {
+        $crate::ServerProcess::start_with(
+            env!("CARGO_BIN_EXE_server-process"),
+            &[$($argument),*],
+            &[$($($setting),+)?],
+        )
     };
 }

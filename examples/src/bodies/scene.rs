@@ -10,7 +10,7 @@ use wayfold::Space;
 use crate::planning::{
     path::{TOUCHING, Verify},
     pose::between,
-    problem::Problem,
+    problem::{Problem, Setting},
 };
 
 /// The number of bodies.
@@ -57,10 +57,7 @@ fn margin() -> f64 {
 
 /// The problem: four bodies at each end of the room change places with those at the other end.
 pub struct Room {
-    space: Space,
-    bounds: Vec<(f64, f64)>,
-    start: Vec<f64>,
-    goal: Vec<f64>,
+    setting: Setting,
     margin: f64,
 }
 
@@ -98,10 +95,12 @@ impl Room {
             row
         };
         Room {
-            bounds: bounds.repeat(BODIES),
-            start: row(0),
-            goal: row(4),
-            space,
+            setting: Setting {
+                bounds: bounds.repeat(BODIES),
+                start: row(0),
+                goal: row(4),
+                space,
+            },
             margin,
         }
     }
@@ -135,20 +134,8 @@ pub fn poses(state: &[f64]) -> Vec<Pose> {
 }
 
 impl Problem for Room {
-    fn space(&self) -> &Space {
-        &self.space
-    }
-
-    fn bounds(&self) -> &[(f64, f64)] {
-        &self.bounds
-    }
-
-    fn start(&self) -> &[f64] {
-        &self.start
-    }
-
-    fn goal(&self) -> &[f64] {
-        &self.goal
+    fn setting(&self) -> &Setting {
+        &self.setting
     }
 
     /// Tests pairs of boxes for a separating axis, where bodies can reach anything. The bounds of the space keep bodies

@@ -6,11 +6,10 @@ use parry2d_f64::{
     query::details::{distance_support_map_support_map, intersection_test_cuboid_cuboid},
     shape::Cuboid,
 };
-use wayfold::Space;
 
 use crate::planning::{
     path::{TOUCHING, Verify},
-    problem::Problem,
+    problem::{Problem, Setting},
 };
 
 /// Cells of size 1. The drawn lines are walls.
@@ -84,10 +83,7 @@ impl Block {
 
 /// The maze and the body in it.
 pub struct Maze {
-    space: Space,
-    bounds: [(f64, f64); 2],
-    start: Vec<f64>,
-    goal: Vec<f64>,
+    setting: Setting,
     walls: Vec<Block>,
     body: Vec<Block>,
     /// The distance that the body reaches from its centre, with its margin.
@@ -112,11 +108,13 @@ impl Maze {
         };
         let (w, h, thick) = (BODY.0 / 2.0, BODY.1 / 2.0, BODY.2);
         Maze {
-            space: space(),
-            bounds: [(0.0, width as f64), (0.0, height as f64)],
-            start: middle(start, 0.0),
-            // The canonical angle of a half turn is −π.
-            goal: middle(goal, -std::f64::consts::PI),
+            setting: Setting {
+                space: SPACE.parse().expect("the text of a space"),
+                bounds: vec![(0.0, width as f64), (0.0, height as f64)],
+                start: middle(start, 0.0),
+                // The canonical angle of a half turn is −π.
+                goal: middle(goal, -std::f64::consts::PI),
+            },
             walls: walls(height),
             body: vec![
                 Block::between((-w, -h), (thick - w, h)),
@@ -158,20 +156,8 @@ impl Maze {
 }
 
 impl Problem for Maze {
-    fn space(&self) -> &Space {
-        &self.space
-    }
-
-    fn bounds(&self) -> &[(f64, f64)] {
-        &self.bounds
-    }
-
-    fn start(&self) -> &[f64] {
-        &self.start
-    }
-
-    fn goal(&self) -> &[f64] {
-        &self.goal
+    fn setting(&self) -> &Setting {
+        &self.setting
     }
 
     fn is_free(&self, state: &[f64]) -> bool {
@@ -210,10 +196,6 @@ impl Verify for Maze {
             })
         })
     }
-}
-
-fn space() -> Space {
-    SPACE.parse().expect("the text of a space")
 }
 
 fn pose(state: &[f64]) -> Pose {

@@ -2,19 +2,42 @@
 
 use wayfold::Space;
 
+/// The part of a problem that is data.
+pub struct Setting {
+    /// The space, whose metric defines the neighbours.
+    pub space: Space,
+    /// The bounds of all real coordinates, in row order; angles and rotations have none.
+    pub bounds: Vec<(f64, f64)>,
+    /// The start, a canonical row.
+    pub start: Vec<f64>,
+    /// The goal, a canonical row.
+    pub goal: Vec<f64>,
+}
+
 /// A motion planning problem: to find a path from `start` to `goal` through the free states of a space.
 pub trait Problem {
-    /// The space, whose metric defines the neighbours.
-    fn space(&self) -> &Space;
+    /// Its data.
+    fn setting(&self) -> &Setting;
 
-    /// The bounds of all real coordinates, in row order; angles and rotations have none.
-    fn bounds(&self) -> &[(f64, f64)];
+    /// The space of its setting.
+    fn space(&self) -> &Space {
+        &self.setting().space
+    }
 
-    /// The start, a canonical row.
-    fn start(&self) -> &[f64];
+    /// The bounds of its setting.
+    fn bounds(&self) -> &[(f64, f64)] {
+        &self.setting().bounds
+    }
 
-    /// The goal, a canonical row.
-    fn goal(&self) -> &[f64];
+    /// The start of its setting.
+    fn start(&self) -> &[f64] {
+        &self.setting().start
+    }
+
+    /// The goal of its setting.
+    fn goal(&self) -> &[f64] {
+        &self.setting().goal
+    }
 
     /// True if a canonical state is free of collisions.
     fn is_free(&self, state: &[f64]) -> bool;

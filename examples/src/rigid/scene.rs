@@ -10,7 +10,7 @@ use wayfold::Space;
 use crate::planning::{
     path::{TOUCHING, Verify},
     pose::between,
-    problem::Problem,
+    problem::{Problem, Setting},
 };
 
 /// The paper's weight of rotations, which are measured by half their angle.
@@ -78,8 +78,7 @@ pub struct Task {
 
 /// The problem.
 pub struct Rooms {
-    space: Space,
-    bounds: [(f64, f64); 3],
+    setting: Setting,
     obstacles: Vec<(Vector, Cuboid)>,
     tasks: Vec<Task>,
     margin: f64,
@@ -133,11 +132,16 @@ impl Rooms {
             ((low + high) / 2.0, Cuboid::new((high - low) / 2.0))
         });
         Rooms {
-            bounds: SIDES.map(|side| (0.4, side - 0.4)),
+            setting: Setting {
+                // Nearer to the outer walls, the chair touches them in almost every orientation.
+                bounds: SIDES.map(|side| (0.4, side - 0.4)).to_vec(),
+                start: tasks[0].start.clone(),
+                goal: tasks[0].goal.clone(),
+                space,
+            },
             obstacles: obstacles.collect(),
             tasks,
             margin: margin(),
-            space,
         }
     }
 
@@ -171,21 +175,8 @@ pub fn corners(at: &Pose, shape: &Cuboid) -> [Vector; 8] {
 }
 
 impl Problem for Rooms {
-    fn space(&self) -> &Space {
-        &self.space
-    }
-
-    /// Nearer to the outer walls, the chair touches them in almost every orientation.
-    fn bounds(&self) -> &[(f64, f64)] {
-        &self.bounds
-    }
-
-    fn start(&self) -> &[f64] {
-        &self.tasks[0].start
-    }
-
-    fn goal(&self) -> &[f64] {
-        &self.tasks[0].goal
+    fn setting(&self) -> &Setting {
+        &self.setting
     }
 
     /// Tests pairs of boxes for a separating axis, if the chair can reach the obstacle.

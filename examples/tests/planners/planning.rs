@@ -5,7 +5,7 @@ use std::cell::Cell;
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Neighbor, Space, States};
+use wayfold::{Neighbor, States};
 use wayfold_examples::{
     maze::scene::Maze,
     planning::{
@@ -16,7 +16,7 @@ use wayfold_examples::{
         options::Source,
         path::{self, Verify},
         prm_star,
-        problem::Problem,
+        problem::{Problem, Setting},
         report, rrt, rrt_star, sampling,
         source::TimedIndex,
     },
@@ -40,20 +40,12 @@ impl Corner {
 }
 
 impl Problem for Corner {
-    fn space(&self) -> &Space {
-        self.0.space()
+    fn setting(&self) -> &Setting {
+        self.0.setting()
     }
 
     fn bounds(&self) -> &[(f64, f64)] {
         &self.1
-    }
-
-    fn start(&self) -> &[f64] {
-        self.0.start()
-    }
-
-    fn goal(&self) -> &[f64] {
-        self.0.goal()
     }
 
     fn is_free(&self, state: &[f64]) -> bool {

@@ -3,7 +3,6 @@
 
 use std::process::Command;
 
-use tempfile::TempDir;
 use tonic::{Code, Status};
 use wayfold::{Client, Credentials, Space};
 use wayfold_proto::v1::InsertRequest;
@@ -15,39 +14,11 @@ use wayfold_tests::{
 
 use crate::{
     access::authority::Authority,
+    healing::{JOINS, together, wait_until_joined},
+    journal_loss::Cluster,
     metrics::{calls, figures},
     shared::proxy::Proxy,
 };
-
-const JOINS: &str = "a server joins the cluster";
-
-/// Three servers that have heard of each other.
-struct Cluster {
-    servers: Vec<ServerProcess>,
-    _nats: Nats,
-    _directory: TempDir,
-}
-
-impl Cluster {
-    fn start(command: impl Fn() -> Command) -> Self {
-        let directory = tempfile::tempdir().unwrap();
-        let nats = Nats::start(directory.path(), 1);
-        let start = |_| {
-            let mut command = command();
-            ServerProcess::ready(Process::spawn(command.envs(nats.member_settings())))
-        };
-        let mut servers: Vec<_> = (0..3).map(start).collect();
-        for server in &mut servers {
-            server.log_until(JOINS);
-            server.log_until(JOINS);
-        }
-        Self {
-            servers,
-            _nats: nats,
-            _directory: directory,
-        }
-    }
-}
 
 fn open_server() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
@@ -82,14 +53,11 @@ async fn create_everywhere(stubs: &mut [Stubs]) {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_owner_evaluates_the_mutations_of_all_servers_until_it_is_gone() {
     const EACH: u64 = 10;
-    let mut cluster = Cluster::start(open_server);
-    let pages: Vec<_> = cluster
-        .servers
-        .iter_mut()
-        .map(ServerProcess::pages)
-        .collect();
+    let cluster = Cluster::empty();
+    let mut servers = Vec::from(together::<3>(&cluster, &[]));
+    let pages: Vec<_> = servers.iter_mut().map(ServerProcess::pages).collect();
     let mut stubs = Vec::new();
-    for server in &cluster.servers {
+    for server in &servers {
         stubs.push(Stubs::connect(server.uri()).await);
     }
     create_everywhere(&mut stubs).await;
@@ -120,9 +88,8 @@ async fn the_owner_evaluates_the_mutations_of_all_servers_until_it_is_gone() {
         assert!(stubs.latest("arm").await.unwrap() >= 3 * EACH);
     }
 
-    let killed = cluster.servers.remove(owner);
+    servers.remove(owner).stop(Signal::Kill);
     stubs.remove(owner);
-    killed.stop(Signal::Kill);
     for stubs in &mut stubs {
         let claimed = InsertRequest {
             operation_id: "after the owner".into(),
@@ -157,13 +124,16 @@ async fn a_forwarded_call_has_the_identity_of_its_caller() {
     authority.certify("server");
     let admin = authority.token("admin", "admin", "*");
     let writer = authority.token("writer", "write", "*");
-    let cluster = Cluster::start(|| {
+    let nats = Nats::start(directory.path(), 1);
+    let mut servers = [(); 3].map(|()| {
         let mut command = authority.command();
         command
             .env("WAYFOLD_LOG__FILTER", "info,wayfold_server::observe=debug")
-            .env("WAYFOLD_CLUSTER__PEER_CA", authority.file("ca", "pem"));
-        command
+            .env("WAYFOLD_CLUSTER__PEER_CA", authority.file("ca", "pem"))
+            .envs(nats.member_settings());
+        ServerProcess::ready(Process::spawn(&mut command))
     });
+    wait_until_joined(&mut servers);
     let client = |server: &ServerProcess, token: &str| {
         let credentials: Credentials = authority.credentials().token(token.to_owned());
         let uri = server.uri().to_owned();
@@ -176,18 +146,18 @@ async fn a_forwarded_call_has_the_identity_of_its_caller() {
         }
     };
     let space: Space = "R1".parse().unwrap();
-    for server in &cluster.servers {
+    for server in &servers {
         // The first creates it, and the others find it.
         let created = client(server, &admin).await;
         while created.create_index("arm", &space).await.is_err() {}
     }
-    for server in &cluster.servers {
+    for server in &servers {
         let index = client(server, &writer).await.index("arm").await.unwrap();
         index.insert([[1.0]]).await.unwrap();
     }
     // Each server ends the call of its client, and the owner two that others forwarded.
     let mut ended = Vec::new();
-    for server in cluster.servers {
+    for server in servers {
         let log = server.stop(Signal::Terminate).stderr;
         let own = log
             .lines()

@@ -16,13 +16,23 @@ use crate::{
 pub(crate) const JOINS: &str = "a server joins the cluster";
 pub(crate) const HEALED: &str = "goes on from a copy of another server";
 
-/// Starts two servers that hear each other.
-pub(crate) fn two(cluster: &Cluster) -> [ServerProcess; 2] {
-    let mut servers = [0, 1].map(|number| cluster.start(number));
-    for server in &mut servers {
-        server.log_until(JOINS);
-    }
+/// Starts servers that hear each other.
+pub(crate) fn together<const N: usize>(
+    cluster: &Cluster,
+    settings: &[(&str, &str)],
+) -> [ServerProcess; N] {
+    let mut servers = std::array::from_fn(|number| cluster.start_with(number, settings));
+    wait_until_joined(&mut servers);
     servers
+}
+
+/// Waits until each of these servers hears all others.
+pub(crate) fn wait_until_joined(servers: &mut [ServerProcess]) {
+    for _ in 1..servers.len() {
+        for server in &mut *servers {
+            server.log_until(JOINS);
+        }
+    }
 }
 
 /// An insert that takes effect once.
@@ -49,7 +59,7 @@ pub(crate) async fn latest_content(stubs: &mut Stubs) -> Content {
 async fn a_server_before_a_gap_of_the_journal_takes_a_copy() {
     const POINTS: u64 = 40;
     let cluster = Cluster::empty();
-    let servers = two(&cluster);
+    let servers: [_; 2] = together(&cluster, &[]);
     let mut first = Stubs::connect(servers[0].uri()).await;
     let mut second = Stubs::connect(servers[1].uri()).await;
     let created = first.create("arm", "R1").await;

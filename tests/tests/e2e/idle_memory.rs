@@ -1,11 +1,11 @@
 //! A server at rest gives back the memory of its merges, of levels that no reader sees any more, and of payloads that were
 //! overwritten while another index was idle.
 
-use std::{process::Command, time::Duration};
+use std::time::Duration;
 
 use tokio::time::{interval, timeout};
 use wayfold_proto::v1::{InsertRequest, OnConflict};
-use wayfold_tests::{Process, ServerProcess, States, Stubs, figures::resident_bytes, row_states};
+use wayfold_tests::{States, Stubs, figures::resident_bytes, row_states, server};
 
 const WIDTH: usize = 32;
 const BATCHES: usize = 75;
@@ -19,12 +19,8 @@ const MAX_WAIT: Duration = Duration::from_secs(60);
 
 #[tokio::test]
 async fn a_server_at_rest_takes_little_more_than_its_points() {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-    command
-        .args(["--grpc", "127.0.0.1:0", "--data", "memory"])
-        // The records that are kept for subscribers would hide the rest.
-        .env("WAYFOLD_INDEX__WINDOW_BYTES", "1");
-    let server = ServerProcess::ready(Process::spawn(&mut command));
+    // The records that are kept for subscribers would hide the rest.
+    let server = server!(; ("WAYFOLD_INDEX__WINDOW_BYTES", "1"));
     let process = server.process().id();
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create("arm", &format!("R{WIDTH}")).await;
@@ -64,12 +60,8 @@ const MAX_BESIDE_IDLE_BYTES: u64 = 192 * 1024 * 1024;
 #[tokio::test]
 async fn an_idle_index_keeps_no_overwritten_payloads_in_memory() {
     let directory = tempfile::tempdir().unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-    command
-        .args(["--grpc", "127.0.0.1:0", "--data"])
-        .arg(directory.path())
-        .env("WAYFOLD_INDEX__WINDOW_BYTES", "1");
-    let server = ServerProcess::ready(Process::spawn(&mut command));
+    let data = directory.path().to_str().unwrap();
+    let server = server!("--data", data; ("WAYFOLD_INDEX__WINDOW_BYTES", "1"));
     let process = server.process().id();
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create("idle", "R1").await;

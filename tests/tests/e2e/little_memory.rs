@@ -1,13 +1,15 @@
 //! A server with little memory refuses inserts before it is killed, and starts again with less than its indices take:
 //! they can be listed and deleted then, and inserts go on.
 
-use std::{fs, path::Path, process::Command, time::Duration};
+use std::{path::Path, time::Duration};
 
 use tokio::time::timeout;
 use tonic::{Code, Status};
 use wayfold::{Client, RetryPolicy};
 use wayfold_proto::v1::{InsertRequest, ListIndexesRequest};
-use wayfold_tests::{Process, Refusal, ServerProcess, Signal, States, Stubs, row_states};
+use wayfold_tests::{
+    Refusal, ServerProcess, Signal, States, Stubs, figures::anonymous_bytes, row_states, server,
+};
 
 use crate::metrics::figures;
 
@@ -19,21 +21,13 @@ const ROWS: usize = 2_000;
 const MAX_WAIT: Duration = Duration::from_secs(60);
 
 fn serve(data: &Path, limit: u64) -> ServerProcess {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-    command
-        .args(["--grpc", "127.0.0.1:0", "--http", "127.0.0.1:0", "--data"])
-        .arg(data)
-        .env("WAYFOLD_MEMORY__LIMIT_BYTES", limit.to_string());
-    ServerProcess::ready(Process::spawn(&mut command))
+    let (data, limit) = (data.to_str().unwrap(), limit.to_string());
+    server!("--http", "127.0.0.1:0", "--data", data; ("WAYFOLD_MEMORY__LIMIT_BYTES", &*limit))
 }
 
 /// The bytes that only the server's process holds.
 fn used(server: &ServerProcess) -> u64 {
-    let status = format!("/proc/{}/status", server.process().id());
-    let status = fs::read_to_string(status).unwrap();
-    let line = status.lines().find(|line| line.starts_with("RssAnon:"));
-    let kilobytes = line.unwrap().split_whitespace().nth(1).unwrap();
-    kilobytes.parse::<u64>().unwrap() * 1024
+    anonymous_bytes(server.process().id()).unwrap()
 }
 
 /// The inserts of one program.

@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use serde_json::Value;
-use wayfold_tests::{Process, ProcessOutput, ServerProcess, Signal};
+use wayfold_tests::{Process, ProcessOutput, Signal, server};
 
 use crate::metrics::{calls, figures};
 
@@ -12,16 +12,7 @@ const MAX_LOOKS: usize = 20_000;
 
 /// Runs a load with this mix, and kills its server once that has answered a call. Returns what it printed and its report.
 fn cut_short(mix: &str, verb: &str) -> (ProcessOutput, String) {
-    let program = env!("CARGO_BIN_EXE_server-process");
-    let arguments = [
-        "--data",
-        "memory",
-        "--zenoh",
-        "off",
-        "--http",
-        "127.0.0.1:0",
-    ];
-    let mut server = ServerProcess::start(program, &arguments);
+    let mut server = server!("--http", "127.0.0.1:0");
     let pages = server.pages();
     let directory = tempfile::tempdir().unwrap();
     let report = directory.path().join("report.html");
@@ -68,17 +59,7 @@ fn cut_short(mix: &str, verb: &str) -> (ProcessOutput, String) {
 /// Points of a fill that fails are removed, also if the run has no inserts.
 #[test]
 fn a_fill_that_fails_leaves_nothing() {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-    command.args([
-        "--grpc",
-        "127.0.0.1:0",
-        "--data",
-        "memory",
-        "--zenoh",
-        "off",
-    ]);
-    command.env("WAYFOLD_LIMITS__MAX_POINTS_PER_INDEX", "1500");
-    let server = ServerProcess::ready(Process::spawn(&mut command));
+    let server = server!(; ("WAYFOLD_LIMITS__MAX_POINTS_PER_INDEX", "1500"));
     let wayfold = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_cli-process"));
         command.args(["--server", server.uri(), "--output", "json"]);

@@ -36,6 +36,5 @@ mod runbook;
 mod server_program;
 mod shared;
 mod shutdown;
-mod silent_nats;
 mod snapshots;
 mod trimming;

@@ -1,6 +1,6 @@
 //! The pages for operators: what they count is what clients counted.
 
-use std::{collections::BTreeMap, fs, io::Write, process::Command};
+use std::{collections::BTreeMap, fs, io::Write};
 
 use futures_util::stream;
 use tonic::{Code, Request, client::Grpc, codegen::http::uri::PathAndQuery, transport::Endpoint};
@@ -169,18 +169,7 @@ async fn the_counts_are_those_of_the_clients() {
 
 #[tokio::test]
 async fn a_request_that_does_not_arrive_in_time_is_counted() {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-    command.args([
-        "--data",
-        "memory",
-        "--grpc",
-        "127.0.0.1:0",
-        "--zenoh",
-        "off",
-    ]);
-    command.args(["--http", "127.0.0.1:0"]);
-    command.env("WAYFOLD_GRPC__RECEIVE_TIMEOUT_MS", "1");
-    let mut server = ServerProcess::ready(Process::spawn(&mut command));
+    let mut server = server!("--http", "127.0.0.1:0"; ("WAYFOLD_GRPC__RECEIVE_TIMEOUT_MS", "1"));
     let address = server.pages();
     let channel = Endpoint::from_shared(server.uri().to_owned()).unwrap();
     let mut grpc = Grpc::new(channel.connect().await.unwrap());
@@ -297,7 +286,7 @@ fn an_address_that_is_taken_is_named() {
         "--http",
         &taken,
     ];
-    let refused = wayfold_tests::Process::start(program, &arguments).finish();
+    let refused = Process::start(program, &arguments).finish();
     assert_eq!(refused.status.code(), Some(1), "{}", refused.stderr);
     assert!(refused.stderr.contains(&taken) && refused.stderr.contains("--http off"));
     // A server of the test's own, without pages, is not in its way.

@@ -3,7 +3,8 @@
 
 use std::{fs, process::Command};
 
-use rcgen::{CertificateParams, DnType, KeyPair, PKCS_ED25519, SigningKey};
+use base64::{Engine as _, prelude::BASE64_URL_SAFE_NO_PAD};
+use rcgen::{CertificateParams, DnType, KeyPair};
 use serde_json::json;
 use tokio::time::timeout;
 use wayfold_tests::{
@@ -13,84 +14,41 @@ use wayfold_tests::{
 
 use crate::journal_loss::{MAX_WAIT, insert_until_acknowledged};
 
-const BASE32: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZ234567";
-const BASE64: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
-
-/// A key as NATS writes it: the letter of its role, `O`perator, `A`ccount or `U`ser, as five bits, and an Ed25519 pair.
-struct Nkey(u8, KeyPair);
-
-impl Nkey {
-    fn new(role: u8) -> Self {
-        let pair = KeyPair::generate_for(&PKCS_ED25519);
-        Self(role - b'A', pair.unwrap())
-    }
-
-    fn public(&self) -> String {
-        with_checksum(&[self.0 << 3], self.1.public_key_raw())
-    }
-
-    fn seed(&self) -> String {
-        // In PKCS#8 the seed follows a header of 16 bytes.
-        let seed = &self.1.serialized_der()[16..48];
-        with_checksum(&[((b'S' - b'A') << 3) | (self.0 >> 2), self.0 << 6], seed)
-    }
-
-    /// The token by which this key admits another one. An account that may store no byte has no JetStream.
-    fn admit(&self, other: &Self, kind: &str, bytes: i64) -> String {
-        // A missing limit would be 0; -1 is no limit.
-        let claims = json!({ "iss": self.public(), "sub": other.public(), "nats": {
-            "type": kind, "version": 2, "subs": -1, "payload": -1, "limits": {
-                "subs": -1, "payload": -1, "conn": -1, "streams": -1, "consumer": -1,
-                "mem_storage": bytes, "disk_storage": bytes,
-            },
-        } });
-        let header = json!({ "typ": "JWT", "alg": "ed25519-nkey" });
-        let signed = [header, claims].map(|it| encode(it.to_string().as_bytes(), BASE64, 6));
-        let signed = signed.join(".");
-        let signature = self.1.sign(signed.as_bytes()).unwrap();
-        format!("{signed}.{}", encode(&signature, BASE64, 6))
-    }
-}
-
-/// A key in base32 and its checksum, CRC-16/XMODEM.
-fn with_checksum(prefix: &[u8], key: &[u8]) -> String {
-    let mut bytes = [prefix, key].concat();
-    let shift = |sum: u16| (sum << 1) ^ if sum & 0x8000 == 0 { 0 } else { 0x1021 };
-    let sum = bytes.iter().fold(0_u16, |sum, byte| {
-        (0..8).fold(sum ^ (u16::from(*byte) << 8), |sum, _| shift(sum))
-    });
-    bytes.extend(sum.to_le_bytes());
-    encode(&bytes, BASE32, 5)
-}
-
-/// Bytes in base32 or base64, whose letters have this many bits, without padding.
-fn encode(bytes: &[u8], alphabet: &[u8], bits: usize) -> String {
-    let of_byte = |byte: &u8| [7, 6, 5, 4, 3, 2, 1, 0].map(|bit| (*byte >> bit) & 1);
-    let all: Vec<u8> = bytes.iter().flat_map(of_byte).collect();
-    let letter = |part: &[u8]| {
-        let value = part.iter().fold(0_u8, |value, bit| (value << 1) | bit);
-        char::from(alphabet[usize::from(value << (bits - part.len()))])
-    };
-    all.chunks(bits).map(letter).collect()
+/// The token by which a key admits another one. An account that may store no byte has no JetStream.
+fn admit(by: &nkeys::KeyPair, other: &nkeys::KeyPair, kind: &str, bytes: i64) -> String {
+    // A missing limit would be 0; -1 is no limit.
+    let claims = json!({ "iss": by.public_key(), "sub": other.public_key(), "nats": {
+        "type": kind, "version": 2, "subs": -1, "payload": -1, "limits": {
+            "subs": -1, "payload": -1, "conn": -1, "streams": -1, "consumer": -1,
+            "mem_storage": bytes, "disk_storage": bytes,
+        },
+    } });
+    let header = json!({ "typ": "JWT", "alg": "ed25519-nkey" });
+    let signed = [header, claims].map(|it| BASE64_URL_SAFE_NO_PAD.encode(it.to_string()));
+    let signed = signed.join(".");
+    let signature = by.sign(signed.as_bytes()).unwrap();
+    format!("{signed}.{}", BASE64_URL_SAFE_NO_PAD.encode(signature))
 }
 
 /// The configuration of an operator with an account, and the credentials of a user of the account.
 fn operator() -> (String, String) {
-    let [operator, system, account, user] = [b'O', b'A', b'A', b'U'].map(Nkey::new);
+    use nkeys::KeyPair;
+    let (operator, system) = (KeyPair::new_operator(), KeyPair::new_account());
+    let (account, user) = (KeyPair::new_account(), KeyPair::new_user());
     // Under an operator JetStream needs a system account.
     let config = format!(
         "operator: {0}\nsystem_account: {1}\nresolver: MEMORY\nresolver_preload {{\n{1}: {2}\n{3}: {4}\n}}",
-        operator.admit(&operator, "operator", 0),
-        system.public(),
-        operator.admit(&system, "account", 0),
-        account.public(),
-        operator.admit(&account, "account", -1),
+        admit(&operator, &operator, "operator", 0),
+        system.public_key(),
+        admit(&operator, &system, "account", 0),
+        account.public_key(),
+        admit(&operator, &account, "account", -1),
     );
     let credentials = format!(
         "-----BEGIN NATS USER JWT-----\n{}\n------END NATS USER JWT------\n\n\
          -----BEGIN USER NKEY SEED-----\n{}\n------END USER NKEY SEED------\n",
-        account.admit(&user, "user", 0),
-        user.seed(),
+        admit(&account, &user, "user", 0),
+        user.seed().unwrap(),
     );
     (config, credentials)
 }

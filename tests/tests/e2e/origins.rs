@@ -8,7 +8,7 @@ use wayfold_proto::v1::{InsertRequest, ListIndexesRequest, RestoreIndexRequest, 
 use wayfold_tests::{Content, ServerProcess, Signal, States, Stubs, row_states, server};
 
 use crate::{
-    healing::{JOINS, latest_content},
+    healing::{latest_content, together},
     journal_loss::{Cluster, MAX_WAIT},
     restore::{lived_in, snapshot},
 };
@@ -59,9 +59,7 @@ async fn insert(stubs: &mut Stubs, operation: u64) -> u64 {
 async fn a_restored_index_survives_the_loss_of_the_server_that_restored_it() {
     let (parts, original) = original().await;
     let cluster = Cluster::empty();
-    let [mut first, mut second] = [0, 1].map(|number| cluster.start(number));
-    first.log_until(JOINS);
-    second.log_until(JOINS);
+    let [first, second] = together(&cluster, &[]);
     let mut stubs = Stubs::connect(first.uri()).await;
     let uid = restore(&mut stubs, &parts).await.unwrap();
     first.stop(Signal::Kill);
@@ -113,9 +111,7 @@ async fn the_only_live_server_restores_an_index_alone() {
 async fn an_index_whose_journal_is_gone_is_seeded_from_a_directory() {
     let (parts, _) = original().await;
     let mut cluster = Cluster::empty();
-    let [mut first, mut second] = [0, 1].map(|number| cluster.start(number));
-    first.log_until(JOINS);
-    second.log_until(JOINS);
+    let [first, second] = together(&cluster, &[]);
     let mut stubs = Stubs::connect(first.uri()).await;
     restore(&mut stubs, &parts).await.unwrap();
     insert(&mut stubs, 1).await;
@@ -143,9 +139,7 @@ async fn an_index_whose_journal_is_gone_is_seeded_from_a_directory() {
 async fn a_restored_index_gets_its_only_message_back() {
     let (parts, original) = original().await;
     let cluster = Cluster::empty();
-    let [mut first, mut second] = [0, 1].map(|number| cluster.start(number));
-    first.log_until(JOINS);
-    second.log_until(JOINS);
+    let [mut first, second] = together(&cluster, &[]);
     let mut stubs = Stubs::connect(first.uri()).await;
     let uid = restore(&mut stubs, &parts).await.unwrap();
     second.stop(Signal::Kill);

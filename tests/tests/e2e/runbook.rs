@@ -19,7 +19,7 @@ use wayfold_proto::v1::{CreateIndexRequest, InsertRequest, create_index_request:
 use wayfold_tests::{Content, Signal, Stubs, page, row_states};
 
 use crate::{
-    healing::{JOINS, latest_content, two},
+    healing::{latest_content, together, wait_until_joined},
     journal_loss::{Cluster, MAX_WAIT, insert, insert_until_acknowledged},
     metrics::figures,
 };
@@ -31,11 +31,7 @@ const POINTS: u64 = 20;
 /// directory.
 async fn roll(replaces: bool) {
     let cluster = Cluster::empty();
-    let mut servers: Vec<_> = (0..SERVERS).map(|number| cluster.start(number)).collect();
-    for server in &mut servers {
-        server.log_until(JOINS);
-        server.log_until(JOINS);
-    }
+    let mut servers = Vec::from(together::<SERVERS>(&cluster, &[]));
     let mut stubs = Stubs::connect(servers[0].uri()).await;
     stubs.create("arm", "R1").await;
     let mut written = 0;
@@ -106,11 +102,7 @@ fn grow(index: &Index, is_over: &AtomicBool) -> BTreeMap<u64, [f64; 2]> {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_planner_goes_on_while_servers_are_killed() {
     let cluster = Cluster::empty();
-    let mut servers: Vec<_> = (0..SERVERS).map(|number| cluster.start(number)).collect();
-    for server in &mut servers {
-        server.log_until(JOINS);
-        server.log_until(JOINS);
-    }
+    let mut servers = Vec::from(together::<SERVERS>(&cluster, &[]));
     let uris: Vec<_> = servers.iter().map(|server| server.uri()).collect();
     let index = Index::shared(&uris.join(","), "arm").create(&"R2".parse().unwrap());
     let index = index.max_pending_bytes(1 << 18).timeout(MAX_WAIT);
@@ -150,9 +142,7 @@ async fn inserts_go_on_while_the_memory_of_their_owner_is_full() {
         ("WAYFOLD_MEMORY__LOW_PERCENT", "1"),
     ];
     let mut servers = [cluster.start_with(0, &full), cluster.start(1)];
-    for server in &mut servers {
-        server.log_until(JOINS);
-    }
+    wait_until_joined(&mut servers);
     let pages = servers[0].pages();
     let [full, other] = &servers;
     let (mut refusing, mut stubs) = (
@@ -198,8 +188,7 @@ async fn only_read(stubs: &mut Stubs, id: u64) {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn reads_go_on_without_two_of_three_servers_of_nats_and_writes_say_why() {
     let mut cluster = Cluster::with_nats(3);
-    let servers = two(&cluster);
-    let [first, second] = &servers;
+    let [first, second] = together(&cluster, &[]);
     let mut stubs = [
         Stubs::connect(first.uri()).await,
         Stubs::connect(second.uri()).await,
@@ -255,4 +244,25 @@ async fn a_lost_server_of_nats_is_replaced_by_an_empty_one() {
     timeout(MAX_WAIT, written).await.unwrap();
     let content = latest_content(&mut stubs).await;
     assert!(content.points.keys().copied().eq(0..3 * POINTS));
+}
+
+/// The connections of a server of NATS that stands still stay open. The server that is connected to it goes on at another.
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn writes_go_on_while_a_server_of_nats_stands_still() {
+    let cluster = Cluster::with_nats(3);
+    let server = cluster.start(0);
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("arm", "R1").await;
+    // One of them is the one to which the server is connected.
+    for node in 0..3 {
+        cluster.nats.signal(node as usize, Signal::Pause);
+        let written = insert_until_acknowledged(&mut stubs, node * POINTS..(node + 1) * POINTS);
+        let written = timeout(MAX_WAIT, written).await;
+        cluster.nats.signal(node as usize, Signal::Resume);
+        assert!(
+            written.is_ok(),
+            "nothing is written while {node} stands still"
+        );
+    }
 }

@@ -3,6 +3,7 @@
 use std::{
     io::{Read, Write},
     net::TcpStream,
+    path::Path,
     process::Command,
     thread,
 };
@@ -14,7 +15,9 @@ use tonic_health::pb::{
 };
 use wayfold_index::Space;
 use wayfold_proto::v1::{InsertRequest, KnnRequest, ScanRequest, knn_request::KForm};
-use wayfold_tests::{Process, ServerProcess, Signal, States, Stubs, page, row_states, server};
+use wayfold_tests::{
+    Process, ServerProcess, Signal, States, Stubs, nats::member_settings, page, row_states, server,
+};
 
 const ROWS: usize = 1_000;
 const BATCHES: usize = 20;
@@ -103,10 +106,7 @@ async fn an_orderly_stop_keeps_the_mutations_while_a_page_is_open_and_before_it_
 /// The server waits for the rest of a request to its pages, and answers it.
 #[test]
 fn an_accepted_call_of_the_pages_is_answered_after_sigterm() {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-    command.args(["--grpc", "127.0.0.1:0", "--http", "127.0.0.1:0"]);
-    command.env("WAYFOLD_DATA__DIR", "memory");
-    let mut server = ServerProcess::ready(Process::spawn(&mut command));
+    let mut server = server!("--http", "127.0.0.1:0");
     let mut call = TcpStream::connect(server.pages()).unwrap();
     let head = "POST /api/v1/list HTTP/1.1\r\nHost: localhost\r\nContent-Length: 2\r\nConnection: close\r\n\
         Expect: 100-continue\r\n\r\n";
@@ -142,6 +142,25 @@ fn sigterm_ends_a_server_that_waits_for_zenoh() {
     waiting.log_until("Using ZID");
     let finished = waiting.stop(Signal::Terminate);
     assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+}
+
+/// Its store is open and its journal is not.
+#[test]
+fn sigterm_ends_a_server_that_waits_for_nats() {
+    let directory = tempfile::tempdir().unwrap();
+    for data in [Path::new("memory"), directory.path()] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+        command
+            .args(["--grpc", "127.0.0.1:0", "--log", "info", "--data"])
+            .arg(data)
+            // Nothing listens there.
+            .envs(member_settings("nats://127.0.0.1:1", 1));
+        let mut waiting = Process::spawn(&mut command);
+        waiting.log_until("trying again");
+        let finished = waiting.stop(Signal::Terminate);
+        assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+        assert!(!finished.stderr.contains("panicked"), "{}", finished.stderr);
+    }
 }
 
 #[tokio::test]

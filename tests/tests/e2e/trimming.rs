@@ -10,7 +10,7 @@ use tokio::time::timeout;
 use wayfold_tests::{ServerProcess, Signal, Stubs};
 
 use crate::{
-    healing::{HEALED, JOINS, latest_content},
+    healing::{HEALED, latest_content, together},
     journal_loss::{Cluster, MAX_WAIT, insert},
     metrics::figures,
 };
@@ -41,11 +41,8 @@ fn start(cluster: &Cluster, number: usize) -> ServerProcess {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_journal_keeps_what_the_servers_do_not_store() {
     let cluster = Cluster::empty();
-    let mut servers = [0, 1].map(|number| start(&cluster, number));
-    for server in &mut servers {
-        server.log_until(JOINS);
-    }
-    let mut stubs = Stubs::connect(servers[0].uri()).await;
+    let [first, second] = together(&cluster, &SETTINGS);
+    let mut stubs = Stubs::connect(first.uri()).await;
     let created = stubs.create("arm", "R1").await;
     let uid = created.revision.unwrap().uid;
     let mut points = 0;
@@ -65,7 +62,6 @@ async fn the_journal_keeps_what_the_servers_do_not_store() {
     assert_eq!(expected.len() as u64, points);
 
     // A server that has lost its directory has them from the other.
-    let [first, second] = servers;
     second.stop(Signal::Kill);
     cluster.lose(1);
     let mut second = start(&cluster, 1);

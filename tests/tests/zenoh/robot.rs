@@ -1,6 +1,6 @@
 //! A client over Zenoh.
 
-use std::{process::Command, time::Duration};
+use std::time::Duration;
 
 use serde_json::{Value, json};
 use wayfold_tests::{Process, ServerProcess};
@@ -28,13 +28,9 @@ pub(crate) fn server_at(
     arguments: &[&str],
     settings: &[(&str, &str)],
 ) -> (ServerProcess, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-    command
-        .args(["--grpc", "127.0.0.1:0", "--zenoh", locator])
-        .env("WAYFOLD_DATA__DIR", "memory")
-        .envs(settings.iter().copied())
-        .args(arguments);
-    let mut server = ServerProcess::ready(Process::spawn(&mut command));
+    let program = env!("CARGO_BIN_EXE_server-process");
+    let arguments = [&["--zenoh", locator], arguments].concat();
+    let mut server = ServerProcess::start_with(program, &arguments, settings);
     let locator = server.zenoh();
     (server, locator)
 }

@@ -193,7 +193,7 @@ impl Kind {
     /// If it does not grow, or refuses the space.
     pub fn empty(self, space: &Space, room: usize) -> Box<dyn Structure> {
         match self {
-            Kind::Wayfold => Box::new(wayfold::Growing::new(space)),
+            Kind::Wayfold => Box::new(wayfold::Wayfold::growing(space)),
             Kind::KiddoMutable => kiddo::growing(chart(space)),
             Kind::NanoflannDynamic => Box::new(ChartedTree::nanoflann_dynamic(chart(space), room)),
             Kind::OmplGnat => Box::new(MetricTree::gnat(
@@ -225,7 +225,7 @@ impl Kind {
     /// If it has no way to take them at once, or refuses the space.
     pub fn built(self, space: &Space, rows: &Rows) -> Box<dyn Structure> {
         match self {
-            Kind::WayfoldRest => Box::new(wayfold::Resting::new(space, rows)),
+            Kind::WayfoldRest => Box::new(wayfold::Wayfold::resting(space, rows)),
             Kind::Mpnn => Box::new(mpnn::Paper::new(space, rows)),
             Kind::Kiddo => kiddo::built(chart(space), rows),
             Kind::Nanoflann => Box::new(ChartedTree::nanoflann(chart(space), rows)),

@@ -5,26 +5,28 @@ use wayfold_index::{Answer, Forest, ForestOptions, Points, Search, Space};
 use super::Structure;
 use crate::data::Rows;
 
-/// The forest grown by single inserts, each a separate mutation. Merges run when they fall due.
-pub struct Growing(Forest);
+/// The forest.
+pub struct Wayfold(Forest);
 
-impl Growing {
-    pub fn new(space: &Space) -> Self {
-        Growing(Forest::new(space.clone(), ForestOptions::for_space(space)))
+impl Wayfold {
+    /// It grows by single inserts, each a separate mutation. Merges run when they fall due.
+    pub fn growing(space: &Space) -> Self {
+        Wayfold(Forest::new(space.clone(), ForestOptions::for_space(space)))
     }
-}
 
-/// The forest as one tree, the final state of merging.
-pub struct Resting(Forest);
-
-impl Resting {
-    pub fn new(space: &Space, rows: &Rows) -> Self {
-        let mut forest = Forest::new(space.clone(), ForestOptions::for_space(space));
+    /// It is one tree, the final state of merging.
+    pub fn resting(space: &Space, rows: &Rows) -> Self {
+        let Wayfold(mut forest) = Wayfold::growing(space);
         forest
             .apply(1, &points(space, rows), &[])
             .expect("canonical states");
         forest.settle();
-        Resting(forest)
+        Wayfold(forest)
+    }
+
+    fn search(&self, query: &[f64], search: &Search<'_>, found: &mut Vec<u32>) {
+        let answer = self.0.search(query, search);
+        report(&answer.expect("canonical states"), found);
     }
 }
 
@@ -42,25 +44,13 @@ pub fn report(answer: &Answer, found: &mut Vec<u32>) {
     found.extend(answer.neighbors.iter().map(|neighbor| neighbor.id as u32));
 }
 
-impl Structure for Growing {
+impl Structure for Wayfold {
     fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>) {
-        report(
-            &self
-                .0
-                .search(query, &Search::nearest_k(k))
-                .expect("canonical states"),
-            found,
-        );
+        self.search(query, &Search::nearest_k(k), found);
     }
 
     fn within(&mut self, query: &[f64], radius: f64, found: &mut Vec<u32>) {
-        report(
-            &self
-                .0
-                .search(query, &Search::nearest_r(radius))
-                .expect("canonical states"),
-            found,
-        );
+        self.search(query, &Search::nearest_r(radius), found);
     }
 
     fn insert(&mut self, row: &[f64]) {
@@ -69,31 +59,5 @@ impl Structure for Growing {
         point.push(id, 0, id + 1, row);
         self.0.apply(id + 1, &point, &[]).expect("canonical states");
         self.0.settle();
-    }
-}
-
-impl Structure for Resting {
-    fn nearest(&mut self, query: &[f64], k: usize, found: &mut Vec<u32>) {
-        report(
-            &self
-                .0
-                .search(query, &Search::nearest_k(k))
-                .expect("canonical states"),
-            found,
-        );
-    }
-
-    fn within(&mut self, query: &[f64], radius: f64, found: &mut Vec<u32>) {
-        report(
-            &self
-                .0
-                .search(query, &Search::nearest_r(radius))
-                .expect("canonical states"),
-            found,
-        );
-    }
-
-    fn insert(&mut self, _: &[f64]) {
-        unreachable!("it is at rest");
     }
 }

@@ -66,9 +66,6 @@ struct Arguments {
     /// A setting of the server, as in grpc.max_calls=64.
     #[arg(long, value_name = "KEY=VALUE", value_parser = server::setting)]
     set: Vec<(String, String)>,
-    /// The token of an identity, with the role admin, of a server that asks for one. It counts for goodput alone.
-    #[arg(long)]
-    token: Option<String>,
     /// Writes the figures to a file, as JSON.
     #[arg(long)]
     json: Option<PathBuf>,
@@ -138,9 +135,6 @@ fn measure(arguments: &Arguments) -> Report {
     report.note("seconds", arguments.seconds.into());
     report.note("points", arguments.points.into());
     report.note("settings", json!(arguments.set));
-    if let Some(token) = &arguments.token {
-        let _ = wire::TOKEN.set(token.clone());
-    }
     let scenarios = match arguments.scenarios.as_slice() {
         [] => Scenario::value_variants(),
         some => some,

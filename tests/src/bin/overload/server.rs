@@ -14,7 +14,7 @@ use tokio::{
     runtime::Handle,
     time::{Instant, sleep_until},
 };
-use wayfold::{Client, Credentials};
+use wayfold::Client;
 use wayfold_index::Space;
 use wayfold_proto::v1::{InsertRequest, KnnRequest, knn_request::KForm};
 use wayfold_tests::{
@@ -177,16 +177,7 @@ pub(crate) async fn until_idle(process: u32, longest: Duration) -> f64 {
 }
 
 async fn fill(uri: &str, points: usize) {
-    let credentials = Credentials::new();
-    let credentials = match wire::TOKEN.get() {
-        Some(token) => credentials.token(token),
-        None => credentials,
-    };
-    let client = Client::builder()
-        .credentials(credentials)
-        .connect(uri)
-        .await;
-    let client = client.expect("a connection");
+    let client = Client::connect(uri).await.expect("a connection");
     let index = client.create_index(INDEX, &space()).await;
     let index = index.expect("an index");
     for rows in filler(points).chunks(ROWS * WIDTH) {

@@ -1,7 +1,7 @@
 //! Calls in bare HTTP/2: tonic's client hides refusals of streams and the ends of connections, and is too slow to
 //! overload a server from one core.
 
-use std::{net::SocketAddr, sync::OnceLock, time::Duration};
+use std::{net::SocketAddr, time::Duration};
 
 use bytes::{BufMut, Bytes, BytesMut};
 use h2::client::{Builder, Connection, ResponseFuture, SendRequest};
@@ -69,19 +69,13 @@ pub(crate) async fn connect(address: SocketAddr, window: u32) -> Result<Client, 
     Ok(client)
 }
 
-/// The token of all callers, if the server asks for one.
-pub(crate) static TOKEN: OnceLock<String> = OnceLock::new();
-
 /// The headers of a call.
 pub(crate) fn headers(address: SocketAddr, path: &str) -> Request<()> {
-    let request = Request::post(format!("http://{address}/{path}"))
+    Request::post(format!("http://{address}/{path}"))
         .header(header::CONTENT_TYPE, "application/grpc")
-        .header(header::TE, "trailers");
-    let request = match TOKEN.get() {
-        Some(token) => request.header(header::AUTHORIZATION, format!("Bearer {token}")),
-        None => request,
-    };
-    request.body(()).expect("a request")
+        .header(header::TE, "trailers")
+        .body(())
+        .expect("a request")
 }
 
 /// The deadline as a header's value.

@@ -1,9 +1,9 @@
 //! Measures the processor time that a server takes for an insert while 0, 1, 2, 4 and 8 subscribers watch the index.
 //!
-//!     cargo run --release -p wayfold-tests --bin subscribers -- [--rate 20000] [--writers 1] [--seconds 5] [--rounds 3]
-//!         [--min-batch 1] [--own] [--json FILE]
+//!     cargo run --release -p wayfold-tests --bin subscribers -- [--rate 20000] [--seconds 5] [--rounds 3]
+//!         [--min-batch 1] [--json FILE]
 //!
-//! Writer sessions put SE(3) points (`R3*SO3:0.15`) at a fixed rate. A batch holds the puts that
+//! A writer session puts SE(3) points (`R3*SO3:0.15`) at a fixed rate. A batch holds the puts that
 //! arrived while the one before it was under way. The server has its default durability and runs in a separate process;
 //! the writer and the subscribers are in this one.
 
@@ -41,9 +41,6 @@ struct Arguments {
     /// The number of points put per second.
     #[arg(long, default_value_t = 20_000)]
     rate: u64,
-    /// The number of writer sessions that share the rate.
-    #[arg(long, default_value_t = 1)]
-    writers: u64,
     /// A batch waits for this number of points: equal batches make measurements comparable.
     #[arg(long, default_value_t = 1)]
     min_batch: u64,
@@ -53,9 +50,6 @@ struct Arguments {
     /// The number of rounds; the medians are reported.
     #[arg(long, default_value_t = 3)]
     rounds: u64,
-    /// The first subscriber names the first writer's session as its own.
-    #[arg(long)]
-    own: bool,
     /// Writes the figures to a file, as JSON.
     #[arg(long)]
     json: Option<PathBuf>,
@@ -105,21 +99,12 @@ async fn measure(arguments: &Arguments, subscribers: usize) -> Measured {
     let server = measuring::server(data.path().to_str().expect("a path in UTF-8"));
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create("arm", SPACE).await;
-    let mut writers = Vec::new();
-    for _ in 0..arguments.writers.max(1) {
-        let stubs = Stubs::connect(server.uri()).await;
-        writers.push(Writer::open(stubs, arguments).await);
-    }
-    let own_session = match arguments.own {
-        true => writers[0].opened.session,
-        false => 0,
-    };
+    let writer = Writer::open(Stubs::connect(server.uri()).await, arguments).await;
     let (tell, mut began) = mpsc::channel(subscribers.max(1));
     let mut watches = JoinSet::new();
-    for at in 0..subscribers {
+    for _ in 0..subscribers {
         let request = v1::WatchRequest {
             index_name: "arm".into(),
-            own_session: if at == 0 { own_session } else { 0 },
             ..Default::default()
         };
         watches.spawn(watch(server.uri().to_owned(), request, tell.clone()));
@@ -131,8 +116,7 @@ async fn measure(arguments: &Arguments, subscribers: usize) -> Measured {
     let process = server.process().id();
     let processor = || processor_seconds(process).expect("the server's processor time");
     let before = processor();
-    let writing: JoinSet<u64> = writers.into_iter().map(Writer::write).collect();
-    let batches: u64 = writing.join_all().await.iter().sum();
+    let batches = tokio::spawn(writer.write()).await.expect("a writer");
     let last = v1::InsertRequest {
         index_name: "arm".into(),
         states: Some(row_states(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], WIDTH)),
@@ -160,8 +144,7 @@ struct Writer {
 
 impl Writer {
     async fn open(mut stubs: Stubs, arguments: &Arguments) -> Writer {
-        let writers = arguments.writers.max(1);
-        let points = arguments.seconds * arguments.rate / writers;
+        let points = arguments.seconds * arguments.rate;
         let opening = v1::OpenSessionRequest {
             index_name: "arm".into(),
             reserve_count: points,
@@ -172,7 +155,7 @@ impl Writer {
             stubs,
             opened: opened.expect("a session").into_inner(),
             points,
-            rate: arguments.rate as f64 / writers as f64,
+            rate: arguments.rate as f64,
             min_batch: arguments.min_batch.max(1),
             pool: States::new(SPACE.parse().expect("a space"), 1).rows(POOL),
         }

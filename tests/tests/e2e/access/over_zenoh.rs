@@ -1,9 +1,7 @@
 //! The same over Zenoh: its links have TLS of their own, and a token is an attachment.
 
-use std::process::Command;
-
 use wayfold::{Credentials, Error, Index, Space};
-use wayfold_tests::{Process, ServerProcess, Signal, measuring};
+use wayfold_tests::{Process, ServerProcess, Signal, measuring, server};
 
 use super::{
     assert_secret,
@@ -70,23 +68,11 @@ async fn a_token_is_the_attachment_and_events_stay_unpublished_unless_allowed() 
         let directory = tempfile::tempdir().unwrap();
         let authority = Authority::new(directory.path());
         let token = authority.token("robot", "admin", "*");
-        let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-        command
-            .args([
-                "--grpc",
-                "127.0.0.1:0",
-                "--zenoh",
-                "tcp/127.0.0.1:0",
-                "--data",
-                "memory",
-            ])
-            .env(
-                "WAYFOLD_ACCESS__IDENTITIES",
-                authority.file("identities", "toml"),
-            )
-            .env("WAYFOLD_ACCESS__PUBLISH_EVENTS", publishes)
-            .env("WAYFOLD_LOG__FILTER", "trace,zenoh=trace");
-        let mut server = ServerProcess::ready(Process::spawn(&mut command));
+        let identities = authority.file("identities", "toml");
+        let mut server = server!("--zenoh", "tcp/127.0.0.1:0";
+            ("WAYFOLD_ACCESS__IDENTITIES", identities.to_str().unwrap()),
+            ("WAYFOLD_ACCESS__PUBLISH_EVENTS", publishes),
+            ("WAYFOLD_LOG__FILTER", "trace,zenoh=trace"));
         let session = measuring::connect(&server.zenoh()).await;
         let events = session.declare_subscriber("wayfold/v1/*/events").await;
         let events = events.unwrap();

@@ -2,12 +2,13 @@
 
 use std::collections::BTreeSet;
 
+use clap::ValueEnum;
 use rand::{Rng, RngExt, seq::IndexedRandom};
 
 use super::clock::DAY;
 
 /// A fault.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Fault {
     /// A server is killed, and started again once writing has gone on without it.
     Kill,
@@ -70,29 +71,6 @@ pub(super) enum Stall {
 }
 
 impl Fault {
-    const ALL: [Fault; 20] = [
-        Fault::Kill,
-        Fault::Lose,
-        Fault::Pause,
-        Fault::KillNats,
-        Fault::PauseNats,
-        Fault::KillAll,
-        Fault::Clock,
-        Fault::Flip,
-        Fault::Cut,
-        Fault::PowerNats,
-        Fault::PowerAllNats,
-        Fault::PowerBoth,
-        Fault::Full,
-        Fault::FullNats,
-        Fault::CutServer,
-        Fault::CutOwner,
-        Fault::CutNats,
-        Fault::CutMinority,
-        Fault::CutFront,
-        Fault::CutClients,
-    ];
-
     pub(super) fn needs(self) -> Needs {
         match self {
             Fault::Kill
@@ -147,15 +125,19 @@ impl Fault {
     /// The faults of a list of their names, or of one of the words `plain` (without root), `disks`, `partitions`, `all`.
     pub(super) fn parse(list: &str) -> Vec<Self> {
         let named = |name: &str| {
-            let kinds = Self::ALL.into_iter().filter(|fault| match name {
+            let kinds = Self::value_variants().iter().filter(|fault| match name {
                 "all" => true,
                 "plain" => fault.needs() == Needs::Nothing,
                 "disks" => fault.needs() == Needs::Disks,
                 "partitions" => fault.needs() == Needs::Network,
                 name => format!("{fault:?}").eq_ignore_ascii_case(name),
             });
-            let kinds: Vec<_> = kinds.collect();
-            assert!(!kinds.is_empty(), "no fault is {name:?}: {:?}", Self::ALL);
+            let kinds: Vec<_> = kinds.copied().collect();
+            assert!(
+                !kinds.is_empty(),
+                "no fault is {name:?}: {:?}",
+                Self::value_variants()
+            );
             kinds
         };
         list.split(',').flat_map(named).collect()
@@ -178,7 +160,7 @@ pub(super) fn jump(random: &mut impl Rng) -> i64 {
 #[test]
 fn only_a_stall_under_a_fault_that_takes_a_majority_is_excused() {
     let damaged = BTreeSet::from([1]);
-    for fault in Fault::ALL {
+    for fault in Fault::value_variants() {
         for stall in [Stall::Before, Stall::After] {
             assert!(!fault.excuses(stall, 0, &damaged), "{fault:?}");
         }

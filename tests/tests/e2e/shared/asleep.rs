@@ -1,41 +1,21 @@
 //! A planner whose machine sleeps: its process stands still while others write on, and its clock with it.
 
-use std::process::Command;
-
 use wayfold::{Client, Space};
-use wayfold_tests::{Process, ServerProcess, Signal, States, page};
+use wayfold_tests::{Process, Signal, States, server};
+
+use crate::metrics::figures;
 
 /// The records of a second connection that the log forgets meanwhile.
 const OTHERS: usize = 500;
-
-/// The number of subscribers of the index, as `/metrics` tells it.
-fn subscribers(address: &str) -> String {
-    let (status, text) = page(address, "/metrics", "");
-    assert_eq!(status, 200);
-    let line = text
-        .lines()
-        .find_map(|line| line.strip_prefix("wayfold_index_subscribers{index=\"arm\"} "));
-    line.unwrap_or_default().to_owned()
-}
 
 /// The server gives up the connection of the sleeper, and its log forgets what came meanwhile. Once awake, the planner has
 /// all points of others, and they have its own, each once.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_planner_that_slept_goes_on() {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-    command
-        .args([
-            "--grpc",
-            "127.0.0.1:0",
-            "--http",
-            "127.0.0.1:0",
-            "--data",
-            "memory",
-        ])
-        .env("WAYFOLD_INDEX__WINDOW_BYTES", "2000")
-        .env("WAYFOLD_GRPC__KEEPALIVE_INTERVAL_MS", "500")
-        .env("WAYFOLD_GRPC__KEEPALIVE_TIMEOUT_MS", "500");
-    let mut server = ServerProcess::ready(Process::spawn(&mut command));
+    let mut server = server!("--http", "127.0.0.1:0";
+        ("WAYFOLD_INDEX__WINDOW_BYTES", "2000"),
+        ("WAYFOLD_GRPC__KEEPALIVE_INTERVAL_MS", "500"),
+        ("WAYFOLD_GRPC__KEEPALIVE_TIMEOUT_MS", "500"));
     let pages = server.pages();
     let client = Client::connect(server.uri()).await.unwrap();
     let space: Space = super::SPACE.parse().unwrap();
@@ -44,7 +24,12 @@ async fn a_planner_that_slept_goes_on() {
     assert_eq!(sleeper.line().as_deref(), Some("ready"));
     sleeper.say("5");
     assert_eq!(sleeper.line().as_deref(), Some("5"));
-    while subscribers(&pages) != "1" {}
+    let subscribers = || {
+        figures(&pages)
+            .get("wayfold_index_subscribers{index=\"arm\"}")
+            .copied()
+    };
+    while subscribers() != Some(1.0) {}
 
     sleeper.signal(Signal::Pause);
     let mut states = States::new(space.clone(), 6);
@@ -54,7 +39,7 @@ async fn a_planner_that_slept_goes_on() {
             .await
             .unwrap();
     }
-    while subscribers(&pages) != "0" {}
+    while subscribers() != Some(0.0) {}
     // Its first writes are made before it knows that it was left.
     sleeper.say("7");
     sleeper.signal(Signal::Resume);

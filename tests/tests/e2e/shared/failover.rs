@@ -1,14 +1,13 @@
 //! Several servers with one journal in NATS: a client goes on at another one when its server dies, or is cut off from
 //! NATS. The environment variable `NATS_SERVER` has the path of the program nats-server.
 
-use std::{collections::BTreeSet, process::Command, thread, time::Duration};
+use std::{collections::BTreeSet, thread, time::Duration};
 
-use tempfile::TempDir;
 use tokio::runtime::Runtime;
 use wayfold::{Client, Code, ConnectionStatus, Index, ResetReason, Revision, WatchEvent};
 use wayfold_index::Space;
 use wayfold_proto::v1::GetRequest;
-use wayfold_tests::{Process, ServerProcess, Signal, Stubs, nats, server};
+use wayfold_tests::{ServerProcess, Signal, Stubs, server};
 
 use super::{
     checks::wait_for_status,
@@ -16,40 +15,13 @@ use super::{
     proxy::Proxy,
     shared,
 };
+use crate::journal_loss::Cluster;
 
 const POINTS: usize = 300;
 
-/// A server of NATS.
-struct Nats {
-    address: String,
-    _servers: nats::Nats,
-    _directory: TempDir,
-}
-
-impl Nats {
-    fn start() -> Nats {
-        let directory = tempfile::tempdir().unwrap();
-        let servers = nats::Nats::start(directory.path(), 1);
-        Nats {
-            address: servers.urls().trim_start_matches("nats://").to_owned(),
-            _servers: servers,
-            _directory: directory,
-        }
-    }
-
-    fn uri(&self) -> String {
-        format!("http://{}", self.address)
-    }
-
-    /// A server of Wayfold that shares its journal through NATS at an address.
-    fn server(address: &str) -> ServerProcess {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-        command
-            .args(["--grpc", "127.0.0.1:0"])
-            .env("WAYFOLD_DATA__DIR", "memory")
-            .envs(nats::member_settings(&format!("nats://{address}"), 1));
-        ServerProcess::ready(Process::spawn(&mut command))
-    }
+/// The address of the only server of NATS, as a proxy takes it.
+fn nats_uri(cluster: &Cluster) -> String {
+    cluster.nats.urls().replace("nats://", "http://")
 }
 
 /// Two servers, of which the second one reaches NATS through a proxy.
@@ -59,16 +31,17 @@ struct TwoServers {
     first: ServerProcess,
     second: ServerProcess,
     uris: String,
-    nats: Nats,
+    cluster: Cluster,
 }
 
 impl TwoServers {
     fn start() -> TwoServers {
-        let nats = Nats::start();
+        let cluster = Cluster::empty();
         let runtime = Runtime::new().unwrap();
-        let way = runtime.block_on(Proxy::to(&nats.uri()));
-        let first = Nats::server(&nats.address);
-        let second = Nats::server(way.uri.trim_start_matches("http://"));
+        let way = runtime.block_on(Proxy::to(&nats_uri(&cluster)));
+        let first = cluster.start(0);
+        let through = way.uri.replace("http://", "nats://");
+        let second = cluster.start_with(1, &[("WAYFOLD_CLUSTER__NATS", &through)]);
         let uris = format!("{},{}", first.uri(), second.uri());
         TwoServers {
             runtime,
@@ -76,7 +49,7 @@ impl TwoServers {
             first,
             second,
             uris,
-            nats,
+            cluster,
         }
     }
 }
@@ -102,8 +75,8 @@ fn insert(index: &Index, first: usize) -> Vec<u64> {
 #[test]
 #[ignore = "needs nats-server"]
 fn writes_of_a_copy_are_there_once_after_its_server_has_died() {
-    let nats = Nats::start();
-    let [first, second] = [(); 2].map(|()| Nats::server(&nats.address));
+    let cluster = Cluster::empty();
+    let [first, second] = [0, 1].map(|number| cluster.start(number));
     let space: Space = "R2".parse().unwrap();
     let uris = format!("{},{}", first.uri(), second.uri());
     let index = shared(&uris, &space);
@@ -138,7 +111,7 @@ fn a_server_that_lags_is_not_older_to_its_client() {
         first,
         second,
         uris,
-        nats,
+        cluster,
     } = TwoServers::start();
     let space: Space = "R2".parse().unwrap();
     let copy = shared(&uris, &space);
@@ -146,7 +119,7 @@ fn a_server_that_lags_is_not_older_to_its_client() {
     runtime.block_on(async {
         let client = Client::connect(&uris).await.unwrap();
         let index = client.index("arm").await.unwrap();
-        way.hold(&nats.uri());
+        way.hold(&nats_uri(&cluster));
         let mut ids = Vec::new();
         for number in 0..POINTS {
             let inserted = index.insert([[number as f64, 0.0]]).await.unwrap();
@@ -162,7 +135,7 @@ fn a_server_that_lags_is_not_older_to_its_client() {
         for error in [read, updated] {
             assert_eq!(error.code(), Code::DeadlineExceeded, "{error}");
         }
-        way.lead_to(&nats.uri());
+        way.lead_to(&nats_uri(&cluster));
         index.update([ids[0]]).tags([1]).await.unwrap();
         let removed = index.remove([ids[POINTS - 1]]).await.unwrap();
         assert_eq!(removed.removed_count, 1);
@@ -186,14 +159,14 @@ fn makes_unheard(has_older: bool) {
         first,
         second,
         uris,
-        nats,
+        cluster,
     } = TwoServers::start();
     let space: Space = "R2".parse().unwrap();
     if has_older {
         drop(shared(first.uri(), &space));
         wait_for_index(second.uri());
     }
-    way.hold(&nats.uri());
+    way.hold(&nats_uri(&cluster));
     if has_older {
         runtime.block_on(async {
             let client = Client::connect(first.uri()).await.unwrap();
@@ -209,7 +182,7 @@ fn makes_unheard(has_older: bool) {
         ConnectionStatus::Disconnected { why, .. } => why.reason() == Some("UID_UNKNOWN"),
         _ => false,
     });
-    way.lead_to(&nats.uri());
+    way.lead_to(&nats_uri(&cluster));
     copy.flush().unwrap();
     let stored = content(&shared(second.uri(), &space));
     assert_eq!(Vec::from_iter(stored.keys().copied()), ids);
@@ -234,8 +207,8 @@ fn a_copy_does_not_end_at_a_server_that_has_not_heard_of_its_index() {
 #[tokio::test]
 #[ignore = "needs nats-server"]
 async fn a_uid_that_nothing_knows_is_past() {
-    let nats = tokio::task::spawn_blocking(Nats::start).await.unwrap();
-    let server = Nats::server(&nats.address);
+    let cluster = Cluster::empty();
+    let server = cluster.start(0);
     let client = Client::connect(server.uri()).await.unwrap();
     let index = client.create_index("arm", &"R2".parse().unwrap()).await;
     let index = index.unwrap();
@@ -283,19 +256,16 @@ async fn a_server_that_stands_still_is_left() {
 #[test]
 #[ignore = "needs nats-server"]
 fn a_copy_leaves_a_server_that_is_cut_off_from_the_journal() {
-    let nats = Nats::start();
-    let runtime = Runtime::new().unwrap();
-    let way = runtime.block_on(Proxy::to(&nats.uri()));
-    let first = Nats::server(way.uri.trim_start_matches("http://"));
-    let second = Nats::server(&nats.address);
+    let servers = TwoServers::start();
+    let (cut_off, uri) = (servers.second.uri(), servers.first.uri());
     let space: Space = "R2".parse().unwrap();
-    let index = shared(&format!("{},{}", first.uri(), second.uri()), &space);
-    wait_for_index(second.uri());
-    let other = shared(second.uri(), &space);
+    let index = shared(&format!("{cut_off},{uri}"), &space);
+    wait_for_index(uri);
+    let other = shared(uri, &space);
     insert(&index, 0);
     wait_for_all(&index, &[-1.0, 0.0], &[&other]);
 
-    way.close();
+    servers.way.close();
     insert(&index, POINTS);
     index.flush().unwrap();
     let late = other.insert([-2.0, 0.0]).unwrap();
@@ -303,7 +273,7 @@ fn a_copy_leaves_a_server_that_is_cut_off_from_the_journal() {
         thread::yield_now();
     }
     wait_for_all(&index, &[-3.0, 0.0], &[&other, &index]);
-    let stored = content(&shared(second.uri(), &space));
+    let stored = content(&shared(uri, &space));
     assert_eq!(stored.len(), 2 * POINTS + 3);
     check_copies(&stored, &space, &[&index, &other]);
 }

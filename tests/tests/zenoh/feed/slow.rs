@@ -1,14 +1,11 @@
 //! A subscriber that does not read its publications.
 
-use std::{
-    fs,
-    sync::{Mutex, mpsc},
-};
+use std::sync::{Mutex, mpsc};
 
 use prost::Message;
 use serde_json::Value;
 use wayfold_proto::v1::{self, ResetReason};
-use wayfold_tests::{Stubs, number};
+use wayfold_tests::{Stubs, figures::resident_bytes, number};
 
 use super::{insertion, uid};
 use crate::{
@@ -46,14 +43,7 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_receives_a_reset() 
     let events = events.await.unwrap();
     assert_eq!(received.recv().await, Some(None));
 
-    let resident = || -> u64 {
-        let status = fs::read_to_string(format!("/proc/{}/status", server.process().id())).unwrap();
-        let line = status
-            .lines()
-            .find(|line| line.starts_with("VmRSS:"))
-            .unwrap();
-        line.split_whitespace().nth(1).unwrap().parse().unwrap()
-    };
+    let resident = || resident_bytes(server.process().id()).unwrap();
     stubs.insert(insertion(&[1], PAYLOAD)).await;
     let before = resident();
     const WRITES: u64 = 2_000;
@@ -66,8 +56,8 @@ async fn a_subscriber_that_does_not_read_costs_no_memory_and_receives_a_reset() 
         stubs.insert(moved).await;
     }
     let grown = resident().saturating_sub(before);
-    let published = WRITES * PAYLOAD as u64 / 1024;
-    assert!(grown < published / 2, "{grown} KiB of {published}");
+    let published = WRITES * PAYLOAD as u64;
+    assert!(grown < published / 2, "{grown} bytes of {published}");
 
     // Other peers are answered meanwhile.
     let robot = Robot::connect(&locator).await;

@@ -1,5 +1,6 @@
 //! Requests in handwritten JSON, and the answers in JSON, read field by field.
 
+use base64::prelude::{BASE64_STANDARD, Engine as _};
 use serde_json::{Map, Value, json};
 use wayfold_proto::v1::{self, create_index_request::SpaceForm, neighbor_spec};
 
@@ -27,10 +28,8 @@ pub(super) fn integers(values: &[u64]) -> Value {
 }
 
 pub(super) fn payloads<B: AsRef<[u8]>>(values: &[B]) -> Value {
-    values
-        .iter()
-        .map(|bytes| json!(to_base64(bytes.as_ref())))
-        .collect()
+    let texts = values.iter().map(|bytes| BASE64_STANDARD.encode(bytes));
+    texts.collect()
 }
 
 pub(super) fn states(states: &v1::States) -> Value {
@@ -237,7 +236,7 @@ fn read_neighbors(it: &Value) -> v1::Neighbors {
         tags: flat(&it["tags"], read_integer),
         revisions: flat(&it["revisions"], read_integer),
         payloads: flat(&it["payloads"], |it| {
-            from_base64(it.as_str().unwrap()).into()
+            BASE64_STANDARD.decode(it.as_str().unwrap()).unwrap().into()
         }),
     }
 }
@@ -249,7 +248,7 @@ fn read_points(it: &Value) -> v1::Points {
         tags: list(&it["tags"], read_integer),
         revisions: list(&it["revisions"], read_integer),
         payloads: list(&it["payloads"], |it| {
-            from_base64(it.as_str().unwrap()).into()
+            BASE64_STANDARD.decode(it.as_str().unwrap()).unwrap().into()
         }),
     }
 }
@@ -348,37 +347,4 @@ pub(super) fn answer(op: &Op, it: &Value) -> Answer {
             }),
         }),
     }
-}
-
-const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-
-/// RFC 4648, section 4.
-fn to_base64(bytes: &[u8]) -> String {
-    let mut text = String::new();
-    for chunk in bytes.chunks(3) {
-        let mut block = [0; 4];
-        block[1..=chunk.len()].copy_from_slice(chunk);
-        let bits = u32::from_be_bytes(block);
-        for digit in 0..4 {
-            let index = (bits >> (18 - 6 * digit)) as usize % 64;
-            let is_there = digit <= chunk.len();
-            text.push(if is_there { DIGITS[index] as char } else { '=' });
-        }
-    }
-    text
-}
-
-fn from_base64(text: &str) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    for block in text.as_bytes().chunks(4) {
-        let digits = block.iter().filter(|digit| **digit != b'=');
-        let digits: Vec<usize> = digits
-            .map(|digit| DIGITS.iter().position(|it| it == digit).unwrap())
-            .collect();
-        let bits = (0..4).fold(0, |bits, at| {
-            bits << 6 | digits.get(at).copied().unwrap_or(0)
-        });
-        bytes.extend(&(bits as u32).to_be_bytes()[1..digits.len()]);
-    }
-    bytes
 }
