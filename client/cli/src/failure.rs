@@ -122,7 +122,7 @@ impl Failure {
             Failure::Disagreement { .. } | Failure::Damaged { .. } | Failure::NotServing { .. } => {
                 Status::Negative
             }
-            Failure::Client(Error::Address { .. })
+            Failure::Client(Error::Address { .. } | Error::Argument { field: "token", .. })
             | Failure::Credential { .. }
             | Failure::HalfCertificate
             | Failure::NoServer

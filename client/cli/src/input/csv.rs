@@ -26,7 +26,8 @@ pub(super) fn rows(
         .from_reader(Lines::new(input));
     let mut first = StringRecord::new();
     let is_empty = !read(name, &mut reader, &mut first)?;
-    let has_header = !is_empty && is_header(&first);
+    let is_named = |column| [columns.ids, columns.tags].contains(&Some(column));
+    let has_header = !is_empty && (first.iter().any(is_named) || is_header(&first));
     if let Some(option) = columns.option()
         && !has_header
     {
@@ -48,13 +49,11 @@ pub(super) fn rows(
     }
     let id_column = column(columns.ids).transpose()?;
     let tag_column = column(columns.tags).transpose()?;
-    let other_id = first
-        .iter()
-        .find(|column| column.eq_ignore_ascii_case("id"));
-    if has_header
-        && id_column.is_none()
-        && let Some(column) = other_id
-    {
+    let is_coordinate = |column: usize| ![id_column, tag_column].contains(&Some(column));
+    let mut named = first.iter().enumerate();
+    let other_id =
+        named.find(|(column, name)| is_coordinate(*column) && name.eq_ignore_ascii_case("id"));
+    if has_header && let Some((_, column)) = other_id {
         return Err(InputError::Format {
             position: format!("{name}:1"),
             problem: format!(
@@ -100,7 +99,7 @@ fn shortened(text: &str) -> String {
     }
 }
 
-/// A first line is a header if none of its fields is a number or the beginning of one. (`nan` counts as a number, so that
+/// A first line is a header if no field is empty, is a number, or begins as one does. (`nan` counts as a number, so that
 /// a file whose first row is bad has no header.)
 fn is_header(record: &StringRecord) -> bool {
     let begins_number = |first: char| first.is_ascii_digit() || "+-.".contains(first);
@@ -269,16 +268,38 @@ mod tests {
 
     #[test]
     fn the_first_line_is_a_header_or_a_row() {
-        for (text, expected) in [
-            ("a,b\n1,2\n", Ok(1)),
-            ("1,2\n1,2\n", Ok(2)),
-            ("0x10,a\n1,2\n", Err("file:1:1 (x): \"0x10\"")),
-            ("a,1_0\n1,2\n", Err("file:1:1 (x): \"a\"")),
-            (",\n1,2\n", Err("file:1:1 (x): \"\"")),
-            ("Id,x\n1,2\n", Err("file:1: the column Id would")),
-            ("id,x,y\n7,1,2\n", Err("file:1: the column id would")),
+        for (columns, text, expected) in [
+            ([None, None], "a,b\n1,2\n", Ok(1)),
+            ([None, None], "1,2\n1,2\n", Ok(2)),
+            ([None, None], "0x10,a\n1,2\n", Err("file:1:1 (x): \"0x10\"")),
+            ([None, None], "a,1_0\n1,2\n", Err("file:1:1 (x): \"a\"")),
+            ([None, None], ",\n1,2\n", Err("file:1:1 (x): \"\"")),
+            (
+                [None, None],
+                "Id,x\n1,2\n",
+                Err("file:1: the column Id would"),
+            ),
+            (
+                [None, None],
+                "id,x,y\n7,1,2\n",
+                Err("file:1: the column id would"),
+            ),
+            (
+                [Some("key"), None],
+                "key,id,y\n7,1,2\n",
+                Err("file:1: the column id would"),
+            ),
+            ([None, Some("id")], "id,x,y\n7,1,2\n", Ok(1)),
+            ([Some(""), None], ",x,y\n7,1,2\n", Ok(1)),
+            (
+                [Some("a"), Some("a")],
+                "a,x,y\n7,1,2\n",
+                Err("file: --ids and --tags name"),
+            ),
         ] {
-            let rows = plane(text.as_bytes()).and_then(|rows| rows.collect::<Result<Vec<_>, _>>());
+            let [ids, tags] = columns;
+            let rows = in_plane(text.as_bytes(), Columns { ids, tags });
+            let rows = rows.and_then(|rows| rows.collect::<Result<Vec<_>, _>>());
             match (rows, expected) {
                 (Ok(rows), Ok(count)) => assert_eq!(rows.len(), count, "{text:?}"),
                 (Err(error), Err(problem)) => {
@@ -302,6 +323,13 @@ mod tests {
             ids: None,
             tags: None,
         };
+        in_plane(input, columns)
+    }
+
+    fn in_plane(
+        input: impl Read + Send + 'static,
+        columns: Columns<'_>,
+    ) -> Result<Rows, InputError> {
         rows("file", input, &"R2".parse().unwrap(), columns)
     }
 }

@@ -40,7 +40,7 @@ enum TokenCommand {
     Create(CreateArgs),
 }
 
-/// A name or a pattern that the server accepts: it refuses the whole file for another one.
+/// A name or a pattern that the server accepts. It refuses the whole file for another name, and TOML has no raw U+007F.
 fn name(text: &str) -> Result<String, &'static str> {
     match text {
         "" => Err("it is empty"),

@@ -66,8 +66,8 @@ fn text_is_a_table() {
         inserted.stdout,
         "inserted 2, unchanged 0, replaced 0, too close 0; first id 7, last id 1000; revision 1\n"
     );
-    let nearest = server.run(&["knn", "line", "-k", "5", "--state", "0"]);
-    let table = "state 1: 2 points at revision 1\n    id  distance\n     7  0.5\n  1000  2.0\n";
+    let nearest = server.run(&["knn", "line", "-k", "5", "--state", "-0.5"]);
+    let table = "state 1: 2 points at revision 1\n    id  distance\n     7  1.0\n  1000  2.5\n";
     assert_eq!(nearest.stdout, table);
     assert_eq!(
         server.run(&["get", "line", "7"]).stdout,

@@ -253,7 +253,7 @@ fn endpoint(uri: &str, credentials: &Credentials) -> Result<Endpoint, Error> {
     }
     let authority = endpoint.uri().authority().map_or("", |it| it.as_str());
     // The address of an IPv6 host has colons within brackets.
-    let after_host = authority.rsplit(']').next().unwrap_or_default();
+    let after_host = authority.rsplit([']', '@']).next().unwrap_or_default();
     if after_host.contains(':') && endpoint.uri().port_u16().is_none() {
         return Err(refused("its port is no number from 0 to 65535"));
     }
