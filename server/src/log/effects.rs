@@ -174,6 +174,11 @@ impl Effects {
         highest.map_or(0, |id| id + 1).max(reserved)
     }
 
+    /// True if it ends writer sessions, each of which may have a million blocks of ids.
+    pub fn ends_sessions(&self) -> bool {
+        self.batch().is_some_and(|batch| !batch.ended.is_empty())
+    }
+
     /// Its approximate size in bytes.
     pub fn bytes(&self) -> usize {
         let row = 8 * self.stored.coordinates() + 3 * 8 + 1;

@@ -29,10 +29,11 @@ pub enum LogError {
         /// The name.
         name: String,
     },
-    /// The journal ends before what this server has applied. The server looks again: NATS may have answered from the past.
+    /// The journal ends before what this server has applied. The server looks again: NATS may have answered with stale
+    /// data.
     #[error(
         "index {uid}: the journal ends at revision {head}, and this server has applied {applied}: NATS has lost the \
-         records between, or answers from the past; nothing is written, and reads go on; call again, or call another \
+         records between, or answers with an older state; nothing is written, and reads go on; call again, or call another \
          server. If it lasts, stop this server and run `wayfold-server reseed`"
     )]
     JournalBehind {

@@ -51,6 +51,7 @@ pub(crate) use entry::MAX_NAME_BYTES;
 pub use entry::{Entry, LostIndex, Origin};
 pub use error::LogError;
 pub use memory::MemoryLog;
+pub(crate) use nats::open as open_nats;
 pub use nats::{NatsError, NatsOptions, connect as connect_nats};
 pub(crate) use record::position_after;
 pub use record::{Digest, Record, RunId};
@@ -105,7 +106,7 @@ pub trait Journal: Send + Sync {
     /// way. May block if [`Journal::is_busy`], or if points are replaced or removed.
     fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError>;
 
-    /// Publishes the first record of a restored index, which follows its origin. A journal elsewhere takes it only if it has no
+    /// Publishes the first record of a restored index, which follows its origin. A shared journal takes it only if it has no
     /// record of the index; the journal of the same engine begins at the origin by itself. Blocks.
     fn begin(&self, _: Uid, _: Arc<Record>) -> Result<(), LogError> {
         Ok(())
@@ -114,8 +115,8 @@ pub trait Journal: Send + Sync {
     /// The records after the revision `after`, once they are as durable as this journal makes them.
     fn follow(&self, uid: Uid, after: u64) -> RecordStream;
 
-    /// The same after a record that this server has applied. A journal elsewhere may have lost it, and have another one in its
-    /// place: then the stream ends with [`LogError::JournalDamaged`].
+    /// Like [`Journal::follow`], after a record that this server has applied. If a shared journal has another record there,
+    /// the stream ends with [`LogError::JournalDamaged`].
     fn follow_applied(&self, uid: Uid, applied: RecordPosition) -> RecordStream {
         self.follow(uid, applied.revision)
     }
@@ -139,13 +140,13 @@ pub trait Journal: Send + Sync {
     /// The newest revision that the journal has, durable or not. Blocks.
     fn newest(&self, uid: Uid) -> Result<u64, LogError>;
 
-    /// Forgets the records up to this revision of a journal elsewhere, which enough servers store, except those that this
+    /// Forgets the records up to this revision of a shared journal, which enough servers store, except those that this
     /// server keeps itself and the newest of the journal. Blocks.
     fn forget(&self, _: Uid, _up_to: u64) -> Result<(), LogError> {
         Ok(())
     }
 
-    /// Submits again the newest records that a journal elsewhere has lost and that this server has applied. Returns their
+    /// Submits again the newest records that a shared journal has lost and that this server has applied. Returns their
     /// number. [`LogError::Contradicted`] if they do not follow what the journal has. Blocks.
     fn repair(&self, _: Uid) -> Result<u64, LogError> {
         Ok(0)
@@ -167,8 +168,8 @@ pub trait Journal: Send + Sync {
     }
 }
 
-/// The points of all indices as of the newest record that was applied: the local checkpoint, where payloads live. As a
-/// journal it has the newest applied records, of a journal elsewhere too.
+/// The points of all indices as of the newest record that was applied: the local checkpoint, where payloads live. Its
+/// [`Journal`] side returns the newest applied records, also those that came from a shared journal.
 pub trait PointStore: Journal {
     /// Applies consecutive records of an index, and returns its points as of the last of them. A record that was
     /// submitted to this engine is in the store already and is not applied again. `records` is not empty.
@@ -297,7 +298,7 @@ pub trait Catalogue: Send + Sync {
         None
     }
 
-    /// False if another server may have given this uid to the index of this name after `hosted`, which has the name here.
+    /// True if `uid` can no longer become the uid of this name here; false in doubt. `hosted` is the uid that it has.
     fn is_past(&self, _name: &str, _uid: &str, _hosted: Option<Uid>) -> bool {
         true
     }
@@ -308,7 +309,7 @@ pub trait Catalogue: Send + Sync {
     }
 }
 
-/// The three parts of a log: one engine, or a journal on another machine and a local point store.
+/// The three parts of a log: one engine, or a shared journal and a local point store.
 #[derive(Clone)]
 pub struct Log {
     /// Its records.

@@ -44,7 +44,7 @@ impl Record {
     /// The run of records that name none.
     pub const NO_RUN: RunId = [0; 16];
 
-    /// The next record after `position`, with the current time, made by no named run.
+    /// The next record after `position`, with the current time, made by no named run. Only tests use it.
     pub fn after(position: RecordPosition, effects: Effects) -> Self {
         Self::made_by(Self::NO_RUN, position, effects)
     }
@@ -66,7 +66,8 @@ impl Record {
         self.revision == position.revision + 1 && self.previous == position.digest
     }
 
-    /// The record of `revision`, made at `time_ms` by no named run, after the record with the digest `previous`.
+    /// The record of `revision`, made at `time_ms` by no named run, after the record with the digest `previous`. Only tests
+    /// and fuzzing use it.
     pub fn new(revision: u64, previous: Digest, time_ms: u64, effects: Effects) -> Self {
         Self::sealed(Self::NO_RUN, revision, previous, time_ms, effects)
     }

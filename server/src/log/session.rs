@@ -90,6 +90,18 @@ impl Sessions {
         self.blocks.size()
     }
 
+    /// The number of blocks once these sessions have ended.
+    pub fn block_count_without(&self, ended: &[u64]) -> usize {
+        if ended.is_empty() {
+            return self.block_count();
+        }
+        let ended: HashSet<u64> = ended.iter().copied().collect();
+        let blocks = self.blocks();
+        blocks
+            .filter(|(_, block)| !ended.contains(&block.session))
+            .count()
+    }
+
     /// The session that reserved an id.
     pub fn owner(&self, id: u64) -> Option<u64> {
         let (_, block) = self.blocks.range(..=id).next_back()?;
@@ -251,7 +263,9 @@ mod tests {
             sessions.unused_since(SystemTime::UNIX_EPOCH + Duration::from_millis(21)),
             [2]
         );
+        assert_eq!(sessions.block_count_without(&[2]), 2);
         sessions.apply(&record(5, batch(5, 0, 0..0, &[2])));
+        assert_eq!(sessions.block_count(), 2);
         assert_eq!(sessions.get(2), None);
         assert_eq!(sessions.owner(10), None);
         assert_eq!(sessions.len(), 2);

@@ -4,7 +4,7 @@
 
 use std::{
     sync::{Arc, Weak, atomic::Ordering::Relaxed},
-    time::{Duration, SystemTime},
+    time::SystemTime,
 };
 
 use futures_util::{
@@ -15,7 +15,6 @@ use futures_util::{
 use tokio::{
     sync::{OwnedMutexGuard, mpsc},
     task::yield_now,
-    time::{Instant, interval, timeout_at},
 };
 use tracing::{debug, error, warn};
 use wayfold_index::Forest;
@@ -26,20 +25,7 @@ use super::{
     in_flight::notify,
     stopped::is_damage,
 };
-use crate::log::{
-    Effects, LogError, Receipt, Record, RecordPosition, RecordStream, View, position_after,
-};
-
-/// The time in which a lost receipt is settled, and in which a record arrives that took the place of another, before
-/// the callers are told.
-pub(super) const SETTLE_TIME: Duration = Duration::from_secs(5);
-
-/// The time between two attempts to settle a lost receipt.
-const SETTLE_INTERVAL: Duration = Duration::from_millis(50);
-
-/// A journal that ends before an applied record is asked again for this long: NATS may answer from the past while it changes
-/// a leader.
-const BEHIND_TIME: Duration = Duration::from_secs(2);
+use crate::log::{Effects, LogError, Record, RecordPosition, RecordStream, View, position_after};
 
 /// The forest of an index, as of the published revision.
 pub(super) struct AppliedForest {
@@ -56,9 +42,6 @@ pub(super) struct AwaitedReceipt {
     pub(super) base: RecordPosition,
     pub(super) outcome: BoxFuture<'static, Result<(), LogError>>,
 }
-
-/// A record that the journal can never have, and the end of the journal that showed it.
-type VoidRecord = (RecordPosition, u64);
 
 /// Runs the apply loop of this number until the index is dropped or its journal fails.
 pub(super) async fn run(
@@ -159,25 +142,6 @@ impl Hosted {
         }
     }
 
-    /// Finds out what the journal has instead of a record whose receipt is this error. Returns its arrival.
-    async fn not_accepted(
-        self: &Arc<Self>,
-        record: &Record,
-        base: RecordPosition,
-        error: LogError,
-        void: &mut Option<VoidRecord>,
-    ) -> Result<impl Future<Output = Result<(), RegistryError>> + use<>, RegistryError> {
-        let head = match (error, *void) {
-            (LogError::Fenced { head, .. }, _) => head,
-            // The publisher sends a record only after the one that it follows.
-            (LogError::Unconfirmed { .. }, Some((before, head))) if record.follows(before) => head,
-            (error @ LogError::Unconfirmed { .. }, _) => self.settle(record, error).await?,
-            (error, _) => return Err(error.into()),
-        };
-        let head = self.journal_has(base, head).await?;
-        Ok(self.superseded(record, head, void))
-    }
-
     /// Applies consecutive records, and publishes the last revision.
     async fn apply(self: &Arc<Self>, records: Vec<Arc<Record>>) -> Result<(), RegistryError> {
         let applied = Arc::clone(&self.applied).lock_owned().await;
@@ -185,17 +149,17 @@ impl Hosted {
         let (points, bytes) = sizes.fold((0, 0), |(points, bytes), effects| {
             (points + effects.len(), bytes + effects.bytes())
         });
-        if points <= MAX_INLINE_POINTS && bytes <= MAX_INLINE_BYTES {
-            return self.apply_now(applied, &records, |records| {
-                self.host.log.points.apply(self.uid(), records)
-            });
-        }
+        let mut all = records.iter().map(|record| record.effects());
+        let ends_sessions = all.any(Effects::ends_sessions);
         let hosted = Arc::clone(self);
         let applying = move || {
             hosted.apply_now(applied, &records, |records| {
                 hosted.host.log.points.apply(hosted.uid(), records)
             })
         };
+        if points <= MAX_INLINE_POINTS && bytes <= MAX_INLINE_BYTES && !ends_sessions {
+            return applying();
+        }
         tokio::task::spawn_blocking(applying)
             .await
             .map_err(|_| RegistryError::Stopped)?
@@ -272,118 +236,6 @@ impl Hosted {
         }
         self.recent.lock().push(Arc::clone(record));
         Ok(())
-    }
-
-    /// Fails if the journal, which ends at the revision `head`, does not have the applied record `base` or ends before the
-    /// newest applied one: records may have been acknowledged since `base`. Returns its end.
-    async fn journal_has(
-        self: &Arc<Self>,
-        base: RecordPosition,
-        head: u64,
-    ) -> Result<u64, RegistryError> {
-        let applied = base.revision.max(self.published().revision);
-        let until = Instant::now() + BEHIND_TIME;
-        let mut attempts = interval(SETTLE_INTERVAL);
-        let mut head = head;
-        while head < applied && Instant::now() < until {
-            attempts.tick().await;
-            head = self.newest().await.unwrap_or(head);
-        }
-        if head < applied {
-            return Err(RegistryError::Log(LogError::JournalBehind {
-                uid: self.uid(),
-                head,
-                applied,
-            }));
-        }
-        // Another record may have taken its place after the journal had lost it.
-        if head > base.revision || base.revision == 0 {
-            return Ok(head);
-        }
-        let found = self.read(base.revision - 1, 1).await?;
-        match found.first().is_none_or(|found| found.position() == base) {
-            true => Ok(head),
-            false => Err(RegistryError::Log(LogError::replaced(
-                self.uid(),
-                base.revision,
-            ))),
-        }
-    }
-
-    /// Waits for what the journal has instead of a record that it does not have, at least up to the revision `head`.
-    fn superseded(
-        &self,
-        record: &Record,
-        head: u64,
-        void: &mut Option<VoidRecord>,
-    ) -> impl Future<Output = Result<(), RegistryError>> + use<> {
-        // The record that has its place comes from the journal and decides. If none has it, none may ever come.
-        if head < record.revision() {
-            *void = Some((record.position(), head));
-            let decided = self.in_flight.lock().refused(record.position());
-            notify(decided);
-        }
-        self.arrival(head.min(record.revision()))
-    }
-
-    /// Settles a record whose receipt was lost: an empty record is submitted in its place. If the journal takes that
-    /// one, the lost record can never be there; if it refuses, a record is there, or the record before it is not. In both
-    /// cases the records that come from the journal decide, up to the returned revision. NATS may refuse from the past.
-    async fn settle(
-        self: &Arc<Self>,
-        record: &Record,
-        error: LogError,
-    ) -> Result<u64, RegistryError> {
-        // Nothing is submitted meanwhile.
-        let _writer = self.write_closed().await;
-        let until = Instant::now() + SETTLE_TIME;
-        let mut attempts = interval(SETTLE_INTERVAL);
-        let previous = RecordPosition {
-            revision: record.revision() - 1,
-            digest: *record.previous(),
-        };
-        while self.published().revision <= previous.revision {
-            attempts.tick().await;
-            let fence = Record::made_by(
-                self.host.run,
-                previous,
-                Effects::new(self.space().coordinates()),
-            );
-            let fence = Arc::new(fence);
-            let outcome = match self.host.log.journal.submit(self.uid(), fence) {
-                Ok(Receipt::Accepted) => Ok(()),
-                Ok(Receipt::Awaited(outcome)) => match timeout_at(until, outcome).await {
-                    Ok(outcome) => outcome,
-                    Err(_) => Err(error.clone()),
-                },
-                Err(error) => Err(error),
-            };
-            match outcome {
-                Ok(()) => break,
-                Err(LogError::Fenced { head, .. }) if self.is_settled(previous, head).await => {
-                    return Ok(head);
-                }
-                Err(LogError::Fenced { head, .. }) => {
-                    self.journal_has(RecordPosition::START, head).await?;
-                }
-                Err(LogError::Unconfirmed { .. }) => {}
-                Err(error) => return Err(error.into()),
-            }
-            if Instant::now() >= until {
-                return Err(error.into());
-            }
-        }
-        Ok(record.revision())
-    }
-
-    /// True if a journal that ends at the revision `head` has a record after `previous`, or another one in its place.
-    async fn is_settled(self: &Arc<Self>, previous: RecordPosition, head: u64) -> bool {
-        if head != previous.revision {
-            return head > previous.revision;
-        }
-        let found = self.read(head.saturating_sub(1), 1).await;
-        let is_other = |it: &Arc<Record>| it.revision() == head && it.position() != previous;
-        found.is_ok_and(|found| found.iter().any(is_other))
     }
 }
 

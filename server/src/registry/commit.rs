@@ -10,8 +10,8 @@ use tokio::sync::oneshot;
 use super::{Hosted, RegistryError, WriteGuard, apply::AwaitedReceipt, in_flight::Decision};
 use crate::log::{Effects, LogError, Operation, Receipt, Record};
 
-/// A mutation above these sizes, or one that changes existing points, is submitted on a blocking thread. A batch above
-/// them is applied on one. Inline it would delay the calls that share the thread.
+/// A mutation above these sizes, or one that changes existing points or ends sessions, is submitted on a blocking thread.
+/// A batch above them, or one that ends sessions, is applied on one. Inline it would delay the calls that share the thread.
 pub(super) const MAX_INLINE_POINTS: usize = 1024;
 pub(super) const MAX_INLINE_BYTES: usize = 128 * 1024;
 
@@ -21,7 +21,7 @@ const STORED_COPIES: u64 = 3;
 
 /// The empty records that calls of [`Hosted::latest`] wait for, counted from 1.
 #[derive(Default)]
-pub(super) struct Fences {
+pub(super) struct LatestReads {
     /// The number of the last that has begun.
     begun: AtomicU64,
     /// The number of the last that is published. Its holder submits the next one.
@@ -54,7 +54,9 @@ impl Hosted {
                 .watermarks
                 .admit(STORED_COPIES * effects.bytes() as u64)?;
         }
-        let is_small = effects.len() <= MAX_INLINE_POINTS && effects.bytes() <= MAX_INLINE_BYTES;
+        let is_small = effects.len() <= MAX_INLINE_POINTS
+            && effects.bytes() <= MAX_INLINE_BYTES
+            && !effects.ends_sessions();
         // The log reads a point before it replaces or removes it.
         let submitted = if is_small && effects.only_adds() && !self.host.log.journal.is_busy() {
             self.submit(writer, effects)
@@ -64,15 +66,15 @@ impl Hosted {
                 .await
                 .map_err(|_| RegistryError::Stopped)?
         };
-        self.decided(submitted).await
+        self.submitted_outcome(submitted).await
     }
 
-    async fn decided(
+    async fn submitted_outcome(
         &self,
         submitted: Result<oneshot::Receiver<Decision>, RegistryError>,
     ) -> Result<CommitOutcome, RegistryError> {
         match submitted {
-            Ok(decision) => decided(decision).await,
+            Ok(decision) => outcome(decision).await,
             Err(RegistryError::Log(LogError::Fenced { head, .. })) => {
                 // A mutation that is evaluated again before the other writer's records are published would be refused
                 // again.
@@ -86,17 +88,20 @@ impl Hosted {
     /// Waits until the newest record of `writer` is published. A response that was evaluated under `writer` and changes
     /// nothing may be returned then. If other servers share the journal, an empty record shows that none has written
     /// since.
-    pub async fn settled(&self, writer: WriteGuard) -> Result<CommitOutcome, RegistryError> {
+    pub async fn confirm_current(
+        &self,
+        writer: WriteGuard,
+    ) -> Result<CommitOutcome, RegistryError> {
         if self.is_shared() {
             let effects = Effects::new(self.space().coordinates());
-            return self.decided(self.submit(writer, effects)).await;
+            return self.submitted_outcome(self.submit(writer, effects)).await;
         }
         let decision = {
             let mut in_flight = self.in_flight.lock();
             in_flight.wait_for(writer.position(), writer.refusals())
         };
         drop(writer);
-        decided(decision).await
+        outcome(decision).await
     }
 
     /// Waits until every mutation that any server acknowledged before the call is published here. Servers that share a
@@ -110,7 +115,7 @@ impl Hosted {
         if !self.is_shared() {
             return Ok(true);
         }
-        let Fences { begun, done } = &self.fences;
+        let LatestReads { begun, done } = &self.latest_reads;
         let next = begun.load(SeqCst) + 1;
         let mut done = done.lock().await;
         if *done >= next {
@@ -122,7 +127,7 @@ impl Hosted {
             if !may_write() {
                 return Ok(false);
             }
-            if self.settled(writer).await? == CommitOutcome::Done {
+            if self.confirm_current(writer).await? == CommitOutcome::Done {
                 *done = number;
                 return Ok(true);
             }
@@ -135,9 +140,14 @@ impl Hosted {
         pending.or_else(|| self.operations.lock().recall(id).cloned())
     }
 
-    /// Remembers an operation that changed nothing and has no record.
-    pub fn remember(&self, operation: Arc<Operation>) {
+    /// Remembers an operation that changed nothing and has no record. Above a watermark it refuses one with a large answer.
+    pub fn remember(&self, operation: Arc<Operation>) -> Result<(), RegistryError> {
+        let bytes = operation.bytes();
+        if bytes > MAX_INLINE_BYTES {
+            self.host.watermarks.admit(bytes as u64)?;
+        }
         self.operations.lock().remember(operation);
+        Ok(())
     }
 
     fn submit(
@@ -177,7 +187,7 @@ impl Hosted {
     }
 }
 
-async fn decided(decision: oneshot::Receiver<Decision>) -> Result<CommitOutcome, RegistryError> {
+async fn outcome(decision: oneshot::Receiver<Decision>) -> Result<CommitOutcome, RegistryError> {
     match decision.await {
         Ok(Decision::Published) => Ok(CommitOutcome::Done),
         Ok(Decision::Refused) => Ok(CommitOutcome::Refused),

@@ -20,13 +20,14 @@ use wayfold_proto::v1::PayloadEncoding;
 
 use super::{
     Host, RegistryError, WriteGuard, Writer,
-    apply::{self, AppliedForest, AwaitedReceipt, SETTLE_TIME},
-    commit::Fences,
+    apply::{self, AppliedForest, AwaitedReceipt},
+    commit::LatestReads,
     in_flight::InFlight,
     operations::Operations,
     payload_sizes::PayloadSizes,
+    peer_comparison::PeerComparison,
     recent::RecentRecords,
-    stored::FirstWrite,
+    settle::SETTLE_TIME,
     subscribers::Subscribers,
 };
 use crate::log::{
@@ -46,7 +47,7 @@ pub struct Published {
 /// One index.
 pub struct Hosted {
     name: String,
-    /// The name in metrics, or that of all others.
+    /// The label in metrics: the name, or `(others)`.
     label: Arc<str>,
     uid: Uid,
     uid_text: String,
@@ -68,17 +69,17 @@ pub struct Hosted {
     pub(crate) subscribers: Subscribers,
     /// The records that subscribers read from the log because no publication brought them.
     pub(crate) missed: AtomicU64,
-    /// The records of a journal elsewhere that are outside of all windows and not forgotten, if this server trims it.
+    /// The records of a shared journal that are outside of all windows and not forgotten, if this server trims it.
     pub(crate) held: AtomicU64,
-    /// The revision up to which this server has forgotten records of a journal elsewhere: it does not ask for the same again.
+    /// The revision up to which this server has forgotten records of a shared journal: it does not ask for the same again.
     pub(super) forgotten: AtomicU64,
-    pub(crate) first_write: FirstWrite,
-    /// The oldest revision of a journal elsewhere, 1 if it has none, once it was asked.
+    pub(crate) peer_comparison: PeerComparison,
+    /// The oldest revision of a shared journal, 1 if it has none, once it was asked.
     pub(super) oldest_at_start: OnceCell<u64>,
     /// Each batch of a writer session holds a reference while it is under way.
     pub(crate) batches: Arc<()>,
     apply_loop: parking_lot::Mutex<ApplyLoop>,
-    pub(super) fences: Fences,
+    pub(super) latest_reads: LatestReads,
     /// True once a damage of its journal was logged.
     pub(super) is_reported: AtomicBool,
     /// True once a copy takes its place: it applies nothing more and does not resume. Set by the holder of the writer and of
@@ -113,17 +114,14 @@ impl Hosted {
         view: Arc<dyn View>,
         remembered: Vec<Arc<Operation>>,
     ) -> Arc<Self> {
-        let mut operations = Operations::new(host.options.operations);
-        for operation in remembered {
-            operations.remember(operation);
-        }
+        let operations = Operations::of(host.options.operations, remembered);
         let published = Arc::new(Published {
             snapshot: forest.snapshot(),
             revision: view.revision(),
             view,
         });
         let space = Arc::new(entry.space.clone());
-        let applied = (entry.uid, published.view.position());
+        let applied = published.view.position();
         let hosted = Arc::new(Self {
             name: entry.name.clone(),
             label: host.labels.of(&entry.name),
@@ -145,9 +143,9 @@ impl Hosted {
             missed: AtomicU64::new(0),
             held: AtomicU64::new(0),
             forgotten: AtomicU64::new(0),
-            first_write: FirstWrite::default(),
+            peer_comparison: PeerComparison::default(),
             oldest_at_start: OnceCell::new(),
-            fences: Fences::default(),
+            latest_reads: LatestReads::default(),
             is_reported: AtomicBool::new(false),
             is_retired: AtomicBool::new(false),
             batches: Arc::default(),
@@ -158,7 +156,8 @@ impl Hosted {
             }),
         });
         // A loop that began before the index exists could not tell it of an error.
-        *hosted.apply_loop.lock() = ApplyLoop::start(0, Arc::downgrade(&hosted), host, applied);
+        *hosted.apply_loop.lock() =
+            ApplyLoop::start(0, Arc::downgrade(&hosted), host, entry.uid, applied);
         hosted
     }
 
@@ -182,7 +181,7 @@ impl Hosted {
         &self.label
     }
 
-    /// The same if it is its own.
+    /// The label, if no other index shares it.
     pub(crate) fn own_label(&self) -> Option<&Arc<str>> {
         (*self.label == *self.name).then_some(&self.label)
     }
@@ -207,7 +206,7 @@ impl Hosted {
         &self.uid_text
     }
 
-    /// False if the index may have got this uid at another server since.
+    /// True if `uid` can no longer become the uid of this name here; false in doubt.
     pub(crate) fn is_past(&self, uid: &str) -> bool {
         let catalogue = &self.host.log.catalogue;
         catalogue.is_past(&self.name, uid, Some(self.uid))
@@ -341,7 +340,8 @@ impl ApplyLoop {
         number: u64,
         hosted: Weak<Hosted>,
         host: &Host,
-        (uid, applied): (Uid, RecordPosition),
+        uid: Uid,
+        applied: RecordPosition,
     ) -> Self {
         let (receipts, awaited) = mpsc::unbounded_channel();
         let records = host.log.journal.follow_applied(uid, applied);

@@ -130,7 +130,7 @@ impl InFlight {
     }
 
     /// Notes that the journal refused this record without having another one in its place: an earlier record was lost.
-    pub(super) fn refused(&mut self, position: RecordPosition) -> Notifications {
+    pub(super) fn mark_refused(&mut self, position: RecordPosition) -> Notifications {
         let mut decided = Notifications::new();
         if let Some(refused) = self
             .records

@@ -1,11 +1,11 @@
-//! Builds the forest of an index from its points, in the memory that there is.
+//! Builds the forest of an index from its points, in the memory that there is. An index that does not fit is loaded later.
 
 use std::sync::Arc;
 
 use tracing::info;
 use wayfold_index::{ApplyError, Forest, Points, PointsError, Space};
 
-use super::{Host, PayloadSizes, RegistryError};
+use super::{Host, IndexState, PayloadSizes, Registry, RegistryError, replay};
 use crate::{
     log::{Entry, LogError, StoredPoint, Uid},
     watermark::WatermarkExceeded,
@@ -18,7 +18,7 @@ const PROGRESS_POINTS: usize = 1_000_000;
 const CHECKED_BYTES: usize = 4 * 1024 * 1024;
 
 /// The bytes that a point takes in each of its forms: the rows that are read, and a tree.
-fn point_bytes(space: &Space) -> usize {
+pub(super) fn point_bytes(space: &Space) -> usize {
     8 * space.coordinates() + 32
 }
 
@@ -27,20 +27,36 @@ fn loaded_bytes(space: &Space, points: usize) -> u64 {
     (points * point_bytes(space) + CHECKED_BYTES) as u64
 }
 
-impl Host {
-    /// The greatest number of points that a merge may copy in its share of the memory that is left, above the
-    /// watermarks too: the old levels, their points as rows and the new level exist at a time.
-    pub(super) fn merge_rows(&self, space: &Space) -> usize {
-        let left = self
-            .watermarks
-            .memory
-            .as_ref()
-            .and_then(|it| it.remaining());
-        let bytes = 3 * point_bytes(space) * self.options.merge_threads.max(1);
-        let rows = |left: u64| left / bytes as u64;
-        left.map_or(usize::MAX, |left| {
-            usize::try_from(rows(left)).unwrap_or(usize::MAX)
-        })
+impl Registry {
+    /// Loads the indices that were not loaded, as far as there is memory for them now. Blocks.
+    pub fn load_rest(&self) {
+        let _change = self.change_lock.lock();
+        let Ok(entries) = self.host.log.catalogue.indexes() else {
+            return;
+        };
+        for entry in &entries {
+            let state = self.indexes.read().get(&entry.name).cloned();
+            if state.is_some_and(|state| self.is_loadable(&state)) {
+                let state = replay::replay_or_damaged(&self.host, entry);
+                self.change(|indexes| indexes.insert(entry.name.clone(), state));
+            }
+        }
+    }
+
+    /// True if there is memory now for an index that was not loaded.
+    pub(super) fn is_any_loadable(&self) -> bool {
+        let states = self.indexes.read();
+        states.values().any(|state| self.is_loadable(state))
+    }
+
+    fn is_loadable(&self, state: &IndexState) -> bool {
+        match state {
+            IndexState::Damaged(_, RegistryError::NotLoaded { needed, .. }) => {
+                let memory = self.host.watermarks.memory.as_ref();
+                memory.is_none_or(|memory| memory.fits_at_start(*needed).is_ok())
+            }
+            IndexState::Hosted(_) | IndexState::Damaged(..) => false,
+        }
     }
 }
 

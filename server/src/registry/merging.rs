@@ -3,10 +3,27 @@
 use std::sync::{Arc, atomic::Ordering::Relaxed};
 
 use tracing::{debug, error};
-use wayfold_index::Merge;
+use wayfold_index::{Merge, Space};
 
-use super::{Hosted, Published, apply::AppliedForest};
+use super::{Host, Hosted, Published, apply::AppliedForest, loading::point_bytes};
 use crate::watermark::release_if_grown;
+
+impl Host {
+    /// The greatest number of points that a merge may copy in its share of the memory that is left, above the
+    /// watermarks too: the old levels, their points as rows and the new level exist at a time.
+    pub(super) fn merge_rows(&self, space: &Space) -> usize {
+        let left = self
+            .watermarks
+            .memory
+            .as_ref()
+            .and_then(|it| it.remaining());
+        let bytes = 3 * point_bytes(space) * self.options.merge_threads.max(1);
+        let rows = |left: u64| left / bytes as u64;
+        left.map_or(usize::MAX, |left| {
+            usize::try_from(rows(left)).unwrap_or(usize::MAX)
+        })
+    }
+}
 
 impl Hosted {
     /// Starts the merges that are due. An index runs at most as many merge tasks as all indices may run merges. Further

@@ -21,18 +21,21 @@ mod index_limit;
 mod labels;
 mod loading;
 mod maintenance;
+mod member_revisions;
 mod merging;
 mod operations;
 mod options;
 mod payload_sizes;
+mod peer_comparison;
 mod recent;
 mod records;
+mod recovery;
 mod replace;
 mod replay;
 mod reseed;
 mod restore;
+mod settle;
 mod stopped;
-mod stored;
 mod subscribers;
 mod usage;
 mod writer;
@@ -57,12 +60,12 @@ use labels::Labels;
 pub use operations::OperationWindow;
 pub use options::RegistryOptions;
 use payload_sizes::PayloadSizes;
+pub(crate) use peer_comparison::ComparisonFailure;
 pub(crate) use reseed::{Seed, reseed};
 pub use restore::Restore;
 pub(crate) use stopped::Stopped;
-pub(crate) use stored::ComparisonFailure;
 pub use subscribers::Subscriber;
-pub(crate) use usage::Part;
+pub(crate) use usage::UsagePart;
 pub use writer::{WriteGuard, Writer};
 
 /// The indices of the server.
@@ -119,7 +122,7 @@ impl Registry {
     }
 
     /// The numbers of calls that the watermarks refused so far, by reason.
-    pub(crate) fn refused(&self) -> Vec<(&'static str, u64)> {
+    pub(crate) fn refused_growth(&self) -> Vec<(&'static str, u64)> {
         self.host.watermarks.refused()
     }
 
@@ -195,6 +198,35 @@ impl Registry {
             Some(state) => state.hosted().cloned(),
             None => Err(self.unopened().unwrap_or(RegistryError::Deleted)),
         }
+    }
+
+    /// The index with this uid, if it is served.
+    pub(crate) fn by_uid(&self, uid: Uid) -> Option<Arc<Hosted>> {
+        let indexes = self.indexes.read();
+        let state = indexes.values().find(|state| state.uid() == uid)?;
+        state.hosted().ok().cloned()
+    }
+
+    /// The error of a log that has stopped accepting writes.
+    pub fn failure(&self) -> Option<RegistryError> {
+        self.host.log.points.failure().map(RegistryError::Log)
+    }
+
+    /// True while the journal cannot be reached: records of others do not arrive.
+    pub fn is_cut_off(&self) -> bool {
+        !self.host.log.journal.is_reachable()
+    }
+
+    /// True if mutations that add points are accepted now: the store has not failed, the journal can be reached, and
+    /// memory and disk are below their watermarks.
+    pub fn accepts_growth(&self) -> bool {
+        self.failure().is_none() && !self.is_cut_off() && self.host.watermarks.check().is_ok()
+    }
+
+    pub(super) fn hosted(&self) -> Vec<Arc<Hosted>> {
+        let states = self.indexes.read();
+        let hosted = states.values().filter_map(|state| state.hosted().ok());
+        hosted.cloned().collect()
     }
 
     /// The error of a log that is not open. Such a log may hold indices that the registry does not know.
@@ -312,7 +344,7 @@ impl Registry {
         Ok(Some(hosted))
     }
 
-    /// False if the index of this name may get this uid here, after `hosted`.
+    /// True if `uid` can no longer become the uid of this name here; false in doubt. `hosted` is the uid that it has.
     pub(crate) fn is_past(&self, name: &str, uid: &str, hosted: Option<Uid>) -> bool {
         self.host.log.catalogue.is_past(name, uid, hosted)
     }

@@ -30,13 +30,17 @@ pub(super) struct Operations {
 }
 
 impl Operations {
-    /// No operations, and these bounds.
-    pub(super) fn new(window: OperationWindow) -> Self {
-        Self {
+    /// These operations, oldest first, within these bounds.
+    pub(super) fn of(window: OperationWindow, operations: Vec<Arc<Operation>>) -> Self {
+        let mut all = Self {
             window,
             by_id: HashMap::new(),
             newest: BoundedQueue::default(),
+        };
+        for operation in operations {
+            all.remember(operation);
         }
+        all
     }
 
     /// The bounds.

@@ -1,4 +1,4 @@
-//! The records of an index for those who read it from a revision on, and the wait for those that a journal elsewhere has.
+//! The records of an index for those who read it from a revision on, and the wait for those that a shared journal has.
 
 use std::{sync::Arc, time::Duration};
 
@@ -6,8 +6,8 @@ use futures_util::{StreamExt, stream};
 use tokio::time::timeout;
 use tracing::{info, warn};
 
-use super::{Hosted, Registry, RegistryError, Writer};
-use crate::log::{Journal, LogError, Record, Uid};
+use super::{Hosted, Published, Registry, RegistryError, Writer};
+use crate::log::{Digest, Journal, LogError, Operation, Record, RecordPosition, Uid};
 
 /// The time in which an index of a starting server catches up with a journal, before it is served as it is.
 const CATCH_UP_TIME: Duration = Duration::from_secs(60);
@@ -16,7 +16,7 @@ const CATCH_UP_TIME: Duration = Duration::from_secs(60);
 const CATCHING_UP: usize = 64;
 
 impl Registry {
-    /// Waits until every index has the records that a journal elsewhere has now. An index that cannot be followed does
+    /// Waits until every index has the records that a shared journal has now. An index that cannot be followed does
     /// not delay the others. Without such a journal it does nothing.
     pub async fn catch_up(&self) {
         if !self.host.log.journal.is_shared() {
@@ -36,6 +36,26 @@ impl Registry {
         let catching_up = stream::iter(catching_up).buffer_unordered(CATCHING_UP);
         catching_up.collect::<()>().await;
         info!(indexes, "caught up with the journal");
+    }
+
+    /// The newest revision of the journal. Blocks.
+    pub(crate) fn journal_newest(&self, uid: Uid) -> Result<u64, LogError> {
+        self.host.log.journal.newest(uid)
+    }
+
+    /// True if the journal has this record. Blocks.
+    pub(crate) fn is_in_journal(
+        &self,
+        uid: Uid,
+        position: RecordPosition,
+    ) -> Result<bool, LogError> {
+        let Some(before) = position.revision.checked_sub(1) else {
+            return Ok(true);
+        };
+        let found = self.host.log.journal.read(uid, Some(before), 1)?;
+        Ok(found
+            .first()
+            .is_some_and(|found| found.position() == position))
     }
 }
 
@@ -87,18 +107,18 @@ impl Hosted {
 
     /// Waits until all records that the journal has now are published: a server that shares its journal may lag behind.
     pub async fn catch_up(self: &Arc<Self>) -> Result<(), RegistryError> {
-        let newest = self.newest().await?;
+        let newest = self.journal_newest().await?;
         self.reached(newest).await.map(drop)
     }
 
     /// The newest revision that the journal has.
-    pub(super) async fn newest(self: &Arc<Self>) -> Result<u64, RegistryError> {
+    pub(super) async fn journal_newest(self: &Arc<Self>) -> Result<u64, RegistryError> {
         self.ask(|journal, uid| journal.newest(uid)).await
     }
 
     /// Fails if the journal begins after revision 0, as that of a restored index does: an index without a record is then not
-    /// empty. Asks a journal elsewhere once.
-    pub(crate) async fn begins_empty(self: &Arc<Self>) -> Result<(), RegistryError> {
+    /// empty. Asks a shared journal once.
+    pub(crate) async fn check_begins_empty(self: &Arc<Self>) -> Result<(), RegistryError> {
         if !self.is_shared() {
             return Ok(());
         }
@@ -124,5 +144,33 @@ impl Hosted {
             .filter(|record| record.revision() > revision);
         records.extend(pending.cloned());
         Some(records)
+    }
+
+    /// The published state, and the newest operations of exactly its records, oldest first. Blocks.
+    pub(crate) fn with_operations(
+        &self,
+    ) -> Result<(Arc<Published>, Vec<Arc<Operation>>), RegistryError> {
+        // Nothing is applied meanwhile.
+        let _applied = Arc::clone(&self.applied).blocking_lock_owned();
+        let operations = self.host.log.points.operations(self.uid())?;
+        Ok((self.published(), operations))
+    }
+
+    /// The digest of the record of a revision that this server has applied; None if the server does not keep it. Blocks.
+    pub(crate) fn digest_at(&self, revision: u64) -> Result<Option<Digest>, RegistryError> {
+        let position = self.published().view.position();
+        if position.revision == revision {
+            return Ok(Some(position.digest));
+        }
+        if revision == 0 {
+            return Ok(Some(Record::NO_PREVIOUS));
+        }
+        let points = &self.host.log.points;
+        if let Some(record) = points.retained(self.uid(), revision)? {
+            return Ok(Some(*record.digest()));
+        }
+        // The oldest record in the window names the one before it.
+        let next = points.retained(self.uid(), revision + 1)?;
+        Ok(next.map(|next| *next.previous()))
     }
 }

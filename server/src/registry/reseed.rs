@@ -109,7 +109,7 @@ pub(crate) fn reseed(
     }
     restoring.finish(view.sessions().clone(), Vec::new())?;
     let run = *Uid::unique().as_bytes();
-    publish(log, run, (&entry, Some(old.uid)), origin).map_err(|error| match error {
+    publish(log, run, &entry, Some(old.uid), origin).map_err(|error| match error {
         LogError::NameTaken { .. } => ReseedError::Replaced { old: old.uid },
         error => error.into(),
     })?;

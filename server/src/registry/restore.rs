@@ -63,8 +63,8 @@ impl Registry {
         // A copy has another uid, so no call to the original is repeated here.
         stored.finish(sessions, Vec::new())?;
         if host.log.journal.is_shared() {
-            // A journal elsewhere answers late or never. Of two restores of a name one claims it.
-            let publish = || publish(&host.log, host.run, (&entry, None), origin);
+            // A shared journal answers late or never. Of two restores of a name one claims it.
+            let publish = || publish(&host.log, host.run, &entry, None, origin);
             let published = MutexGuard::unlocked(&mut change, publish);
             published.map_err(|error| match error {
                 LogError::NameTaken { .. } => RegistryError::Taken,
@@ -100,7 +100,8 @@ impl Registry {
 pub(crate) fn publish(
     log: &Log,
     run: RunId,
-    (entry, replaced): (&Entry, Option<Uid>),
+    entry: &Entry,
+    replaced: Option<Uid>,
     origin: Origin,
 ) -> Result<(), LogError> {
     let position = RecordPosition {

@@ -5,8 +5,8 @@ use std::sync::{Arc, atomic::Ordering::Relaxed};
 
 use tracing::{error, warn};
 
-use super::{Hosted, IndexState, Published, Registry, RegistryError};
-use crate::log::{Digest, LogError, Operation, Record, RecordPosition, Uid};
+use super::{Hosted, IndexState, Registry, RegistryError};
+use crate::log::{LogError, RecordPosition, Uid};
 
 /// An index that follows its journal no more.
 #[derive(Clone, Debug)]
@@ -19,7 +19,7 @@ pub(crate) struct Stopped {
     pub(crate) position: Option<RecordPosition>,
     /// A revision that its readers may have seen: no older copy may take its place.
     pub(crate) min_revision: u64,
-    /// True if it may go on by itself: NATS may have answered from the past, or gets back what it has lost.
+    /// True if it may go on by itself: NATS may have answered with stale data, or gets back what it has lost.
     pub(crate) may_pass: bool,
 }
 
@@ -102,41 +102,14 @@ impl Registry {
         indexes.values().any(is_damaged)
     }
 
-    /// The index with this uid, if it is served.
-    pub(crate) fn by_uid(&self, uid: Uid) -> Option<Arc<Hosted>> {
-        let indexes = self.indexes.read();
-        let state = indexes.values().find(|state| state.uid() == uid)?;
-        state.hosted().ok().cloned()
-    }
-
     /// Closes an index for good, because `member` has applied another record of this revision. Blocks.
-    pub(crate) fn contradicted(&self, uid: Uid, revision: u64, member: &str) {
+    pub(crate) fn close_contradicted(&self, uid: Uid, revision: u64, member: &str) {
         let Some(hosted) = self.by_uid(uid) else {
             return;
         };
         if hosted.close_again(contradiction(uid, revision, member)) {
-            hosted.contradicted(revision, member);
+            hosted.report_contradiction(revision, member);
         }
-    }
-
-    /// The newest revision of the journal. Blocks.
-    pub(crate) fn newest(&self, uid: Uid) -> Result<u64, LogError> {
-        self.host.log.journal.newest(uid)
-    }
-
-    /// True if the journal has this record. Blocks.
-    pub(crate) fn is_in_journal(
-        &self,
-        uid: Uid,
-        position: RecordPosition,
-    ) -> Result<bool, LogError> {
-        let Some(before) = position.revision.checked_sub(1) else {
-            return Ok(true);
-        };
-        let found = self.host.log.journal.read(uid, Some(before), 1)?;
-        Ok(found
-            .first()
-            .is_some_and(|found| found.position() == position))
     }
 }
 
@@ -158,9 +131,8 @@ impl Hosted {
         Some(contradiction(self.uid(), revision, "another server"))
     }
 
-    /// The error of an index of which `member` has applied another record of this revision, once all servers know of it.
-    /// Blocks.
-    pub(crate) fn contradicted(&self, revision: u64, member: &str) -> RegistryError {
+    /// Tells all servers that `member` has applied another record of this revision, and returns that as an error. Blocks.
+    pub(crate) fn report_contradiction(&self, revision: u64, member: &str) -> RegistryError {
         let why = contradiction(self.uid(), revision, member);
         error!(index = self.name(), error = %why, "two servers contradict each other");
         self.note_contradiction(revision);
@@ -185,7 +157,7 @@ impl Hosted {
     }
 
     /// True if it is closed for a reason that may pass: a lost receipt could not be settled, or NATS may have answered
-    /// from the past, or not at all.
+    /// with stale data, or not at all.
     pub(super) fn is_unsettled(&self) -> bool {
         matches!(
             self.closed(),
@@ -225,38 +197,5 @@ impl Hosted {
             self.close(RegistryError::Log(LogError::Closed));
         }
         is_retired
-    }
-
-    /// True if it applies the records of its journal.
-    pub(crate) fn follows(&self) -> bool {
-        !self.is_closed()
-    }
-
-    /// The published state, and the newest operations of exactly its records, oldest first. Blocks.
-    pub(crate) fn with_operations(
-        &self,
-    ) -> Result<(Arc<Published>, Vec<Arc<Operation>>), RegistryError> {
-        // Nothing is applied meanwhile.
-        let _applied = Arc::clone(&self.applied).blocking_lock_owned();
-        let operations = self.host.log.points.operations(self.uid())?;
-        Ok((self.published(), operations))
-    }
-
-    /// The digest of the record of a revision that this server has applied; None if the server does not keep it. Blocks.
-    pub(crate) fn digest_at(&self, revision: u64) -> Result<Option<Digest>, RegistryError> {
-        let position = self.published().view.position();
-        if position.revision == revision {
-            return Ok(Some(position.digest));
-        }
-        if revision == 0 {
-            return Ok(Some(Record::NO_PREVIOUS));
-        }
-        let points = &self.host.log.points;
-        if let Some(record) = points.retained(self.uid(), revision)? {
-            return Ok(Some(*record.digest()));
-        }
-        // The oldest record in the window names the one before it.
-        let next = points.retained(self.uid(), revision + 1)?;
-        Ok(next.map(|next| *next.previous()))
     }
 }

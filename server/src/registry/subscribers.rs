@@ -16,8 +16,8 @@ pub(crate) struct Subscribers(Mutex<Vec<Weak<AtomicU64>>>);
 pub struct Subscriber(Arc<AtomicU64>);
 
 impl Subscriber {
-    /// The subscriber has all records up to this revision.
-    pub fn has(&self, revision: u64) {
+    /// Notes that the subscriber has all records up to this revision.
+    pub fn advance_to(&self, revision: u64) {
         self.0.store(revision, Relaxed);
     }
 }
@@ -52,7 +52,7 @@ mod tests {
         let first = subscribers.join(2);
         let second = subscribers.join(5);
         assert_eq!(subscribers.count_and_lag(9), (2, 7));
-        first.has(8);
+        first.advance_to(8);
         assert_eq!(subscribers.count_and_lag(9), (2, 4));
         drop(second);
         assert_eq!(subscribers.count_and_lag(9), (1, 1));

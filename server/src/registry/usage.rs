@@ -4,11 +4,11 @@ use super::Registry;
 use crate::log::StoreUsage;
 
 /// A part of the memory or the disk of a server, and its bytes.
-pub(crate) type Part = (&'static str, u64);
+pub(crate) type UsagePart = (&'static str, u64);
 
 impl Registry {
     /// About the memory of all indices and of the store, and the disk of the data directory, by part. Blocks.
-    pub(crate) fn usage(&self) -> (Vec<Part>, Vec<Part>) {
+    pub(crate) fn usage(&self) -> (Vec<UsagePart>, Vec<UsagePart>) {
         let StoreUsage {
             memory,
             journal,

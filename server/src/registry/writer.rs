@@ -17,9 +17,9 @@ pub struct Writer {
     base: Arc<Published>,
     /// Consecutive records after `base`.
     pending: VecDeque<Pending>,
-    /// The changes of the pending records, for searches; the older part first. A part is dropped once all its records
+    /// The changes of the pending records, for searches; the older ones first. An overlay is dropped once all its records
     /// are published, so a record is indexed once.
-    overlays: [Part; 2],
+    overlays: [PendingOverlay; 2],
     /// The count of refusals at which the pending records were submitted.
     refusals: u64,
     /// The newest published revision that may have done more than add points.
@@ -37,12 +37,12 @@ struct Pending {
 }
 
 /// The changes of some pending records, up to the revision `last`, which is 0 if there are none.
-struct Part {
+struct PendingOverlay {
     overlay: Overlay,
     last: u64,
 }
 
-impl Part {
+impl PendingOverlay {
     fn empty(space: &Arc<Space>) -> Self {
         Self {
             overlay: Overlay::new(Arc::clone(space)),
@@ -59,7 +59,7 @@ impl Writer {
             last_change: base.revision,
             base,
             pending: VecDeque::new(),
-            overlays: [Part::empty(space), Part::empty(space)],
+            overlays: [PendingOverlay::empty(space), PendingOverlay::empty(space)],
             refusals: 0,
         }
     }
@@ -188,12 +188,15 @@ impl Writer {
             self.pending.pop_front();
         }
         let [older, newer] = &mut self.overlays;
-        let is_published = |part: &Part| part.last <= base.revision;
+        let is_published = |overlay: &PendingOverlay| overlay.last <= base.revision;
         if self.refusals != refusals || (is_published(older) && is_published(newer)) {
-            self.overlays = [Part::empty(&self.space), Part::empty(&self.space)];
+            self.overlays = [
+                PendingOverlay::empty(&self.space),
+                PendingOverlay::empty(&self.space),
+            ];
         } else if is_published(older) {
             std::mem::swap(older, newer);
-            *newer = Part::empty(&self.space);
+            *newer = PendingOverlay::empty(&self.space);
         }
         (self.base, self.last_change, self.refusals) = (base, last_change, refusals);
     }

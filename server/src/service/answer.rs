@@ -2,12 +2,10 @@
 
 use bytes::Bytes;
 use prost::encoding::encoded_len_varint;
-use wayfold_index::{Neighbor, Point, PointRef, Search};
+use wayfold_index::{Neighbor, Point, PointRef};
 use wayfold_proto::v1;
 
-use super::{
-    Error, Limits, call::TimeSlicer, check::Rows, read_view::ReadView, stored::BATCH_ROWS,
-};
+use super::{Error, Limits};
 
 /// Bytes reserved for the fixed fields, and for the tags and lengths of columns.
 const FRAME_BYTES: usize = 256;
@@ -45,12 +43,6 @@ impl AnswerBudget {
             }),
         }
     }
-}
-
-/// The source of an answer's columns except payloads, which the store holds.
-pub(super) trait Source {
-    /// The point with this id.
-    fn point(&self, id: u64) -> Option<Point>;
 }
 
 /// The error for a point that the forest holds and the log does not, or the reverse.
@@ -101,10 +93,10 @@ impl NeighborColumns {
         self.budget.left / self.fixed_bytes() + 1
     }
 
-    /// Adds the neighbours of the next state without their payloads.
+    /// Adds the neighbours of the next state without their payloads. `point` finds the point with an id.
     pub(super) fn push(
         &mut self,
-        source: &impl Source,
+        point: impl Fn(u64) -> Option<Point>,
         neighbors: &[Neighbor],
     ) -> Result<(), Error> {
         self.budget.take(
@@ -115,14 +107,15 @@ impl NeighborColumns {
             self.columns.ids.push(neighbor.id);
             self.columns.distances.push(neighbor.distance);
             if self.include.with_states || self.include.with_tags || self.include.with_revisions {
-                self.push_point(
-                    source
-                        .point(neighbor.id)
-                        .ok_or_else(|| missing(neighbor.id))?,
-                )?;
+                self.push_point(point(neighbor.id).ok_or_else(|| missing(neighbor.id))?)?;
             }
         }
         Ok(())
+    }
+
+    /// The bytes left.
+    pub(super) fn remaining(&self) -> usize {
+        self.budget.remaining()
     }
 
     /// The ids of added neighbours whose payloads are still missing; empty if the answer has no payloads.
@@ -137,22 +130,6 @@ impl NeighborColumns {
     pub(super) fn push_payload(&mut self, payload: Bytes) -> Result<(), Error> {
         self.budget.take(payload_bytes(&payload))?;
         self.columns.payloads.push(payload);
-        Ok(())
-    }
-
-    /// Adds all missing payloads.
-    async fn read_payloads(&mut self, view: &ReadView<'_>) -> Result<(), Error> {
-        while !self.without_payload().is_empty() {
-            let batch = self
-                .without_payload()
-                .iter()
-                .take(BATCH_ROWS)
-                .copied()
-                .collect();
-            for payload in view.payloads(batch, self.budget.remaining()).await? {
-                self.push_payload(payload)?;
-            }
-        }
         Ok(())
     }
 
@@ -174,30 +151,6 @@ impl NeighborColumns {
     pub(super) fn finish(self) -> v1::Neighbors {
         self.columns
     }
-}
-
-/// Searches for every state.
-pub(super) async fn search(
-    view: &ReadView<'_>,
-    states: &Rows,
-    search: Search<'_>,
-    mut found: NeighborColumns,
-    pace: &mut TimeSlicer,
-) -> Result<v1::Neighbors, Error> {
-    for state in states.iter() {
-        let search = Search {
-            k: search.k.min(found.too_many()),
-            ..search
-        };
-        let answer = view.published.snapshot.search(state, &search)?;
-        found.push(view, &answer.neighbors)?;
-        if found.without_payload().len() >= BATCH_ROWS {
-            found.read_payloads(view).await?;
-        }
-        pace.step().await?;
-    }
-    found.read_payloads(view).await?;
-    Ok(found.finish())
 }
 
 /// Columns of points.

@@ -24,7 +24,7 @@ const MAX_STEP_TIME: Duration = Duration::from_micros(500);
 pub enum Peer {
     /// The address of a connection.
     Address(SocketAddr),
-    /// The id of a session. Only a query that names its source has it.
+    /// The id of a Zenoh session. Only a query that names its source has it.
     Session(u128),
 }
 

@@ -52,7 +52,7 @@ impl Service {
             return refused("it does not serve the index");
         };
         // Its history may differ from the journal's, and a server with its copy would stop at the same record.
-        if !hosted.follows() {
+        if hosted.is_closed() {
             return refused("it has stopped following the journal itself");
         }
         let applied = match &request.applied {

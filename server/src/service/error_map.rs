@@ -61,7 +61,7 @@ fn storage_error(what: String, error: LogError) -> Error {
         // Nothing is lost: the other servers of the cluster have it.
         LogError::Trimmed { .. } => Error::StorageFailed {
             what: format!(
-                "{what}; this server was away for longer and takes a copy of another one: call again, or call another server"
+                "{what}; the index goes on here from a copy of another server: call again, or call another server"
             ),
         },
         LogError::Storage { .. }

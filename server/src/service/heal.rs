@@ -153,7 +153,12 @@ async fn heal_index(
     let mut min_revision = index.min_revision;
     if index.position.is_none() {
         // The revision that its readers saw is unknown. They cannot have seen more than the journal has.
-        let newest = blocking(registry, |registry, uid| registry.newest(uid), index.uid).await;
+        let newest = blocking(
+            registry,
+            |registry, uid| registry.journal_newest(uid),
+            index.uid,
+        )
+        .await;
         match newest {
             Ok(newest) => min_revision = min_revision.max(newest),
             Err(Failure::Other(why)) => return Err(why),
@@ -170,9 +175,16 @@ async fn heal_index(
     let members = peers.peers(index.uid).into_iter();
     let mut members: VecDeque<_> = members.map(|member| (member, is_comparable)).collect();
     while let Some((member, must_compare)) = members.pop_front() {
-        let copy = (index, &request, must_compare);
-        let copied = copy_from(registry, service, (peers, &member), copy).await;
-        match copied {
+        let copied = copy_from(
+            registry,
+            service,
+            peers,
+            &member,
+            index,
+            &request,
+            must_compare,
+        );
+        match copied.await {
             Ok((revision, compared)) => {
                 warn!(
                     index = index.name,
@@ -187,7 +199,7 @@ async fn heal_index(
             Err(Failure::Contradicts(revision)) => {
                 let by = member.clone();
                 let close = move |registry: &Registry, uid: Uid| {
-                    registry.contradicted(uid, revision, &by);
+                    registry.close_contradicted(uid, revision, &by);
                     Ok(())
                 };
                 // The task only closes the index: its result is always Ok.
@@ -212,8 +224,11 @@ async fn heal_index(
 async fn copy_from(
     registry: &Arc<Registry>,
     service: &Service,
-    (peers, member): (&dyn Peers, &str),
-    (index, request, must_compare): (&Stopped, &CopyRequest, bool),
+    peers: &dyn Peers,
+    member: &str,
+    index: &Stopped,
+    request: &CopyRequest,
+    must_compare: bool,
 ) -> Result<(u64, bool), Failure> {
     let answer = timeout(PART_TIME, peers.copy(member, request.clone()));
     let mut parts = answer.await??;

@@ -138,7 +138,7 @@ impl Insertion {
     /// Searches the published revision for the rows.
     async fn prefetch(
         &self,
-        head: &Arc<Published>,
+        published: &Published,
         limits: &Limits,
         pace: &mut TimeSlicer,
     ) -> Result<Option<Prefetch>, Error> {
@@ -147,12 +147,12 @@ impl Insertion {
         }
         // An insert that requests more neighbours than an answer holds fails.
         let most = limits.max_answer_bytes / 16;
-        let (points, rows) = (head.snapshot.len(), self.rows.len());
+        let (points, rows) = (published.snapshot.len(), self.rows.len());
         let neighbors = self
             .neighbors
             .map(|(spec, _)| spec.prefetch_search(points, rows));
-        let head = Arc::clone(head);
-        let prefetch = Prefetch::search(head, &self.rows, neighbors, self.nearest(), most, pace);
+        let nearest = self.nearest();
+        let prefetch = Prefetch::search(published, &self.rows, neighbors, nearest, most, pace);
         prefetch.await.map(Some)
     }
 
@@ -182,17 +182,17 @@ impl Insertion {
         self.payloads.get(at).map_or(&[], |payload| payload)
     }
 
-    /// The payloads of the head that the rows most likely compare with or answer.
+    /// The payloads of `published` that the rows most likely compare with or answer.
     async fn unread_in(
         &self,
-        head: &Published,
+        published: &Published,
         prefetch: Option<&Prefetch>,
         pace: &mut TimeSlicer,
     ) -> Result<UnreadPayloads, Error> {
         let mut compared = Vec::new();
         for (at, (&id, row)) in self.ids.iter().zip(self.rows.iter()).enumerate() {
             let tag = self.tags.get(at).copied().unwrap_or_default();
-            let held = head.snapshot.get(id);
+            let held = published.snapshot.get(id);
             if held.is_some_and(|held| is_same(&held, tag, row)) {
                 compared.push(id);
             }

@@ -46,11 +46,14 @@ impl Service {
     }
 }
 
-/// A message exceeds its size by less than one payload; this size keeps it within the limit of an answer.
+/// The most bytes of a point without its payload.
+const POINT_BYTES: usize = 4096;
+
+/// A message exceeds its size by less than one point; this size keeps it within the limit of an answer.
 fn message_bytes(limits: &Limits) -> usize {
     let most = limits
         .max_answer_bytes
-        .saturating_sub(limits.max_payload_bytes + 1024);
+        .saturating_sub(limits.max_payload_bytes + POINT_BYTES);
     most.max(limits.max_answer_bytes / 2)
 }
 

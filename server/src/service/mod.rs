@@ -8,16 +8,19 @@
 //! - `check`: requests become canonical rows and searches, or violations;
 //! - `read_view`: the index, the revision and the payloads that a call reads;
 //! - `neighbor_spec`: number and radius of neighbours, fixed or scaled by the size of the index;
-//! - `prefetch`: the searches of an insert before its turn to write;
+//! - `prefetch`, `payloads`: the searches and the reads of an insert before its turn to write;
 //! - `staging`: rows that see the rows before them;
 //! - `forward`: mutations that another server of a cluster evaluates;
-//! - `first_write`: an owner compares its records with those of the others before it writes;
+//! - `peer_comparison`: before it makes a record, a server compares its newest records with those of the live members;
 //! - `member`, `copy`, `heal`: copies for servers of a cluster that cannot follow their journal;
 //! - `trim`: forgets the records of a shared journal that the servers have stored;
 //! - `mutation`: from an evaluated mutation to its acknowledgement;
 //! - `stored`: reads of the store on threads that may block;
 //! - `answer`: columns that never outgrow their limit;
 //! - `held_scans`: scans page by page, at a revision that is held between the pages;
+//! - `revision_pin`: a revision that a stream holds for a bounded time;
+//! - `session_pages`: writer sessions in snapshots;
+//! - `catalog_watch`: the set of served indices, for a face that announces them;
 //! - `error`, `code`, `error_map`, `limits`.
 
 mod answer;
@@ -28,7 +31,6 @@ mod code;
 mod copy;
 mod error;
 mod error_map;
-mod first_write;
 mod forward;
 mod get;
 mod heal;
@@ -42,6 +44,7 @@ mod mutation;
 mod neighbor_spec;
 mod neighbors;
 mod payloads;
+mod peer_comparison;
 mod prefetch;
 mod read_view;
 mod remove;
@@ -70,13 +73,12 @@ use std::{
 
 use parking_lot::Mutex;
 use tokio::{sync::Semaphore, time::Instant};
-use tokio_util::sync::CancellationToken;
+use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 
 use crate::{
     identity::Role,
     log::{Durability, LogError},
-    registry::{IndexState, Part, Registry, RegistryError},
-    watermark::Usage,
+    registry::{IndexState, Registry, RegistryError},
 };
 pub use call::{Call, Peer};
 pub use catalog_watch::CatalogWatch;
@@ -191,25 +193,22 @@ impl Service {
 
     /// False once the store cannot be read, and no index with it.
     pub(crate) fn accepts_reads(&self) -> bool {
-        let registry = self.inner.registry.get();
-        let failure = registry.and_then(|registry| registry.failure());
+        let failure = self.opened().and_then(Registry::failure);
         !matches!(failure, Some(RegistryError::Log(LogError::Unopened { .. })))
     }
 
     /// True if mutations that add points are accepted now.
     pub(crate) fn accepts_growth(&self) -> bool {
-        let registry = self.inner.registry.get();
-        self.is_serving() && registry.is_some_and(|registry| registry.accepts_growth())
+        self.is_serving() && self.opened().is_some_and(Registry::accepts_growth)
     }
 
     /// True if an index is damaged: it is not served, or follows its journal no more.
     pub(crate) fn has_damage(&self) -> bool {
-        let registry = self.inner.registry.get();
-        registry.is_some_and(|registry| registry.has_damage())
+        self.opened().is_some_and(Registry::has_damage)
     }
 
-    /// The same for probes, which anyone may repeat: a look goes over all indices, and its answer holds for a second.
-    pub(crate) fn has_shown_damage(&self) -> bool {
+    /// [`Service::has_damage`], at most [`DAMAGE_AGE`] old: probes are unauthenticated, and a look visits every index.
+    pub(crate) fn has_damage_cached(&self) -> bool {
         let mut last = self.inner.damage.lock();
         match *last {
             Some((at, found)) if at.elapsed() < DAMAGE_AGE => found,
@@ -217,45 +216,20 @@ impl Service {
         }
     }
 
-    /// The levels of memory and disk, by name.
-    pub(crate) fn watermarks(&self) -> Vec<(&'static str, Usage)> {
-        let registry = self.inner.registry.get();
-        registry
-            .map(|registry| registry.levels())
-            .unwrap_or_default()
-    }
-
-    /// The numbers of calls that the watermarks refused so far, by reason.
-    pub(crate) fn refused_growth(&self) -> Vec<(&'static str, u64)> {
-        let registry = self.inner.registry.get();
-        let refused = registry.map(|registry| registry.refused());
-        refused.unwrap_or_default()
-    }
-
-    /// The merges that run now.
-    pub(crate) fn merges(&self) -> u64 {
-        let registry = self.inner.registry.get();
-        registry.map_or(0, |registry| registry.merges())
-    }
-
-    /// The memory and the disk of the server, by part. Blocks.
-    pub(crate) fn usage(&self) -> (Vec<Part>, Vec<Part>) {
-        let registry = self.inner.registry.get();
-        registry
-            .map(|registry| registry.usage())
-            .unwrap_or_default()
+    /// The registry once it is open.
+    pub(crate) fn opened(&self) -> Option<&Registry> {
+        self.inner.registry.get().map(|registry| &**registry)
     }
 
     /// All indices; none before they are read.
     pub(crate) fn listed(&self) -> Vec<(String, IndexState)> {
-        let registry = self.inner.registry.get();
-        let listed = registry.and_then(|registry| registry.page(None, usize::MAX, |_| true).ok());
-        listed.unwrap_or_default()
+        let every = |registry: &Registry| registry.page(None, usize::MAX, |_| true).ok();
+        self.opened().and_then(every).unwrap_or_default()
     }
 
     /// Ends when the server begins to stop.
-    async fn stopping(&self) {
-        self.inner.stopping.cancelled().await;
+    pub(crate) fn stopping(&self) -> WaitForCancellationFutureOwned {
+        self.inner.stopping.clone().cancelled_owned()
     }
 
     fn unavailability(&self) -> Option<Unavailability> {

@@ -148,7 +148,8 @@ impl Service {
                 continue;
             }
             let recalled = match recalled(hosted, &writer, key) {
-                // The records that this server lacks, or those that the journal has not accepted, may make it right.
+                // The session may have moved on in records that this server lacks, or that the journal has not accepted
+                // yet: catch up and look once more.
                 Err(Error::SessionRefused { .. }) if !is_caught_up => {
                     is_caught_up = true;
                     if hosted.is_shared() {
@@ -158,7 +159,7 @@ impl Service {
                         caught_up.map_err(|error| registry_error(hosted.name(), error))?;
                         self.latest(call, hosted, doing).await?;
                     } else {
-                        let _ = settled(call, hosted, writer).await?;
+                        let _ = confirm_current(call, hosted, writer).await?;
                     }
                     continue;
                 }
@@ -167,7 +168,7 @@ impl Service {
             let Some(response) = recalled else {
                 return Ok(Start::Writing(writer));
             };
-            if settled(call, hosted, writer).await? == CommitOutcome::Done {
+            if confirm_current(call, hosted, writer).await? == CommitOutcome::Done {
                 return Ok(Start::Remembered(response));
             }
         }
@@ -212,7 +213,7 @@ impl Service {
             };
             base = Arc::clone(writer.base());
             reads += 1;
-            // It fails only if others have written a great deal meanwhile.
+            // It fails only if the cached records do not reach back to the read, or some of them were refused since.
             if stored.catch_up(hosted, &writer) {
                 return Ok(Start::Writing(writer));
             }
@@ -246,7 +247,8 @@ impl Service {
         let (index, limits) = (hosted.name(), self.limits());
         let inserted = effects.inserted();
         let fits = || {
-            if inserted > 0 {
+            // A full index takes what makes it no larger.
+            if inserted > effects.removed().len() {
                 let points = writer.points() + inserted - effects.removed().len();
                 limits.check_quotas(index, hosted.space(), points as u64)?;
             }
@@ -268,21 +270,22 @@ impl Service {
         if let Some(key) = key {
             key.mark(&mut effects, response.encode_to_vec().into());
         }
-        // Beside other servers the response may be one of the past until the journal has taken a record after it. That record
-        // holds the operation, so that every server remembers it.
+        // With a shared journal the response may be stale until the journal accepts a record after it. That record holds the
+        // operation, so every server remembers it.
         if effects.is_empty() && !hosted.is_shared() {
             // A concurrent retry finds the operation, and waits for the same records.
             if let Some(operation) = effects.operation() {
-                hosted.remember(Arc::clone(operation));
+                let remembered = hosted.remember(Arc::clone(operation));
+                remembered.map_err(|error| registry_error(index, error))?;
             }
-            let committed = settled(call, hosted, writer).await?;
+            let committed = confirm_current(call, hosted, writer).await?;
             return Ok((committed == CommitOutcome::Done).then_some(response));
         }
         let doing = match hosted.is_shared() {
             true => {
                 "before the journal answered; the mutation may take place: repeat the call with its operation_id"
             }
-            false => "after the mutation was logged; it takes place",
+            false => "before the mutation was durable; it may take place",
         };
         let committed = call.bound(doing, hosted.commit(writer, effects)).await?;
         let committed = committed.map_err(|error| registry_error(hosted.name(), error))?;
@@ -333,8 +336,8 @@ fn recalled<R: Message + Default>(
     Ok(Some(response))
 }
 
-/// Returns `error`, which a mutation met under `writer`, or Ok if it has to be evaluated again. Beside other servers the
-/// refusal may be one of the past, or of records that the journal refuses, until the journal has taken a record after it.
+/// Returns `error`, or Ok if the mutation has to be evaluated again. With a shared journal the state under `writer` may be
+/// stale: the error counts only once the journal has accepted an empty record after it.
 pub(super) async fn refused(
     call: &Call,
     hosted: &Hosted,
@@ -345,7 +348,7 @@ pub(super) async fn refused(
     let is_end = matches!(error, Error::DeadlineExceeded { .. } | Error::Denied { .. });
     if hosted.is_shared()
         && !is_end
-        && settled(call, hosted, writer).await? == CommitOutcome::Refused
+        && confirm_current(call, hosted, writer).await? == CommitOutcome::Refused
     {
         return Ok(());
     }
@@ -353,8 +356,15 @@ pub(super) async fn refused(
 }
 
 /// Waits until all that a response was evaluated against is as durable as configured.
-async fn settled(call: &Call, hosted: &Hosted, writer: WriteGuard) -> Result<CommitOutcome, Error> {
-    call.bound("while the log was being synced", hosted.settled(writer))
-        .await?
-        .map_err(|error| registry_error(hosted.name(), error))
+async fn confirm_current(
+    call: &Call,
+    hosted: &Hosted,
+    writer: WriteGuard,
+) -> Result<CommitOutcome, Error> {
+    call.bound(
+        "while the log was being synced",
+        hosted.confirm_current(writer),
+    )
+    .await?
+    .map_err(|error| registry_error(hosted.name(), error))
 }

@@ -1,13 +1,16 @@
 //! `Knn` and `Query`: the k nearest points of each state, and all points within a radius of each.
 
+use wayfold_index::Search;
 use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    answer::{AnswerBudget, NeighborColumns, search},
-    check::{self, Violations},
+    answer::{AnswerBudget, NeighborColumns},
+    call::TimeSlicer,
+    check::{self, Rows, Violations},
     neighbor_spec::NeighborSpec,
     read_view::{ReadView, revision, revision_number, uid_of},
+    stored::BATCH_ROWS,
 };
 use crate::identity::Role;
 
@@ -146,4 +149,41 @@ impl Service {
         let neighbors = search(&view, &states, completed, found, &mut pace).await?;
         Ok((neighbors, revision(&hosted, published.revision)))
     }
+}
+
+/// Searches for every state.
+async fn search(
+    view: &ReadView<'_>,
+    states: &Rows,
+    search: Search<'_>,
+    mut found: NeighborColumns,
+    pace: &mut TimeSlicer,
+) -> Result<v1::Neighbors, Error> {
+    let snapshot = &view.published.snapshot;
+    for state in states.iter() {
+        let search = Search {
+            k: search.k.min(found.too_many()),
+            ..search
+        };
+        let answer = snapshot.search(state, &search)?;
+        found.push(|id| snapshot.get(id), &answer.neighbors)?;
+        if found.without_payload().len() >= BATCH_ROWS {
+            read_payloads(view, &mut found).await?;
+        }
+        pace.step().await?;
+    }
+    read_payloads(view, &mut found).await?;
+    Ok(found.finish())
+}
+
+/// Adds all missing payloads.
+async fn read_payloads(view: &ReadView<'_>, found: &mut NeighborColumns) -> Result<(), Error> {
+    while !found.without_payload().is_empty() {
+        let batch = found.without_payload().iter().take(BATCH_ROWS);
+        let batch = batch.copied().collect();
+        for payload in view.payloads(batch, found.remaining()).await? {
+            found.push_payload(payload)?;
+        }
+    }
+    Ok(())
 }

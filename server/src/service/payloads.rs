@@ -4,17 +4,16 @@
 use bytes::Bytes;
 use sha2::{Digest as _, Sha256};
 
-use super::{
-    Call, Error,
-    answer::payload_bytes,
-    stored::{BATCH_ROWS, ReadAhead},
-};
+use super::{Call, Error, answer::payload_bytes, stored::ReadAhead};
 use crate::{
     log::Digest,
     registry::{Hosted, Published, Writer},
 };
 
 const DOING: &str = "while reading payloads; nothing was changed";
+
+/// The payloads of neighbours that are read at once: they pass the limit of the answer by a megabyte at most.
+const PAYLOADS_READ: usize = 16;
 
 /// The payloads read so far.
 pub(super) struct Payloads {
@@ -60,30 +59,30 @@ impl Payloads {
         self.neighbors.as_ref()?.get(id)
     }
 
-    /// Reads payloads of `head`; those for the answer until they exceed `most` bytes of it.
+    /// Reads payloads of `published`; those for the answer until they exceed `most` bytes of it.
     pub(super) async fn read(
         &mut self,
         call: &Call,
         hosted: &Hosted,
-        head: &Published,
+        published: &Published,
         mut unread: UnreadPayloads,
         most: usize,
     ) -> Result<(), Error> {
         let compared = &unread.compared;
-        let compared = self.compared.read(call, DOING, hosted, head, compared);
+        let compared = self.compared.read(call, DOING, hosted, published, compared);
         compared.await?;
         let Some(neighbors) = &mut self.neighbors else {
             return Ok(());
         };
-        neighbors.begin_at(head);
+        neighbors.begin_at(published);
         unread.neighbors.sort_unstable();
         unread.neighbors.dedup();
         let mut bytes = 0;
-        for ids in unread.neighbors.chunks(BATCH_ROWS) {
+        for ids in unread.neighbors.chunks(PAYLOADS_READ) {
             if bytes > most {
                 break;
             }
-            neighbors.read(call, DOING, hosted, head, ids).await?;
+            neighbors.read(call, DOING, hosted, published, ids).await?;
             let payloads = ids.iter().filter_map(|id| neighbors.get(*id));
             bytes += payloads.map(payload_bytes).sum::<usize>();
         }

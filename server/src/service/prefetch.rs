@@ -1,8 +1,6 @@
 //! Searches of an insert before its turn to write, so that concurrent writers of one index search in parallel. With the
 //! writer, the insert searches only the few points that were added meanwhile.
 
-use std::sync::Arc;
-
 use wayfold_index::{Neighbor, Search};
 
 use super::{Error, call::TimeSlicer, check::Rows};
@@ -25,9 +23,9 @@ pub(super) struct PrefetchedRow {
 }
 
 impl Prefetch {
-    /// Searches `head` for `rows`; stops once it has found more than `most` neighbours.
+    /// Searches `published` for `rows`; stops once it has found more than `most` neighbours.
     pub(super) async fn search(
-        head: Arc<Published>,
+        published: &Published,
         rows: &Rows,
         neighbors: Option<Search<'static>>,
         nearest: Option<Search<'static>>,
@@ -40,7 +38,7 @@ impl Prefetch {
         };
         let (neighbors, nearest) = (neighbors.map(bounded), nearest.map(bounded));
         let mut prefetch = Self {
-            revision: head.revision,
+            revision: published.revision,
             neighbors,
             rows: Vec::new(),
         };
@@ -51,7 +49,7 @@ impl Prefetch {
             }
             let search = |search: Option<Search<'_>>| -> Result<_, Error> {
                 match search {
-                    Some(search) => Ok(head.snapshot.search(row, &search)?.neighbors),
+                    Some(search) => Ok(published.snapshot.search(row, &search)?.neighbors),
                     None => Ok(Vec::new()),
                 }
             };

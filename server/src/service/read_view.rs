@@ -3,12 +3,11 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use wayfold_index::Point;
 use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service, Unavailability,
-    answer::{Source, missing, payload_bytes},
+    answer::{missing, payload_bytes},
     check::Violations,
     error_map::registry_error,
     stored,
@@ -29,13 +28,14 @@ impl Service {
         name: &str,
         uid: &str,
     ) -> Result<Arc<Hosted>, Error> {
-        let hosted = self.index_of(call, role, name, uid)?;
+        let hosted = self.index_named(call, role, name, uid)?;
         check_uid(&hosted, uid)?;
         Ok(hosted)
     }
 
-    /// Does the same for an index that may have another uid. A missing index is not judged if one with `uid` may come.
-    pub(super) fn index_of(
+    /// Finds the index of this name, whatever its uid. If there is none but one with `uid` may still come from another
+    /// server, the error is [`Error::UidUnknown`], not `IndexNotFound`.
+    pub(super) fn index_named(
         &self,
         call: &Call,
         role: Role,
@@ -75,19 +75,19 @@ impl Service {
                 }
             }
         }
-        let published = self.newest(call, hosted).await?;
+        let published = self.published_now(call, hosted).await?;
         if published.revision >= revision {
             return Ok(published);
         }
-        const WAITING: &str = "while waiting for min_revision";
+        const WAITING: &str = "while waiting for the revision that the call asks for";
         let reached = self
             .bounded(call, WAITING, hosted.reached(revision))
             .await?;
         reached.map_err(|error| registry_error(hosted.name(), error))
     }
 
-    /// The newest revision of this server. A server that has nothing of an index yet does not answer that there is nothing.
-    pub(super) async fn newest(
+    /// The published state. A server that has nothing of an index yet does not answer that there is nothing.
+    pub(super) async fn published_now(
         &self,
         call: &Call,
         hosted: &Arc<Hosted>,
@@ -98,7 +98,9 @@ impl Service {
                 return Err(registry_error(hosted.name(), damage));
             }
             const ASKING: &str = "while waiting for the journal";
-            let empty = self.bounded(call, ASKING, hosted.begins_empty()).await?;
+            let empty = self
+                .bounded(call, ASKING, hosted.check_begins_empty())
+                .await?;
             empty.map_err(|error| registry_error(hosted.name(), error))?;
         }
         Ok(published)
@@ -162,12 +164,6 @@ impl ReadView<'_> {
     }
 }
 
-impl Source for ReadView<'_> {
-    fn point(&self, id: u64) -> Option<Point> {
-        self.published.snapshot.get(id)
-    }
-}
-
 /// The uid of the revision that a request names; empty for none.
 pub(super) fn uid_of(named: Option<&v1::Revision>) -> &str {
     named.map_or("", |named| &named.uid)
@@ -193,11 +189,18 @@ pub(super) fn revision_number(
         return Ok(0);
     };
     check_uid(hosted, uid)?;
-    if *number > 0 && uid.is_empty() {
+    if *number > 0 {
+        uid_is_named(field, uid, violations);
+    }
+    Ok(*number)
+}
+
+/// Notes a violation if a revision names no uid.
+pub(super) fn uid_is_named(field: &str, uid: &str, violations: &mut Violations) {
+    if uid.is_empty() {
         let text = "a revision needs the uid of the index that it belongs to";
         violations.add(format!("{field}.uid"), "REQUIRED", text);
     }
-    Ok(*number)
 }
 
 /// Fails if the index has another uid; an empty one matches any.

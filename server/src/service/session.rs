@@ -49,7 +49,7 @@ impl Service {
             let mut effects = Effects::new(hosted.space().coordinates());
             let evaluated = ended(&writer, limits).and_then(|ended| {
                 let count = request.reserve_count;
-                let reserved = reserve(&hosted, &writer, &effects, count, limits)?;
+                let reserved = reserve(&hosted, &writer, &effects, count, limits, &ended)?;
                 let response = v1::OpenSessionResponse {
                     session,
                     reserved: Some(block(&reserved)),
@@ -108,13 +108,15 @@ pub(super) fn block_count(count: usize) -> Result<(), Error> {
     })
 }
 
-/// The next `count` ids above all that were used or reserved, and above those that `effects` stores.
+/// The next `count` ids above all that were used or reserved, and above those that `effects` stores. The blocks of the
+/// sessions in `ended` no longer count.
 pub(super) fn reserve(
     hosted: &Hosted,
     writer: &Writer,
     effects: &Effects,
     count: u64,
     limits: &Limits,
+    ended: &[u64],
 ) -> Result<Range<u64>, Error> {
     if count == 0 {
         return Ok(0..0);
@@ -127,7 +129,7 @@ pub(super) fn reserve(
             advice: "reserve fewer ids at a time",
         });
     }
-    block_count(writer.sessions().block_count() + 1)?;
+    block_count(writer.sessions().block_count_without(ended) + 1)?;
     let first = writer.next_id().max(effects.next_id());
     let end = first.checked_add(count).filter(|end| *end <= END_OF_IDS);
     let end = end.ok_or_else(|| Error::IdsExhausted {

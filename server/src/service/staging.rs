@@ -11,7 +11,7 @@ use wayfold_index::{
     EarlierAnswer, Neighbor, Overlay, Point, PointRef, Points, Search, search_overlaid,
 };
 
-use super::{Error, answer::Source};
+use super::Error;
 use crate::{
     log::{Effects, Outcome},
     registry::Writer,
@@ -170,10 +170,9 @@ impl<'a> Staging<'a> {
     pub(super) fn into_effects(self) -> Effects {
         self.effects
     }
-}
 
-impl Source for Staging<'_> {
-    fn point(&self, id: u64) -> Option<Point> {
+    /// The point with this id, the accepted rows included.
+    pub(super) fn point(&self, id: u64) -> Option<Point> {
         let slot = self
             .searched
             .as_ref()

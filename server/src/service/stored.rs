@@ -97,21 +97,21 @@ impl<T: Send + 'static> ReadAhead<T> {
         self.points.get(&id)?.as_ref()
     }
 
-    /// Declares `head` the revision of all values held.
-    pub(super) fn begin_at(&mut self, head: &Published) {
-        self.revision = head.revision;
+    /// Sets the revision that the held values are of.
+    pub(super) fn begin_at(&mut self, published: &Published) {
+        self.revision = published.revision;
     }
 
-    /// Reads points of `head`, which must be the revision of the values held.
+    /// Reads points of `published`, which must be the revision of the values held.
     pub(super) async fn read(
         &mut self,
         call: &Call,
         doing: &'static str,
         hosted: &Hosted,
-        head: &Published,
+        published: &Published,
         ids: &[u64],
     ) -> Result<(), Error> {
-        self.begin_at(head);
+        self.begin_at(published);
         for ids in ids.chunks(BATCH_ROWS) {
             let (ids, projection) = (ids.to_vec(), Arc::clone(&self.projection));
             let batch = move |view: &dyn View| {
@@ -121,7 +121,7 @@ impl<T: Send + 'static> ReadAhead<T> {
                 });
                 points.collect::<Result<Vec<_>, LogError>>()
             };
-            let batch = read(call, doing, hosted.name(), &head.view, batch);
+            let batch = read(call, doing, hosted.name(), &published.view, batch);
             self.points.extend(batch.await?);
         }
         Ok(())

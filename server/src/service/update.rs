@@ -11,7 +11,7 @@ use super::{
     call::TimeSlicer,
     check::{self, Violations},
     mutation::{IdempotencyKey, Start},
-    read_view::{revision, revision_number},
+    read_view::{check_uid, revision, uid_is_named},
     stored::ReadAhead,
 };
 use crate::{
@@ -152,8 +152,9 @@ async fn check_update(
     check::operation_id(&request.operation_id, &mut violations);
     let if_revision = match &request.if_revision {
         Some(named) => {
-            let number = revision_number(hosted, "if_revision", Some(named), &mut violations)?;
-            Some(number)
+            uid_is_named("if_revision", &named.uid, &mut violations);
+            check_uid(hosted, &named.uid)?;
+            Some(named.number)
         }
         None => None,
     };

@@ -10,7 +10,7 @@ use super::{
     answer::PointColumns,
     check::Violations,
     error_map::registry_error,
-    read_view::{check_uid, revision, uid_of},
+    read_view::{check_uid, revision, uid_is_named, uid_of},
 };
 use crate::{
     identity::Role,
@@ -73,11 +73,10 @@ impl Service {
     pub async fn watch(&self, call: &Call, request: v1::WatchRequest) -> Result<Watch, Error> {
         let after = request.after_revision;
         let uid = uid_of(after.as_ref());
-        let hosted = self.index_of(call, Role::Read, &request.index_name, uid)?;
+        let hosted = self.index_named(call, Role::Read, &request.index_name, uid)?;
         let mut violations = Violations::default();
-        if after.as_ref().is_some_and(|after| after.uid.is_empty()) {
-            let text = "a revision needs the uid of the index that it belongs to";
-            violations.add("after_revision.uid", "REQUIRED", text);
+        if let Some(after) = &after {
+            uid_is_named("after_revision", &after.uid, &mut violations);
         }
         if after.as_ref().is_some_and(|it| it.number == u64::MAX) {
             let text = "it is the greatest revision: none comes after it";
@@ -85,7 +84,7 @@ impl Service {
         }
         violations.finish()?;
         if after.is_none() {
-            self.newest(call, &hosted).await?;
+            self.published_now(call, &hosted).await?;
         }
         let checked = check_uid(&hosted, uid);
         if let Err(unknown @ Error::UidUnknown { .. }) = checked {
@@ -114,7 +113,7 @@ impl Service {
 }
 
 impl Watch {
-    /// The same for a reader that takes its time on purpose: it is no subscriber that lags.
+    /// Does not count this watch among the index's subscribers: its reader lags on purpose.
     pub(crate) fn uncounted(self) -> Self {
         Self {
             is_counted: false,
@@ -148,7 +147,7 @@ impl Watch {
         Some(message)
     }
 
-    /// Sets the approximate bytes of a message. A message exceeds them by less than one payload.
+    /// Sets the approximate bytes of a message. A message exceeds them by less than one point.
     pub fn with_message_bytes(self, message_bytes: usize) -> Self {
         Self {
             message_bytes,
@@ -219,7 +218,7 @@ impl Watch {
             if !piece.continued {
                 self.after = record.revision();
                 if let Some(subscriber) = &self.subscriber {
-                    subscriber.has(self.after);
+                    subscriber.advance_to(self.after);
                 }
                 self.sent = (0, 0);
                 self.next.pop_front();

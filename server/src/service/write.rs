@@ -95,7 +95,8 @@ impl Service {
             writer.index_pending();
             let evaluated = steps.net(&hosted, &writer, &stored, &mut pace).await;
             let evaluated = evaluated.and_then(|(effects, missing)| {
-                let reserved = reserve(&hosted, &writer, &effects, reserve_count, self.limits())?;
+                let limits = self.limits();
+                let reserved = reserve(&hosted, &writer, &effects, reserve_count, limits, &[])?;
                 let response = v1::WriteResponse {
                     reserved: Some(block(&reserved)),
                     missing_count: missing,

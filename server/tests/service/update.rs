@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use wayfold_proto::v1;
-use wayfold_server::service::Error;
+use wayfold_server::service::{Code, Error};
 
 use crate::support::*;
 
@@ -102,6 +102,13 @@ async fn if_revision_compares_with_the_last_change_of_the_whole_point() {
     assert_eq!(info(&service, "arm").await.revision.number(), 2);
     let response = service.update(&CALL, set(&[0, 1, 2], 6, 2)).await.unwrap();
     assert_eq!((response.updated_count, response.revision.number()), (3, 3));
+    let unnamed = v1::UpdateRequest {
+        if_revision: Some(v1::Revision::default()),
+        ..set(&[0], 7, 0)
+    };
+    let refused = refusal(service.update(&CALL, unnamed).await);
+    let expected = (Code::InvalidArgument, "REQUIRED", "if_revision.uid".into());
+    assert_eq!(refused, expected);
 }
 
 #[tokio::test]

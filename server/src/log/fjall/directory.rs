@@ -226,7 +226,7 @@ fn check(file: &mut File, path: &Path) -> Result<(), OpenError> {
     file.take(1000).read_to_end(&mut found).map_err(failed)?;
     let found = String::from_utf8_lossy(&found).into_owned();
     let version = found.strip_prefix(FORM);
-    let version = version.map(|rest| rest.strip_suffix('\n').unwrap_or(rest));
+    let version = version.map(str::trim_end);
     if let Some(VERSION | OLDER_VERSION) = version {
         return Ok(());
     }
@@ -332,6 +332,9 @@ mod tests {
         assert!(refusal(&ours).contains("in use"));
         drop(held);
         fs::write(ours.join("more"), "").unwrap();
+        drop(Directory::take(&ours).unwrap());
+        // An editor may end the line in its own way.
+        fs::write(ours.join(MARKER), format!("{FORM}{VERSION}\r\n")).unwrap();
         drop(Directory::take(&ours).unwrap());
         fs::write(ours.join(MARKER), format!("{FORM}9\n")).unwrap();
         assert!(refusal(&ours).contains("version \"9\""));

@@ -59,7 +59,8 @@ impl Engine {
         journal::ensure_durable(directory).map_err(shut)?;
         let store = Store::open(&path, options).map_err(unopened)?;
         let store = Arc::new(store);
-        // A directory that cannot be opened stays open to the server that wrote it.
+        // Upgrade the format only after a successful open: if it fails, the server that wrote the directory can still open
+        // it.
         directory.upgrade().map_err(shut)?;
         let may_have_lost = unclean_marker::may_have_lost(directory.path()).map_err(shut)?;
         let handles = store.handles()?;

@@ -101,7 +101,7 @@ impl Index {
     }
 
     /// The locked state; an error if the index is closed.
-    fn open(&self) -> Result<MutexGuard<'_, State>, LogError> {
+    fn lock_open(&self) -> Result<MutexGuard<'_, State>, LogError> {
         let state = self.state.lock();
         self.durable()?;
         Ok(state)
@@ -129,7 +129,7 @@ impl Index {
     }
 
     /// Sets the state that recovery found. Recovery makes the found state durable before anyone reads it.
-    pub(super) fn restore(&self, state: State) {
+    pub(super) fn set_recovered(&self, state: State) {
         self.set_durable(state.head.revision);
         *self.state.lock() = state;
     }
@@ -141,7 +141,7 @@ impl Index {
 
     /// The mark of its head; None if the index is closed.
     pub(super) fn mark(&self) -> Option<Mark> {
-        Some(self.mark_of(&self.open().ok()?.head))
+        Some(self.mark_of(&self.lock_open().ok()?.head))
     }
 
     /// Closes the index, ends the streams of its records, and returns the mark of its head.

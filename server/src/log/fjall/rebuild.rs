@@ -36,12 +36,15 @@ use crate::log::LogError;
 /// The outcome of [`repair`].
 #[derive(Debug)]
 pub struct RepairReport {
-    /// The first damage that was found. None if the store is whole; nothing else was done then.
+    /// The first damage that was found. None if all of the store can be read; nothing else was done then.
     pub damage: Option<String>,
-    /// The number of indices that can be read whole.
+    /// The number of indices that can be read whole and have lost no record.
     pub whole: usize,
     /// The names of the indices that the new store does not hold, each with its damage.
     pub lost: Vec<(String, String)>,
+    /// The names of the other indices whose records are lost or wrong in readable files, each with its error. No repair
+    /// brings these back.
+    pub beyond_repair: Vec<(String, String)>,
     /// Bytes that must be free to rebuild the store.
     pub needed_bytes: u64,
     /// Bytes that are free.
@@ -147,19 +150,27 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
     let old = Arc::new(Store::open(&path, Durability::Fsync).map_err(unopened)?);
     let handles = old.handles()?;
     let contents = survey(&handles, &marks)?;
+    let damage = find_damage(&handles)?;
+    let found = recovery::recover(&handles, &marks, false)?;
+    let mut beyond_repair = found.beyond_repair();
+    for content in contents.iter().filter(|content| content.lost.is_some()) {
+        beyond_repair.remove(&content.number);
+    }
+    let is_whole = |it: &&Content| it.whole && !beyond_repair.contains_key(&it.number);
     let mut report = RepairReport {
-        damage: find_damage(&handles)?,
-        whole: contents.iter().filter(|content| content.whole).count(),
+        damage,
+        whole: contents.iter().filter(is_whole).count(),
         lost: contents
             .iter()
             .filter_map(|content| content.lost.clone())
             .collect(),
+        beyond_repair: beyond_repair.into_values().collect(),
         needed_bytes: handles.room_for_copy(),
         free_bytes: directory.room().map_err(shut)?,
         kept: None,
     };
     // A read of all keys in order does not read the filters and indices that lead to single keys.
-    if report.damage.is_none() && recovery::recover(&handles, &marks, false)?.unreadable {
+    if report.damage.is_none() && found.unreadable {
         report.damage = Some("its filters or indices cannot be read".into());
     }
     if report.damage.is_none() || dry_run {
@@ -351,6 +362,7 @@ mod tests {
             damage: Some("a block".into()),
             whole: 1,
             lost: Vec::new(),
+            beyond_repair: Vec::new(),
             needed_bytes: 4096,
             free_bytes,
             kept: None,

@@ -109,6 +109,21 @@ pub(super) fn recover(
 }
 
 impl StoreContent {
+    /// The names and errors of the indices that are damaged although their files can be read.
+    pub(super) fn beyond_repair(&self) -> BTreeMap<Number, (String, String)> {
+        let closed = self.indexes.iter().filter_map(|index| {
+            let why = index.durable().err()?;
+            Some((index.number, (&index.entry.name, why)))
+        });
+        let lost = self.lost.iter();
+        let lost = lost.map(|(number, lost)| (*number, (&lost.name, lost.why.clone())));
+        let readable = closed.chain(lost);
+        let readable = readable.filter(|(_, (_, why))| !matches!(why, LogError::Unreadable { .. }));
+        readable
+            .map(|(number, (name, why))| (number, (name.clone(), why.to_string())))
+            .collect()
+    }
+
     /// Adds a lost index. Only its mark is left.
     fn add_lost(&mut self, number: Number, mark: &Mark, why: LogError) {
         error!(index = &*mark.name, error = %why, "an index is lost: every call for it fails");
@@ -183,7 +198,7 @@ fn open(
                 warn!(index = staged.entry.name, old = %uid, new = %staged.entry.uid, "mutations may have been lost: new uid");
                 index = new_index(&staged.entry);
             }
-            index.restore(state);
+            index.set_recovered(state);
         }
         // This is an error of the disk, not of this index.
         Err(LogError::Storage { what }) => return Err(LogError::Shut { what }),

@@ -88,7 +88,7 @@ impl RestoringIndex {
             batch.insert(keyspace, point_key(number, point.id), value);
         }
         if let Some(end) = end {
-            session::put_all(end.sessions, number, (&mut batch, keyspace), &mut sum);
+            session::put_all(end.sessions, number, &mut batch, keyspace, &mut sum);
             let head = Head::at(&self.origin, sum);
             batch.insert(keyspace, head_key(number), head.encode(number));
             for (revision, operation) in end.operations {

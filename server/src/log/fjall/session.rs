@@ -20,7 +20,8 @@ use crate::log::{Block, LogError, Session, Sessions, Uid, cursor::Cursor, sessio
 pub(super) fn put(
     change: &Change,
     number: Number,
-    (batch, keyspace): (&mut OwnedWriteBatch, &Keyspace),
+    batch: &mut OwnedWriteBatch,
+    keyspace: &Keyspace,
     sum: &mut Sum,
 ) {
     let (key, values) = match change {
@@ -51,16 +52,17 @@ pub(super) fn put(
 pub(super) fn put_all(
     sessions: &Sessions,
     number: Number,
-    (batch, keyspace): (&mut OwnedWriteBatch, &Keyspace),
+    batch: &mut OwnedWriteBatch,
+    keyspace: &Keyspace,
     sum: &mut Sum,
 ) {
     let inserted = |(id, session)| Change::Session(id, [None, Some(Arc::clone(session))]);
     for change in sessions.iter().map(inserted) {
-        put(&change, number, (batch, keyspace), sum);
+        put(&change, number, batch, keyspace, sum);
     }
     for (first, block) in sessions.blocks() {
         let change = Change::Block(first, [None, Some(block)]);
-        put(&change, number, (batch, keyspace), sum);
+        put(&change, number, batch, keyspace, sum);
     }
 }
 
@@ -79,8 +81,9 @@ pub(super) fn read(
         {
             let (key, value) = entry.into_inner().map_err(|error| unreadable(uid, error))?;
             sum.add(&value);
-            add(&mut sessions, &key, &value).ok_or_else(|| LogError::Unreadable {
+            add(&mut sessions, &key, &value).ok_or_else(|| LogError::Damaged {
                 uid,
+                seen: 0,
                 what: "a writer session does not match its checksum".into(),
             })?;
         }

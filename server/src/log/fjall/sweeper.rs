@@ -50,7 +50,7 @@ impl Sweeper {
             .name("wayfold-sweep".into())
             .spawn(move || {
                 for number in work {
-                    if let Err(error) = sweep((&store, &failure), number, &mut marks, &stopped) {
+                    if let Err(error) = sweep(&store, &failure, number, &mut marks, &stopped) {
                         warn!(
                             number,
                             error, "cannot remove what is left of a deleted index"
@@ -90,7 +90,8 @@ impl Drop for Sweeper {
 }
 
 fn sweep(
-    (store, failure): (&Store, &Failure),
+    store: &Store,
+    failure: &Failure,
     number: Number,
     marks: &mut Marks,
     stop: &AtomicBool,
@@ -98,7 +99,7 @@ fn sweep(
     for key in [point_key, record_key, operation_key, session_key, block_key] {
         let mut after = Bound::Included(key(number, 0));
         let last = Bound::Included(key(number, u64::MAX));
-        while let Some(removed) = remove_some((store, failure), (after, last)).map_err(text)? {
+        while let Some(removed) = remove_some(store, failure, (after, last)).map_err(text)? {
             // Continues after the last removed key: from the start, the scan would pass every removed key again.
             after = Bound::Excluded(removed);
             if stop.load(Ordering::Relaxed) {
@@ -127,7 +128,8 @@ fn text(error: impl Display) -> String {
 
 /// Removes the first few keys of a range and returns the last of them; None if the range is empty.
 fn remove_some(
-    (store, failure): (&Store, &Failure),
+    store: &Store,
+    failure: &Failure,
     range: KeyRange,
 ) -> Result<Option<[u8; 13]>, LogError> {
     let handles = store.handles()?;

@@ -16,7 +16,7 @@ use parking_lot::Mutex;
 use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 use tracing::warn;
 
-use super::{NatsError, NatsOptions, message::Position};
+use super::{NatsError, NatsOptions, message::PackPosition};
 use crate::log::{LogError, Uid};
 
 /// The number of streams that the indices share. Each has a leader of its own, so the work is spread over the servers
@@ -29,8 +29,8 @@ const MIN_VERSION: (i64, i64) = (2, 15);
 /// A request to NATS without an answer for this long counts as lost.
 pub(super) const REQUEST_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// The same for a message, and for a request that reads one: a stream loses both silently while it changes its leader, and
-/// writers wait meanwhile.
+/// The timeout of a message, and of a request that reads one. It is shorter: a stream drops both silently while it elects a
+/// leader, and writers wait meanwhile.
 pub(super) const MESSAGE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// The time between two pings of NATS. After three pings without an answer the client connects to another server of NATS.
@@ -177,13 +177,13 @@ impl Connection {
         format!("{}.log.{}.{uid}", self.name, Self::stream_number(uid))
     }
 
-    /// The newest message of an index, of the stream's leader; [`Position::START`] if there is none.
-    pub(super) async fn last(&self, uid: Uid) -> Result<Position, LogError> {
+    /// The newest message of an index, of the stream's leader; [`PackPosition::START`] if there is none.
+    pub(super) async fn last(&self, uid: Uid) -> Result<PackPosition, LogError> {
         let subject = self.subject(uid);
         let last = self.stream(uid).get_last_raw_message_by_subject(&subject);
         match read(last).await? {
-            Some(message) => Position::of(uid, &message),
-            None => Ok(Position::START),
+            Some(message) => PackPosition::of(uid, &message),
+            None => Ok(PackPosition::START),
         }
     }
 
@@ -192,13 +192,13 @@ impl Connection {
         &self,
         uid: Uid,
         sequence: u64,
-    ) -> Result<Option<(Position, StreamMessage)>, LogError> {
+    ) -> Result<Option<(PackPosition, StreamMessage)>, LogError> {
         let subject = self.subject(uid);
         let next = self
             .stream(uid)
             .get_first_raw_message_by_subject(subject, sequence);
         match read(next).await? {
-            Some(message) => Ok(Some((Position::of(uid, &message)?, message))),
+            Some(message) => Ok(Some((PackPosition::of(uid, &message)?, message))),
             None => Ok(None),
         }
     }

@@ -10,7 +10,7 @@ use tracing::debug;
 use super::{
     RETRY_INTERVAL,
     connection::{Connection, unreachable, within},
-    message::{Position, Unpacker},
+    message::{PackPosition, Unpacker},
 };
 use crate::log::{Digest, LogError, Record, RecordStream, Uid};
 
@@ -50,7 +50,8 @@ struct Follower {
 pub(super) fn follow(
     connection: Arc<Connection>,
     uid: Uid,
-    (after, digest): (u64, Option<Digest>),
+    after: u64,
+    digest: Option<Digest>,
 ) -> RecordStream {
     let follower = Follower {
         connection,
@@ -99,9 +100,8 @@ impl Follower {
                     && self.behind < MAX_BEHIND
                 {
                     self.behind += 1;
-                    return Err(LogError::Unreachable {
-                        what: "the stream does not have the newest known record".into(),
-                    });
+                    let what = "the stream does not have the newest known record";
+                    return Err(resubscribe(what));
                 }
                 self.behind = 0;
                 self.messages.insert(subscribed?)
@@ -110,29 +110,23 @@ impl Follower {
         let message = match messages.next().await {
             Some(Ok(message)) => message,
             Some(Err(error)) => return Err(unreachable(error)),
-            None => {
-                return Err(LogError::Unreachable {
-                    what: "the subscription has ended".into(),
-                });
-            }
+            None => return Err(resubscribe("the subscription has ended")),
         };
         let headers = message.headers.clone().unwrap_or_default();
-        let next = (self.uid, self.after + 1);
-        let taken = self.unpacker.take(next, &headers, &message.payload);
+        let next = self.after + 1;
+        let taken = (self.unpacker).take(self.uid, next, &headers, &message.payload);
         let taken = taken.map(|mut records| {
             records.retain(|record| record.revision() > self.after);
             records
         });
         let is_whole = taken.as_ref().is_ok_and(|records| {
             let first = records.first();
-            first.is_none_or(|first| first.revision() == self.after + 1)
+            first.is_none_or(|first| first.revision() == next)
         });
         if !is_whole && !self.is_suspect {
             // The connection may have lost a message. If the stream has, the next subscription brings the same.
             self.is_suspect = true;
-            return Err(LogError::Unreachable {
-                what: "a message is missing or damaged".into(),
-            });
+            return Err(resubscribe("a message is missing or damaged"));
         }
         let records = taken?;
         if let Some(last) = records.last() {
@@ -141,6 +135,11 @@ impl Follower {
         }
         Ok(records)
     }
+}
+
+/// An error after which a follower subscribes again, as it does while NATS cannot be reached.
+fn resubscribe(what: &str) -> LogError {
+    LogError::Unreachable { what: what.into() }
 }
 
 /// Subscribes to the messages of an index from the record after the revision `after` on. Revisions tell their order, so
@@ -152,8 +151,10 @@ async fn subscribe(
     digest: Option<Digest>,
 ) -> Result<pull::Stream, LogError> {
     let last = connection.last(uid).await?;
-    // A record after it would name the digest of the record before it; the newest one has none yet.
-    if last.last.revision == after && digest.is_some_and(|digest| digest != last.last.digest) {
+    // For an older record the next one's link shows a replacement. The newest has no successor, so compare it here.
+    if last.last_record.revision == after
+        && digest.is_some_and(|digest| digest != last.last_record.digest)
+    {
         return Err(LogError::replaced(uid, after));
     }
     let sequence = sequence_after(connection, uid, after, last).await?;
@@ -194,8 +195,8 @@ pub(super) async fn read(
     let (mut records, mut bytes, mut unpacker) = (Vec::new(), 0, Unpacker::default());
     while let Some((position, message)) = connection.next(uid, sequence).await? {
         sequence = position.sequence + 1;
-        let next = (uid, position.first);
-        for record in unpacker.take(next, &message.headers, &message.payload)? {
+        let next = position.first_revision;
+        for record in unpacker.take(uid, next, &message.headers, &message.payload)? {
             let last = records
                 .last()
                 .map_or(after, |last: &Arc<Record>| last.revision());
@@ -220,48 +221,50 @@ pub(super) async fn read(
 /// [`Journal::forget`](crate::log::Journal::forget).
 pub(super) async fn forget(connection: &Connection, uid: Uid, up_to: u64) -> Result<(), LogError> {
     let last = connection.last(uid).await?;
-    let up_to = up_to.min(last.first.saturating_sub(1));
+    let up_to = up_to.min(last.first_revision.saturating_sub(1));
     match connection.next(uid, 1).await? {
-        Some((first, _)) if first.last.revision <= up_to => {}
+        Some((first, _)) if first.last_record.revision <= up_to => {}
         _ => return Ok(()),
     }
     let sequence = sequence_after(connection, uid, up_to, last).await?;
     connection.purge_before(uid, sequence).await
 }
 
-/// A sequence number. From there on, the first message of the index has the record after the revision `after`. `last` is the
-/// newest message.
+/// The sequence number from which the next message of the index holds the record after `after`. `last` is the newest
+/// message.
 async fn sequence_after(
     connection: &Connection,
     uid: Uid,
     after: u64,
-    last: Position,
+    last: PackPosition,
 ) -> Result<u64, LogError> {
-    if last.last.revision < after {
+    if last.last_record.revision < after {
         return Err(LogError::JournalBehind {
             uid,
-            head: last.last.revision,
+            head: last.last_record.revision,
             applied: after,
         });
     }
-    if last.last.revision == after {
+    if last.last_record.revision == after {
         return Ok(last.sequence + 1);
     }
     let Some((first, _)) = connection.next(uid, 1).await? else {
         return Ok(1);
     };
-    if first.first > after + 1 {
-        return Err(LogError::trimmed(uid, after, first.first - 1));
+    if first.first_revision > after + 1 {
+        return Err(LogError::trimmed(uid, after, first.first_revision - 1));
     }
-    // The message from `low` on ends at or before `after`, the one from `high` on ends behind it.
+    // The first message at or after `low` ends by `after`; the first at or after `high` ends later.
     let (mut low, mut high) = (first.sequence, last.sequence);
-    if first.last.revision > after {
+    if first.last_record.revision > after {
         return Ok(low);
     }
     while high - low > 1 {
         let middle = low + (high - low) / 2;
         match connection.next(uid, middle).await? {
-            Some((found, _)) if found.last.revision <= after => low = found.sequence.min(high - 1),
+            Some((found, _)) if found.last_record.revision <= after => {
+                low = found.sequence.min(high - 1)
+            }
             _ => high = middle,
         }
     }

@@ -21,21 +21,21 @@ const FOREIGN: &str = "a message of its stream in NATS was not published by Wayf
 
 /// A message's place in its stream, and the records in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Position {
+pub(super) struct PackPosition {
     /// The sequence number in the stream; 0 before the first message of an index.
     pub(super) sequence: u64,
     /// The first revision in it.
-    pub(super) first: u64,
+    pub(super) first_revision: u64,
     /// The last record in it.
-    pub(super) last: RecordPosition,
+    pub(super) last_record: RecordPosition,
 }
 
-impl Position {
+impl PackPosition {
     /// The place before the first message of an index.
     pub(super) const START: Self = Self {
         sequence: 0,
-        first: 0,
-        last: RecordPosition::START,
+        first_revision: 0,
+        last_record: RecordPosition::START,
     };
 
     /// The position of a stored message.
@@ -43,8 +43,8 @@ impl Position {
         let read = || {
             Some(Self {
                 sequence: message.sequence,
-                first: number(&message.headers, FIRST)?,
-                last: RecordPosition {
+                first_revision: number(&message.headers, FIRST)?,
+                last_record: RecordPosition {
                     revision: number(&message.headers, LAST)?,
                     digest: digest(message.headers.get(DIGEST)?.as_str())?,
                 },
@@ -70,7 +70,7 @@ fn digest(text: &str) -> Option<[u8; 32]> {
 }
 
 /// The headers of a message of a pack from `first` to `last`, by its number and the number of messages.
-pub(super) fn headers(first: &Record, last: &Record, (part, parts): (usize, usize)) -> HeaderMap {
+pub(super) fn headers(first: &Record, last: &Record, part: usize, parts: usize) -> HeaderMap {
     let digest: String = last
         .digest()
         .iter()
@@ -107,7 +107,8 @@ impl Unpacker {
     /// that an error names.
     pub(super) fn take(
         &mut self,
-        (uid, next): (Uid, u64),
+        uid: Uid,
+        next: u64,
         headers: &HeaderMap,
         payload: &[u8],
     ) -> Result<Vec<Arc<Record>>, LogError> {
@@ -202,8 +203,8 @@ mod tests {
         let whole = payload(&records);
         let parts: Vec<_> = whole.chunks(whole.len().div_ceil(3)).collect();
         let take = |unpacker: &mut Unpacker, part: usize| {
-            let headers = headers(&records[0], &records[1], (part, 3));
-            unpacker.take((uid, 4), &headers, parts[part - 1])
+            let headers = headers(&records[0], &records[1], part, 3);
+            unpacker.take(uid, 4, &headers, parts[part - 1])
         };
         let mut unpacker = Unpacker::default();
         // A reader that begins again gets the first part again.
@@ -223,20 +224,20 @@ mod tests {
         let mut message = StreamMessage {
             subject: "log".into(),
             sequence: 9,
-            headers: headers(&records[0], &records[1], (1, 1)),
+            headers: headers(&records[0], &records[1], 1, 1),
             payload: Bytes::new(),
             time: std::time::SystemTime::UNIX_EPOCH.into(),
         };
         let uid = Uid::unique();
-        let expected = Position {
+        let expected = PackPosition {
             sequence: 9,
-            first: 4,
-            last: records[1].position(),
+            first_revision: 4,
+            last_record: records[1].position(),
         };
-        assert_eq!(Position::of(uid, &message), Ok(expected));
+        assert_eq!(PackPosition::of(uid, &message), Ok(expected));
         for digest in ["", "zz", "é", &"é".repeat(32), &"0".repeat(63)] {
             message.headers.insert(DIGEST, digest);
-            assert!(Position::of(uid, &message).is_err(), "{digest}");
+            assert!(PackPosition::of(uid, &message).is_err(), "{digest}");
         }
     }
 }

@@ -27,7 +27,7 @@ use tokio::{
 };
 
 use self::{
-    catalogue::NatsCatalogue, connection::Connection, message::Position, publisher::Submission,
+    catalogue::NatsCatalogue, connection::Connection, message::PackPosition, publisher::Submission,
 };
 use super::{
     Catalogue, Journal, Log, LogError, PointStore, Receipt, Record, RecordPosition, RecordStream,
@@ -119,12 +119,20 @@ pub fn connect<Store: PointStore + Catalogue + 'static>(
     options: &NatsOptions,
     local: Arc<Store>,
 ) -> Result<(Log, async_nats::Client), NatsError> {
+    Handle::current().block_on(open(options, local))
+}
+
+/// Like [`connect`], without blocking.
+pub(crate) async fn open<Store: PointStore + Catalogue + 'static>(
+    options: &NatsOptions,
+    local: Arc<Store>,
+) -> Result<(Log, async_nats::Client), NatsError> {
     let runtime = Handle::current();
-    let connection = Arc::new(runtime.block_on(Connection::open(options))?);
+    let connection = Arc::new(Connection::open(options).await?);
     let catalogue = NatsCatalogue::open(Arc::clone(&connection), runtime.clone(), local.clone());
     let client = connection.context.client();
     let log = Log {
-        catalogue: Arc::new(runtime.block_on(catalogue)?),
+        catalogue: Arc::new(catalogue.await?),
         journal: Arc::new(NatsJournal {
             connection,
             runtime,
@@ -191,12 +199,12 @@ impl Journal for NatsJournal {
     }
 
     fn follow(&self, uid: Uid, after: u64) -> RecordStream {
-        follow::follow(Arc::clone(&self.connection), uid, (after, None))
+        follow::follow(Arc::clone(&self.connection), uid, after, None)
     }
 
     fn follow_applied(&self, uid: Uid, applied: RecordPosition) -> RecordStream {
-        let after = (applied.revision, Some(applied.digest));
-        follow::follow(Arc::clone(&self.connection), uid, after)
+        let RecordPosition { revision, digest } = applied;
+        follow::follow(Arc::clone(&self.connection), uid, revision, Some(digest))
     }
 
     fn read(
@@ -211,22 +219,22 @@ impl Journal for NatsJournal {
 
     fn oldest(&self, uid: Uid) -> Result<Option<u64>, LogError> {
         let first = self.runtime.block_on(self.connection.next(uid, 1))?;
-        Ok(first.map(|(first, _)| first.first))
+        Ok(first.map(|(first, _)| first.first_revision))
     }
 
     fn newest(&self, uid: Uid) -> Result<u64, LogError> {
         let last = self.runtime.block_on(self.connection.last(uid))?;
-        Ok(last.last.revision)
+        Ok(last.last_record.revision)
     }
 
-    /// Every record is fenced by the one before it: if NATS has answered from the past, or another server was first, nothing
-    /// is published. A subject that NATS has lost whole begins again at the oldest record that this server keeps, fenced by
-    /// its emptiness.
+    /// Every record is fenced by the one before it: if NATS has answered with stale data, or another server was first,
+    /// nothing is published. A subject that NATS has lost whole begins again at the oldest record that this server keeps,
+    /// fenced by its emptiness.
     fn repair(&self, uid: Uid) -> Result<u64, LogError> {
         let newest = self.runtime.block_on(self.connection.last(uid))?;
-        let mut position = newest.last;
+        let mut position = newest.last_record;
         let (mut after, mut begins, mut repaired) = (position.revision, false, 0);
-        if newest == Position::START
+        if newest == PackPosition::START
             && let Some(oldest) = self.local.oldest(uid)?
         {
             (after, begins) = (oldest - 1, true);

@@ -28,7 +28,7 @@ use uuid::Uuid;
 use super::{
     RETRY_INTERVAL,
     connection::{self, Connection, MESSAGE_TIMEOUT, REQUEST_TIMEOUT},
-    message::{self, Position},
+    message::{self, PackPosition},
 };
 use crate::log::{LogError, Record, Uid};
 
@@ -65,29 +65,29 @@ pub(super) fn start(
     runtime: &Handle,
 ) -> mpsc::UnboundedSender<Submission> {
     let (submissions, waiting) = mpsc::unbounded_channel();
-    let task = Task {
+    let publisher = Publisher {
         uid,
         connection,
         newest: None,
         writers: 1,
         linger: Duration::ZERO,
     };
-    runtime.spawn(task.run(waiting));
+    runtime.spawn(publisher.run(waiting));
     submissions
 }
 
-struct Task {
+struct Publisher {
     uid: Uid,
     connection: Arc<Connection>,
     /// The newest message of the index, if it is known. Another server may have published since.
-    newest: Option<Position>,
+    newest: Option<PackPosition>,
     /// An estimate of the number of writers: the records in the last message and those that waited for its end.
     writers: usize,
     /// The longest wait until each writer has a record in the message.
     linger: Duration,
 }
 
-impl Task {
+impl Publisher {
     async fn run(mut self, mut waiting: mpsc::UnboundedReceiver<Submission>) {
         let mut left_over = None;
         loop {
@@ -169,7 +169,7 @@ impl Task {
         let expected = self.place_before(first, begins).await?;
         let mut attempts = interval(RETRY_INTERVAL);
         for repeat in 0..MAX_REPEATS {
-            let sent = self.send((first, last), &payload, expected.sequence);
+            let sent = self.send(first, last, &payload, expected.sequence);
             let limit = match begins {
                 true => REQUEST_TIMEOUT,
                 false => MESSAGE_TIMEOUT * (1 + payload.len() / BYTES_PER_TIMEOUT) as u32,
@@ -180,10 +180,10 @@ impl Task {
             })?;
             let error = match acknowledged {
                 Ok(acknowledgement) => {
-                    self.newest = Some(Position {
+                    self.newest = Some(PackPosition {
                         sequence: acknowledgement.sequence,
-                        first: first.revision(),
-                        last: last.position(),
+                        first_revision: first.revision(),
+                        last_record: last.position(),
                     });
                     return Ok(());
                 }
@@ -194,14 +194,14 @@ impl Task {
                 // The newest message may be this one, if an earlier acknowledgement was lost.
                 PublishErrorKind::WrongLastSequence => {
                     let newest = self.read_newest().await?;
-                    if newest.last == last.position() {
+                    if newest.last_record == last.position() {
                         return Ok(());
                     }
                     if newest.sequence != expected.sequence {
-                        let head = newest.last.revision;
+                        let head = newest.last_record.revision;
                         return Err(Refusal::Fenced { head });
                     }
-                    // This was read from the past: NATS has just refused its number.
+                    // NATS answered with stale data: it has just refused this number.
                     attempts.tick().await;
                 }
                 // No server has received it: the stream has no leader now.
@@ -232,7 +232,8 @@ impl Task {
     /// Publishes a pack behind the message `expected`, all of it or nothing.
     async fn send(
         &self,
-        (first, last): (&Record, &Record),
+        first: &Record,
+        last: &Record,
         pack: &Bytes,
         expected: u64,
     ) -> Result<PublishAck, PublishError> {
@@ -243,7 +244,7 @@ impl Task {
         for part in 1..=parts {
             let start = (part - 1) * self.connection.max_payload;
             let end = pack.len().min(start + self.connection.max_payload);
-            let mut headers = message::headers(first, last, (part, parts));
+            let mut headers = message::headers(first, last, part, parts);
             if part == 1 {
                 headers.insert(NATS_EXPECTED_LAST_SUBJECT_SEQUENCE, expected.to_string());
             }
@@ -269,22 +270,26 @@ impl Task {
     }
 
     /// The message that `record` follows. One that `begins` an index follows none.
-    async fn place_before(&mut self, record: &Record, begins: bool) -> Result<Position, Refusal> {
+    async fn place_before(
+        &mut self,
+        record: &Record,
+        begins: bool,
+    ) -> Result<PackPosition, Refusal> {
         if let Some(newest) = self.newest
-            && record.follows(newest.last)
+            && record.follows(newest.last_record)
         {
             return Ok(newest);
         }
         let newest = self.read_newest().await?;
-        match record.follows(newest.last) || begins && newest == Position::START {
+        match record.follows(newest.last_record) || begins && newest == PackPosition::START {
             true => Ok(newest),
             false => Err(Refusal::Fenced {
-                head: newest.last.revision,
+                head: newest.last_record.revision,
             }),
         }
     }
 
-    async fn read_newest(&mut self) -> Result<Position, Refusal> {
+    async fn read_newest(&mut self) -> Result<PackPosition, Refusal> {
         self.newest = None;
         let newest = self.connection.last(self.uid).await;
         let newest = newest.map_err(|error| Refusal::Unconfirmed {

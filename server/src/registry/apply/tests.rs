@@ -1,4 +1,4 @@
-//! A journal elsewhere that acknowledges every record, unless a test has it refused, and brings what a test sends.
+//! A shared journal that acknowledges every record, unless a test has it refused, and brings what a test sends.
 
 use std::{collections::VecDeque, future::ready, slice};
 
@@ -6,14 +6,18 @@ use futures_util::FutureExt;
 use parking_lot::Mutex;
 use tokio::{
     sync::{oneshot, watch},
-    time::timeout,
+    time::{Instant, timeout},
 };
 use tokio_stream::wrappers::UnboundedReceiverStream;
 
 use super::*;
 use crate::{
-    log::{Journal, Operation, Uid},
-    registry::{CommitOutcome, Registry, RegistryOptions, in_flight::Decision},
+    log::{Effects, Journal, Operation, Receipt, Uid},
+    registry::{
+        CommitOutcome, Registry, RegistryOptions,
+        in_flight::Decision,
+        settle::{SETTLE_INTERVAL, SETTLE_TIME},
+    },
     testing::{self, recorded},
 };
 
@@ -206,7 +210,7 @@ async fn applied_records_may_be_forgotten_before_the_journal_brings_them() {
     server.commit().await;
 }
 
-/// NATS answers from the past: the records before the one without a receipt have been acknowledged since.
+/// NATS answers with stale data: the records before the one without a receipt have been acknowledged since.
 #[tokio::test(start_paused = true)]
 async fn a_stale_end_of_the_journal_does_not_void_a_record_that_it_has() {
     let server = Server::start();
@@ -225,7 +229,7 @@ async fn a_stale_end_of_the_journal_does_not_void_a_record_that_it_has() {
     assert!(matches!(decision.await, Ok(Decision::Published)));
 }
 
-/// NATS answers the fence from the past, and stores the record then.
+/// NATS answers the fence with stale data, and stores the record then.
 #[tokio::test(start_paused = true)]
 async fn a_fence_that_a_stale_end_refuses_does_not_void_a_record_that_comes_late() {
     let server = Server::start();

@@ -2,10 +2,12 @@
 
 use std::sync::{Arc, atomic::Ordering::Relaxed};
 
+use tracing::error;
+
 use super::{ApplyLoop, Hosted, Published};
 use crate::{
     log::{LogError, Record, View},
-    registry::{RegistryError, in_flight::notify},
+    registry::{RegistryError, in_flight::notify, operations::Operations},
 };
 
 /// The bytes of records that are read at once.
@@ -38,32 +40,42 @@ impl Hosted {
         } else {
             false
         };
-        if is_resumed {
-            // The index may not have closed: no receipt will decide the records in flight.
-            let why = self
-                .closed()
-                .unwrap_or(RegistryError::Log(LogError::Closed));
-            let (failed, refusals) = {
-                let mut in_flight = self.in_flight.lock();
-                (in_flight.fail(&why), in_flight.refusals())
-            };
-            notify(failed);
-            writer.catch_up(self.published(), self.last_change.load(Relaxed), refusals);
-            let hosted = Arc::downgrade(self);
-            let mut apply_loop = self.apply_loop.lock();
-            if self.is_contradicted() {
+        if !is_resumed {
+            return false;
+        }
+        // An operation that changed nothing may have seen records that the journal has lost.
+        let operations = match self.host.log.points.operations(self.uid) {
+            Ok(operations) => operations,
+            Err(error) => {
+                error!(index = self.name(), %error, "cannot read the remembered operations");
                 return false;
             }
-            // NATS may have lost records that another server still has.
-            self.first_write.compared.store(0, Relaxed);
-            let next = apply_loop.number + 1;
-            *apply_loop = ApplyLoop::start(next, hosted, &self.host, (self.uid, stored));
-            self.state.send_modify(|state| state.closed = None);
+        };
+        *self.operations.lock() = Operations::of(self.host.options.operations, operations);
+        // The index may not have closed: no receipt will decide the records in flight.
+        let why = self
+            .closed()
+            .unwrap_or(RegistryError::Log(LogError::Closed));
+        let (failed, refusals) = {
+            let mut in_flight = self.in_flight.lock();
+            (in_flight.fail(&why), in_flight.refusals())
+        };
+        notify(failed);
+        writer.catch_up(self.published(), self.last_change.load(Relaxed), refusals);
+        let hosted = Arc::downgrade(self);
+        let mut apply_loop = self.apply_loop.lock();
+        if self.is_contradicted() {
+            return false;
         }
-        is_resumed
+        // NATS may have lost records that another server still has.
+        self.peer_comparison.compared.store(0, Relaxed);
+        let next = apply_loop.number + 1;
+        *apply_loop = ApplyLoop::start(next, hosted, &self.host, self.uid, stored);
+        self.state.send_modify(|state| state.closed = None);
+        true
     }
 
-    /// The next `count` records of the journal after a revision, or fewer. A journal elsewhere may have far more.
+    /// The next `count` records of the journal after a revision, or fewer. A shared journal may have far more.
     fn read_after(&self, revision: u64, count: usize) -> Vec<Arc<Record>> {
         let journal = &self.host.log.journal;
         let mut records: Vec<Arc<Record>> = Vec::new();
@@ -115,7 +127,7 @@ impl Hosted {
     }
 
     /// True if it takes no record now.
-    pub(in crate::registry) fn is_closed(&self) -> bool {
+    pub(crate) fn is_closed(&self) -> bool {
         self.state.borrow().closed.is_some()
     }
 }

@@ -65,7 +65,7 @@ impl<'a> Evaluation<'a> {
         })
     }
 
-    /// Evaluates row `at`, `row`.
+    /// Evaluates one row: its neighbours, then its outcome.
     pub(super) fn row(&mut self, at: usize, row: &[f64]) -> Result<(), Error> {
         let insertion = self.insertion;
         let given = insertion.ids.get(at).copied();
@@ -142,7 +142,7 @@ impl<'a> Evaluation<'a> {
         let prefetch = self.prefetch.filter(|prefetch| prefetch.reaches(&search));
         let known = known(prefetch, at, |row| &row.neighbors);
         let neighbors = self.staging.search(row, &search, known)?;
-        found.push(&self.staging, &neighbors)?;
+        found.push(|id| self.staging.point(id), &neighbors)?;
         for id in found.without_payload().to_vec() {
             let accepted = self.staging.accepted_payload(id);
             let payload = accepted.or_else(|| self.payloads.of_neighbor(id).cloned());

@@ -147,3 +147,28 @@ async fn limits_are_named_with_their_values() {
     assert_eq!(info(&service, "arm").await.revision.number(), 2);
     write(&service, batch(&session, 1, &[Remove(1), Remove(1)])).await;
 }
+
+#[tokio::test]
+async fn a_quota_takes_a_batch_that_makes_the_index_smaller() {
+    let log = Arc::new(MemoryLog::new());
+    let service = service_with(log.clone(), Limits::default());
+    let uid = create(&service, "arm", "R1").await;
+    let rows: Vec<[f64; 1]> = (0..10).map(|row| [row.into()]).collect();
+    let filled = service.insert(&CALL, insertion(&rows, &[])).await;
+    filled.unwrap();
+    let (session, _) = open(&service, &uid, 2).await;
+    // An operator has lowered the quota.
+    let limits = Limits {
+        max_points_per_index: 5,
+        ..Limits::default()
+    };
+    let service = restarted_with(log, options(), limits);
+    let grows = batch(&session, 1, &[Put(session.first, 0.5)]);
+    let refused = refused_batch(&service, grows).await;
+    assert_eq!(refused, (Code::ResourceExhausted, "QUOTA_EXCEEDED"));
+    let shrinks = [Remove(0), Remove(1), Put(session.first, 0.5)];
+    write(&service, batch(&session, 1, &shrinks)).await;
+    let moves = [Remove(2), Put(session.first + 1, 0.5)];
+    write(&service, batch(&session, 2, &moves)).await;
+    assert_eq!(stored(&service).await.len(), 9);
+}

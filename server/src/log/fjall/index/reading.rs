@@ -32,7 +32,7 @@ impl Index {
         after: Option<u64>,
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, LogError> {
-        let state = self.open()?;
+        let state = self.lock_open()?;
         let (oldest, head) = (state.head.trimmed, state.head.revision);
         let handles = store.handles()?;
         let snapshot = handles.database.snapshot();
@@ -98,7 +98,7 @@ impl Index {
         store: &Store,
     ) -> Result<Vec<Arc<Operation>>, LogError> {
         // The lock prevents appends and trims meanwhile.
-        let state = self.open()?;
+        let state = self.lock_open()?;
         let stored = self.stored_operations(&*store.handles()?)?;
         let held = stored
             .into_iter()
@@ -107,7 +107,7 @@ impl Index {
     }
 
     pub(in crate::log::fjall) fn pin(&self, store: &Arc<Store>) -> Result<Arc<dyn View>, LogError> {
-        let mut state = self.open()?;
+        let mut state = self.lock_open()?;
         if state.is_checked {
             return Ok(self.view_of_head(store, &mut state));
         }
@@ -122,7 +122,7 @@ impl Index {
         store: &Arc<Store>,
         visit: &mut PointVisitor<'_>,
     ) -> Result<Arc<dyn View>, LogError> {
-        let mut state = self.open()?;
+        let mut state = self.lock_open()?;
         match self.read_all(&*store.handles()?, &state.head, visit) {
             Ok(()) => {
                 state.is_checked = true;

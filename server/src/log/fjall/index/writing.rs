@@ -25,7 +25,7 @@ impl Index {
         record: Arc<Record>,
         written: impl FnOnce(Mark),
     ) -> Result<(), LogError> {
-        let mut state = self.open()?;
+        let mut state = self.lock_open()?;
         if !record.follows(state.head.position()) {
             let (expected, head) = (record.revision() - 1, state.head.revision);
             return Err(LogError::fenced(self.entry.uid, expected, head));
@@ -49,7 +49,7 @@ impl Index {
         if let Some(view) = self.unapplied.lock().apply(records) {
             return Ok(view);
         }
-        let mut state = self.open()?;
+        let mut state = self.lock_open()?;
         let handles = store.handles()?;
         let before = state.head.revision;
         let known = records.partition_point(|record| record.revision() <= before);
@@ -85,7 +85,7 @@ impl Index {
             self.put(handles, &mut batch, record, &mut head.sum)?;
             changes = state.sessions.changes(record);
             for change in &changes {
-                session::put(change, self.number, (&mut batch, keyspace), &mut head.sum);
+                session::put(change, self.number, &mut batch, keyspace, &mut head.sum);
             }
             head.revision = record.revision();
             head.next_id = head.next_id.max(record.effects().next_id());

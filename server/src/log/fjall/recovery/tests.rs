@@ -53,7 +53,7 @@ fn found(damage: impl FnOnce(&Handles, &[Arc<Record>])) -> Option<String> {
     damage(&handles, &records);
     let mark = Some(index.head_mark());
     match state(&handles, &index, mark.as_ref()) {
-        Ok(found) => index.restore(found),
+        Ok(found) => index.set_recovered(found),
         Err(error) => return Some(error.to_string()),
     }
     drop(handles);

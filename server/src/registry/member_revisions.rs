@@ -2,14 +2,9 @@
 
 use std::{
     collections::{BTreeMap, HashMap},
-    sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering::Relaxed},
-    },
+    sync::{Arc, atomic::Ordering::Relaxed},
     time::{Duration, SystemTime},
 };
-
-use tokio::{sync::Mutex, time::Instant};
 
 use super::{Hosted, Registry, RegistryError};
 use crate::log::{LogError, RecordPosition, Uid};
@@ -54,32 +49,12 @@ impl Registry {
         stored.collect()
     }
 
-    /// The indices that follow a journal elsewhere.
+    /// The indices that follow a shared journal.
     pub(crate) fn following(&self) -> Vec<Arc<Hosted>> {
         let mut hosted = self.hosted();
-        hosted.retain(|hosted| hosted.is_shared() && hosted.follows());
+        hosted.retain(|hosted| hosted.is_shared() && !hosted.is_closed());
         hosted
     }
-}
-
-/// The first mutation of an index at a server: before it the server compares its records with those of the others.
-#[derive(Default)]
-pub(crate) struct FirstWrite {
-    /// The count of changes at the last comparison; 0 before it and once the index has resumed. Live servers and the
-    /// connection to NATS change.
-    pub(crate) compared: AtomicU64,
-    /// Held while they are compared. It has the last failure.
-    pub(crate) turn: Mutex<Option<ComparisonFailure>>,
-}
-
-/// The records could not be compared, or differ.
-pub(crate) struct ComparisonFailure {
-    /// The time at which that was found.
-    pub(crate) at: Instant,
-    /// True if they differ.
-    pub(crate) is_loss: bool,
-    /// The reason.
-    pub(crate) what: String,
 }
 
 impl Hosted {
@@ -96,14 +71,14 @@ impl Hosted {
         Ok(StoredRevision {
             revision: durable.map_or(applied, |durable| durable.min(applied)),
             // A server that has stopped may store records that the journal does not have.
-            is_durable: durable.is_some() && self.follows(),
+            is_durable: durable.is_some() && !self.is_closed(),
             oldest: self.host.log.points.oldest(self.uid())?,
             applied: position,
             requested,
         })
     }
 
-    /// Forgets the records of a journal elsewhere up to this revision that are outside the window. Blocks.
+    /// Forgets the records of a shared journal up to this revision that are outside the window. Blocks.
     pub(crate) fn forget(&self, up_to: u64) -> Result<(), LogError> {
         self.trim(SystemTime::now())?;
         if self.forgotten.load(Relaxed) >= up_to {
@@ -114,7 +89,7 @@ impl Hosted {
         Ok(())
     }
 
-    /// Counts the records of a journal elsewhere up to this revision, which are kept although all windows are behind them.
+    /// Counts the records of a shared journal up to this revision, which are kept although all windows are behind them.
     /// Blocks.
     pub(crate) fn count_held(&self, outside: u64) -> Result<u64, LogError> {
         let oldest = self.host.log.journal.oldest(self.uid())?;

@@ -1,5 +1,6 @@
-//! Before its first mutation of an index a server asks the live members of its cluster what they have applied. NATS may have
-//! lost records that another member still has, and a record of this server would take their place for good.
+//! Before a server makes its first record of an index, for a mutation or a `latest` read, it compares its newest records
+//! with those of the live members of its cluster. NATS may have lost records that another member still has, and a record
+//! of this server would take their place for good.
 //!
 //! The members are asked again once they change, once NATS is connected again, and once the index resumes: the owner of an
 //! index may have changed, a member that joins may have other records, and NATS may have lost some. Later mutations compare
@@ -24,7 +25,7 @@ use crate::{
     registry::{ComparisonFailure, Hosted},
 };
 
-/// The time in which a member answers. One that does not does not hold up the mutation.
+/// How long a member may take to answer; a slower one is not compared.
 const ANSWER_TIME: Duration = Duration::from_secs(2);
 
 /// The time in which the records of a member that is ahead arrive. The member publishes again what NATS has lost within
@@ -45,7 +46,7 @@ impl Service {
         if let Some(why) = hosted.contradiction() {
             return Err(registry_error(hosted.name(), why));
         }
-        if !hosted.follows() {
+        if hosted.is_closed() {
             return Ok(());
         }
         let (owners, peers) = (Arc::clone(owners), Arc::clone(peers));
@@ -64,7 +65,7 @@ impl Service {
     pub(super) fn is_compared(&self, hosted: &Hosted) -> bool {
         let cluster = self.inner.owners.get().zip(self.inner.peers.get());
         cluster.is_none_or(|(owners, _)| {
-            let compared = hosted.first_write.compared.load(Relaxed);
+            let compared = hosted.peer_comparison.compared.load(Relaxed);
             compared == owners.changes() && hosted.contradiction().is_none()
         })
     }
@@ -77,12 +78,12 @@ async fn compare_in_turn(
     hosted: Arc<Hosted>,
 ) -> Result<(), Error> {
     let began = Instant::now();
-    let first_write = &hosted.first_write;
-    let mut turn = first_write.turn.lock().await;
+    let peer_comparison = &hosted.peer_comparison;
+    let mut turn = peer_comparison.turn.lock().await;
     peers.wait_for_members().await;
     // Read before the members are: one that joins meanwhile is asked by the next mutation.
     let changes = owners.changes();
-    if first_write.compared.load(Relaxed) == changes {
+    if peer_comparison.compared.load(Relaxed) == changes {
         return Ok(());
     }
     // Calls that waited for their turn do not wait for the same again.
@@ -101,7 +102,7 @@ async fn compare_in_turn(
         });
         return Err(error);
     }
-    first_write.compared.store(changes, Relaxed);
+    peer_comparison.compared.store(changes, Relaxed);
     Ok(())
 }
 
@@ -119,7 +120,7 @@ async fn compare(peers: &dyn Peers, hosted: &Arc<Hosted>) -> Result<(), Error> {
             requested.revision == own.revision && requested.digest != own.digest
         };
         if requested.as_ref().is_some_and(is_other) {
-            return Err(contradicted(hosted, member, own.revision).await);
+            return Err(report_contradiction(hosted, member, own.revision).await);
         }
         if applied.revision > own.revision {
             let arrival = timeout(ARRIVAL_TIME, hosted.reached(applied.revision)).await;
@@ -128,7 +129,7 @@ async fn compare(peers: &dyn Peers, hosted: &Arc<Hosted>) -> Result<(), Error> {
         }
         let digest = digest_at(hosted, applied.revision).await?;
         if digest.is_some_and(|digest| digest != applied.digest) {
-            return Err(contradicted(hosted, member, applied.revision).await);
+            return Err(report_contradiction(hosted, member, applied.revision).await);
         }
     }
     Ok(())
@@ -176,10 +177,11 @@ async fn digest_at(hosted: &Arc<Hosted>, revision: u64) -> Result<Option<Digest>
     read.map_err(|error| registry_error(hosted.name(), error))
 }
 
-/// The error of a mutation once all servers know that `member` has applied another record of this revision.
-async fn contradicted(hosted: &Arc<Hosted>, member: &str, revision: u64) -> Error {
+/// Tells all servers that `member` has applied another record of this revision, and returns the error of the mutation.
+async fn report_contradiction(hosted: &Arc<Hosted>, member: &str, revision: u64) -> Error {
     let (noting, member) = (Arc::clone(hosted), member.to_owned());
-    let noted = tokio::task::spawn_blocking(move || noting.contradicted(revision, &member)).await;
+    let noted =
+        tokio::task::spawn_blocking(move || noting.report_contradiction(revision, &member)).await;
     noted.map_or_else(
         |_| Error::Internal {
             what: "the task that notes a contradiction panicked".into(),

@@ -93,7 +93,7 @@ async fn an_index_ahead_of_a_journal_that_cannot_be_repaired_stays_stopped() {
     // Another server repairs it.
     journal.head.store(APPLIED, SeqCst);
     registry.resume_unsettled(&hosted).await;
-    assert!(hosted.follows());
+    assert!(!hosted.is_closed());
     let position = journal.local.view(hosted.uid()).unwrap().position();
     let next = Record::after(position, Effects::new(1));
     journal.submit(hosted.uid(), Arc::new(next)).unwrap();
@@ -112,13 +112,13 @@ async fn an_index_ahead_of_another_history_is_contradicted() {
     assert!(registry.stopped().is_empty() && !hosted.is_unsettled() && registry.has_damage());
     journal.head.store(APPLIED, SeqCst);
     registry.resume_unsettled(&hosted).await;
-    assert!(!hosted.follows());
+    assert!(hosted.is_closed());
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_contradicted_index_does_not_resume() {
     let (journal, registry, hosted) = stopped(false).await;
-    registry.contradicted(hosted.uid(), APPLIED, "peer");
+    registry.close_contradicted(hosted.uid(), APPLIED, "peer");
     journal.head.store(APPLIED, SeqCst);
     let resuming = (Arc::clone(&registry), Arc::clone(&hosted));
     let resumed = tokio::task::spawn_blocking(move || resuming.0.resumes(&resuming.1));
@@ -134,8 +134,8 @@ async fn a_contradicted_index_does_not_resume() {
     let (journal, registry, hosted) = stopped(false).await;
     journal.head.store(APPLIED, SeqCst);
     registry.resume_unsettled(&hosted).await;
-    registry.contradicted(hosted.uid(), APPLIED, "peer");
-    assert!(hosted.follows());
+    registry.close_contradicted(hosted.uid(), APPLIED, "peer");
+    assert!(!hosted.is_closed());
 }
 
 /// The store had failed in the middle of a pack, and the journal has more.
@@ -248,7 +248,7 @@ async fn a_restore_holds_no_lock_while_its_name_is_claimed() {
     let hosted = restored.await.unwrap().unwrap();
     // The index is served once.
     assert!(Arc::ptr_eq(&registry.get("arm").unwrap(), &hosted));
-    assert!(hosted.follows());
+    assert!(!hosted.is_closed());
 }
 
 #[tokio::test]

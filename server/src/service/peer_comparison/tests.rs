@@ -314,7 +314,7 @@ async fn an_index_that_resumes_after_a_loss_is_compared_again() {
     assert!(hosted.reached(written + 1).await.is_err());
     let recovering = tokio::task::spawn_blocking(move || registry.recover());
     recovering.await.unwrap().unwrap();
-    assert!(hosted.follows());
+    assert!(!hosted.is_closed());
 
     // The members do not change.
     let own = server.own.read(entry.uid, None, usize::MAX).unwrap();
