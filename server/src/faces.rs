@@ -12,9 +12,9 @@ use crate::{
     service::Service,
 };
 
-/// See the module. Clones share them.
+/// What every face needs. Clones are cheap and share one state.
 #[derive(Clone)]
-pub(crate) struct Shared {
+pub(crate) struct FaceContext {
     pub(crate) service: Service,
     pub(crate) admission: Admission,
     pub(crate) slow_calls: SlowCalls,
@@ -22,7 +22,7 @@ pub(crate) struct Shared {
     pub(crate) metrics: Metrics,
 }
 
-impl Shared {
+impl FaceContext {
     /// The parts of a server with these settings, whose calls compute on the threads of this runtime.
     pub(crate) fn new(config: &Config, service: Service, identities: Identities) -> Self {
         let threads = Handle::current().metrics().num_workers();
@@ -50,6 +50,8 @@ pub(crate) struct Addresses {
     pub(crate) grpc: SocketAddr,
     /// The pages for operators, if there are any.
     pub(crate) pages: Option<SocketAddr>,
+    /// The listener for the other members of a cluster, if the server is in one.
+    pub(crate) members: Option<SocketAddr>,
     /// True if gRPC speaks TLS.
     pub(crate) has_tls: bool,
     /// True if callers need an identity.

@@ -1,50 +1,42 @@
 //! A server from the bound listener to the last accepted call.
 
+mod drain;
 mod error;
+mod listeners;
 mod opening;
 
 use std::{
     convert::Infallible,
-    net::SocketAddr,
+    future::pending,
     pin::pin,
     sync::{Arc, OnceLock},
-    time::Duration,
 };
 
 use futures_util::{FutureExt, future::OptionFuture};
-use tokio::{
-    net::TcpListener,
-    time::{Instant, interval, sleep_until, timeout},
-};
+use tokio::net::TcpListener;
 use tokio_util::{
     sync::CancellationToken,
     task::{AbortOnDropHandle, TaskTracker},
 };
-use tracing::{error, info, warn};
+use tracing::{error, info};
 
 use crate::{
-    cluster::{self, Cluster, ClusterError},
-    config::{ClusterConfig, Config, HttpConfig, OFF, ON},
-    exposure::{self, ExposedAddress},
-    faces::{Addresses, Shared},
-    grpc::{self, Callers, GrpcError, Tls},
-    http::{self, Pages, State},
+    cluster::Cluster,
+    config::{Config, ON},
+    faces::{Addresses, FaceContext},
+    grpc::{self, Callers, FaceListener, GrpcError, Tls},
+    http::{self, MetricsCollector, Pages},
     identity::Identities,
     lifecycle::{Lifecycle, Phase},
     log::SYNCS,
     service::{Owners, Service},
     snapshots::Schedule,
-    zenoh::{self, ZenohFace},
+    zenoh::{ZenohError, ZenohFace},
 };
+use drain::drain;
 pub use error::ServerError;
-use opening::OpenedStore;
-
-/// A stopping server waits this long for connections without calls to close. A live peer closes at once, after it has
-/// read the rest of its last answer. A frozen peer, or one that never spoke, does not close.
-const IDLE_WAIT: Duration = Duration::from_secs(5);
-
-/// Aborted connections may take this long to close.
-const CUT_WAIT: Duration = Duration::from_secs(1);
+use listeners::Listeners;
+use opening::StoreLifetime;
 
 /// Serves gRPC on `listener`, and Zenoh as configured, until `shutdown` resolves. Then it finishes the accepted calls
 /// and returns.
@@ -63,7 +55,7 @@ pub(crate) async fn serve(
     shutdown: impl Future<Output = ()>,
     ready: impl FnOnce(&Addresses),
 ) -> Result<(), ServerError> {
-    let store = OpenedStore::default();
+    let store = StoreLifetime::default();
     let ended = serve_from(store.clone(), config, listener, shutdown, ready).await;
     store.close().await;
     ended
@@ -71,299 +63,228 @@ pub(crate) async fn serve(
 
 /// Does the work of [`serve`], which closes the store however this ends.
 async fn serve_from(
-    store: OpenedStore,
+    store: StoreLifetime,
     config: Config,
     listener: TcpListener,
     shutdown: impl Future<Output = ()>,
     ready: impl FnOnce(&Addresses),
 ) -> Result<(), ServerError> {
-    let address = listener.local_addr()?;
-    let tls = Tls::open(&config.tls)?;
-    let pages = bind_pages(&config.http).await?;
-    let pages_at = pages.as_ref().map(TcpListener::local_addr).transpose()?;
-    let members = bind_members(&config.cluster).await?;
-    let members_at = members.as_ref().map(TcpListener::local_addr).transpose()?;
-    let warnings = check_exposure(&config, address, (pages_at, members_at), tls.is_some())?;
-    let member_tls = config.cluster.peer_ca().filter(|_| members.is_some());
-    let member_tls = member_tls
-        .map(|ca| Tls::of_members(&config.tls, ca))
-        .transpose()?;
-    let own = members_at
-        .map(|at| cluster::advertised(&config.cluster, at))
-        .transpose()?;
-    let identities = Identities::open(config.access.identities())?;
-    let (data, min_free_bytes) = (config.data.directory(), config.disk.min_free_bytes);
-    let schedule = Schedule::open(&config.snapshot, data, min_free_bytes)?;
-    let publishes = !identities.are_required() || config.access.publish_events == ON;
-    let durability = config.data.directory().map(|_| config.data.durability);
-    let service = Service::starting_durable(config.limits.clone(), durability);
-    let lifecycle = Lifecycle::starting();
-    let shared = Shared::new(&config, service.clone(), identities);
-    let metrics = shared.metrics.clone();
-    let following = shared.identities.clone();
-    let following = following.follow(metrics.wrong_file("identities"));
-    let _following = AbortOnDropHandle::new(tokio::spawn(following));
-    let of_clients = tls.clone().map(|tls| (tls, "certificates"));
-    let of_members = member_tls.clone().map(|tls| (tls, "peer_certificates"));
-    let _renewing = of_clients
-        .into_iter()
-        .chain(of_members)
-        .map(|(tls, file)| {
-            AbortOnDropHandle::new(tokio::spawn(tls.follow(metrics.wrong_file(file))))
-        })
-        .collect::<Vec<_>>();
-    let under_way = TaskTracker::new();
-    let _reporting = AbortOnDropHandle::new(tokio::spawn(shared.admission.clone().report()));
-    let cut = CancellationToken::new();
+    let mut listeners = Listeners::bind(&config, listener).await?;
+    let server = Server::new(config)?;
+    let config = &server.config;
+    let schedule = Schedule::open(
+        &config.snapshot,
+        config.data.directory(),
+        config.disk.min_free_bytes,
+    )?;
+    let _following = server.follow_files(&listeners);
+    let _reporting = spawn(server.context.admission.clone().report());
     let mut shutdown = pin!(shutdown);
-    let opening = ZenohFace::open(&config.zenoh, shared.clone(), config.cluster.is_on());
     let mut zenoh = tokio::select! {
-        opened = opening => opened?,
+        opened = server.open_zenoh() => opened?,
         // It may wait for its routers without end.
         () = &mut shutdown => return Ok(()),
     };
-    let addresses = Addresses {
-        grpc: address,
-        pages: pages_at,
-        has_tls: tls.is_some(),
-        has_identities: shared.identities.are_required(),
-        zenoh: match &zenoh {
-            Some(face) => face.locators().await,
-            None => Vec::new(),
-        },
-        warnings,
-    };
-    let _pages = pages.map(|listener| {
-        let is_local = pages_at.is_some_and(|at| at.ip().is_loopback());
-        // A machine trusts itself: a probe on it needs no certificate.
-        let tls = tls.clone().filter(|_| !is_local);
-        AbortOnDropHandle::new(tokio::spawn(serve_pages(
-            listener,
-            tls,
-            Pages {
-                shared: shared.clone(),
-                phases: lifecycle.watch(),
-                addresses: Arc::new(addresses.clone()),
-                under_way: under_way.clone(),
-            },
-        )))
-    });
-    let serve_grpc = |shared, listener| {
-        let (under_way, cut) = (under_way.clone(), cut.clone());
-        grpc::serve(
-            &config.grpc,
-            shared,
-            lifecycle.watch(),
-            listener,
-            under_way,
-            cut,
-        )
-    };
-    let serving_members = members
-        .map(|listener| serve_grpc(shared.clone(), (listener, member_tls, Callers::Members)));
-    let serving_clients = serve_grpc(shared, (listener, tls, Callers::Clients));
-    let mut serving = pin!(async {
-        tokio::try_join!(
-            serving_clients,
-            OptionFuture::from(serving_members).map(Option::transpose)
-        )
-        .map(drop)
-    });
-
+    if let Some(face) = &zenoh {
+        listeners.addresses.zenoh = face.locators().await;
+    }
+    let addresses = listeners.addresses;
+    let serve_pages = |listener| spawn(serve_pages(listener, server.pages(&addresses)));
+    let _pages = listeners.pages.map(serve_pages);
+    let mut serving = pin!(server.serve_grpc(listeners.clients, listeners.members));
     // Meanwhile connections are accepted, and calls get UNAVAILABLE.
-    let opening = store.open_registry(
-        config.index.options(&config.limits),
-        (config.data.clone(), config.cluster.options()),
-        config.watermarks(),
+    let live = server.bring_up(
+        store,
+        listeners.advertised,
+        schedule,
+        &mut zenoh,
+        &addresses,
+        ready,
     );
-    let joined = OnceLock::new();
-    let live = async {
-        let (registry, nats) = opening.await?;
-        let registry = Arc::new(registry);
-        // The journal gets back the records that it has lost while this server still starts: others may wait for them.
-        let maintaining = Arc::clone(&registry).maintain(|| {
-            if service.is_serving() {
-                lifecycle.advance(Phase::Serving);
-            }
-        });
-        let starting = async {
-            registry.catch_up().await;
-            service.set_registry(Arc::clone(&registry));
-            if let Some((nats, own)) = nats.zip(own) {
-                info!(address = ?members_at, advertised = own, "joining the cluster");
-                let cluster = Arc::new(Cluster::join(&config.cluster, &config.tls, nats, own));
-                service.set_owners(Arc::clone(&cluster) as Arc<dyn Owners>);
-                let _ = joined.set(cluster);
-            }
-            let _of_members = match joined.get() {
-                Some(cluster) => Some(cluster.serve(&service).await),
-                None => None,
-            };
-            service.set_ready();
-            // If the store cannot be opened, every call fails with the cause.
-            if registry.failure().is_none() {
-                lifecycle.advance(Phase::Serving);
-                info!(%address, "serving");
-            }
-            if let Some(face) = &mut zenoh {
-                face.announce(publishes).await?;
-            }
-            ready(&addresses);
-            let _snapshots = schedule.map(|schedule| {
-                AbortOnDropHandle::new(tokio::spawn(schedule.run(service.clone(), metrics)))
-            });
-            std::future::pending::<Result<Infallible, ServerError>>().await
-        };
-        tokio::select! {
-            failed = starting => failed,
-            () = maintaining => Err(ServerError::Ended),
-        }
-    };
     tokio::select! {
         ended = &mut serving => return ended.map_err(ServerError::from).and(Err(ServerError::Ended)),
         failed = live => match failed? {},
         () = &mut shutdown => {}
     }
 
-    if let Some(cluster) = joined.get() {
-        cluster.leave().await;
-    }
-    // The service refuses new calls first, so that all of them fail once the phase announces the shutdown.
-    service.begin_shutdown();
-    lifecycle.advance(Phase::Stopping);
-    drain(serving, zenoh, under_way, cut, config.shutdown.grace_ms).await
+    server.begin_shutdown().await;
+    let grace_ms = config.shutdown.grace_ms;
+    drain(serving, zenoh, &server.under_way, &server.cut, grace_ms).await
 }
 
-/// The listener of the pages for operators, unless they are off.
-async fn bind_pages(config: &HttpConfig) -> Result<Option<TcpListener>, ServerError> {
-    if config.listen == OFF {
-        return Ok(None);
-    }
-    let bound = TcpListener::bind(&config.listen).await;
-    bound.map(Some).map_err(|source| ServerError::Pages {
-        listen: config.listen.clone(),
-        source,
-    })
+/// A server, but for its listeners and its store.
+struct Server {
+    config: Config,
+    context: FaceContext,
+    lifecycle: Lifecycle,
+    /// The cluster, once the server has joined it.
+    cluster: OnceLock<Arc<Cluster>>,
+    /// The calls of gRPC and of the pages.
+    under_way: TaskTracker,
+    /// Cuts the connections of gRPC.
+    cut: CancellationToken,
 }
 
-/// The listener for the other members, if the server is in a cluster.
-async fn bind_members(config: &ClusterConfig) -> Result<Option<TcpListener>, ClusterError> {
-    if !config.is_on() {
-        return Ok(None);
+impl Server {
+    /// A server that has opened nothing but the identities.
+    fn new(config: Config) -> Result<Self, ServerError> {
+        let identities = Identities::open(config.access.identities())?;
+        let durability = config.data.directory().map(|_| config.data.durability);
+        let service = Service::starting_durable(config.limits.clone(), durability);
+        Ok(Self {
+            context: FaceContext::new(&config, service, identities),
+            config,
+            lifecycle: Lifecycle::starting(),
+            cluster: OnceLock::new(),
+            under_way: TaskTracker::new(),
+            cut: CancellationToken::new(),
+        })
     }
-    let bound = TcpListener::bind(&config.listen).await;
-    bound.map(Some).map_err(|source| ClusterError::Listener {
-        listen: config.listen.clone(),
-        source,
-    })
+
+    /// Reads identities and certificates again whenever their files change, until the result is dropped.
+    fn follow_files(&self, listeners: &Listeners) -> Vec<AbortOnDropHandle<()>> {
+        let metrics = &self.context.metrics;
+        let identities = self.context.identities.clone();
+        let identities = spawn(identities.follow(metrics.wrong_file("identities")));
+        let members = listeners.members.as_ref();
+        let certificates = [
+            (listeners.clients.tls.clone(), "certificates"),
+            (members.and_then(|it| it.tls.clone()), "peer_certificates"),
+        ];
+        let follow =
+            |(tls, file): (Option<Tls>, _)| Some(spawn(tls?.follow(metrics.wrong_file(file))));
+        let certificates = certificates.into_iter().filter_map(follow);
+        [identities].into_iter().chain(certificates).collect()
+    }
+
+    async fn open_zenoh(&self) -> Result<Option<ZenohFace>, ZenohError> {
+        let in_cluster = self.config.cluster.is_on();
+        ZenohFace::open(&self.config.zenoh, self.context.clone(), in_cluster).await
+    }
+
+    /// The sources of the pages for operators.
+    fn pages(&self, addresses: &Addresses) -> Pages {
+        Pages {
+            shared: self.context.clone(),
+            phases: self.lifecycle.watch(),
+            addresses: Arc::new(addresses.clone()),
+            under_way: self.under_way.clone(),
+        }
+    }
+
+    /// Serves gRPC to clients, and to the other members of a cluster.
+    async fn serve_grpc(
+        &self,
+        clients: FaceListener,
+        members: Option<FaceListener>,
+    ) -> Result<(), GrpcError> {
+        let serve = |listener, callers| {
+            let (context, phases) = (self.context.clone(), self.lifecycle.watch());
+            let (under_way, cut) = (self.under_way.clone(), self.cut.clone());
+            grpc::serve(
+                &self.config.grpc,
+                context,
+                phases,
+                listener,
+                callers,
+                under_way,
+                cut,
+            )
+        };
+        let members = OptionFuture::from(members.map(|listener| serve(listener, Callers::Members)));
+        tokio::try_join!(
+            serve(clients, Callers::Clients),
+            members.map(Option::transpose)
+        )
+        .map(drop)
+    }
+
+    /// Opens the store, joins the cluster if there is one, and calls `ready` once calls are answered. Then it maintains the
+    /// store and takes snapshots, until it is dropped or fails.
+    async fn bring_up(
+        &self,
+        store: StoreLifetime,
+        advertised: Option<String>,
+        schedule: Option<Schedule>,
+        zenoh: &mut Option<ZenohFace>,
+        addresses: &Addresses,
+        ready: impl FnOnce(&Addresses),
+    ) -> Result<Infallible, ServerError> {
+        let (config, service) = (&self.config, &self.context.service);
+        let opening = store.open_registry(
+            config.index.options(&config.limits),
+            config.data.clone(),
+            config.cluster.options(),
+            config.watermarks(),
+        );
+        let (registry, nats) = opening.await?;
+        let registry = Arc::new(registry);
+        // The journal gets back the records that it has lost while this server still starts: others may wait for them.
+        let maintaining = Arc::clone(&registry).maintain(|| {
+            if service.is_serving() {
+                self.lifecycle.advance(Phase::Serving);
+            }
+        });
+        let starting = async {
+            registry.catch_up().await;
+            service.set_registry(Arc::clone(&registry));
+            if let Some((nats, own)) = nats.zip(advertised) {
+                info!(address = ?addresses.members, advertised = own, "joining the cluster");
+                let cluster = Arc::new(Cluster::join(&config.cluster, &config.tls, nats, own));
+                service.set_owners(Arc::clone(&cluster) as Arc<dyn Owners>);
+                let _ = self.cluster.set(cluster);
+            }
+            let _of_members = match self.cluster.get() {
+                Some(cluster) => Some(cluster.serve(service).await),
+                None => None,
+            };
+            service.set_ready();
+            // If the store cannot be opened, every call fails with the cause.
+            if registry.failure().is_none() {
+                self.lifecycle.advance(Phase::Serving);
+                info!(address = %addresses.grpc, "serving");
+            }
+            if let Some(face) = zenoh {
+                let is_open = !self.context.identities.are_required();
+                let publishes = is_open || config.access.publish_events == ON;
+                face.announce(publishes).await?;
+            }
+            ready(addresses);
+            let metrics = self.context.metrics.clone();
+            let _snapshots = schedule.map(|schedule| spawn(schedule.run(service.clone(), metrics)));
+            pending::<Result<Infallible, ServerError>>().await
+        };
+        tokio::select! {
+            failed = starting => failed,
+            () = maintaining => Err(ServerError::Ended),
+        }
+    }
+
+    /// Leaves the cluster and refuses new calls.
+    async fn begin_shutdown(&self) {
+        if let Some(cluster) = self.cluster.get() {
+            cluster.leave().await;
+        }
+        // The service refuses new calls first, so that all of them fail once the phase announces the shutdown.
+        self.context.service.begin_shutdown();
+        self.lifecycle.advance(Phase::Stopping);
+    }
+}
+
+/// Runs a task until the result is dropped.
+fn spawn(task: impl Future<Output = ()> + Send + 'static) -> AbortOnDropHandle<()> {
+    AbortOnDropHandle::new(tokio::spawn(task))
 }
 
 /// Serves the pages for operators.
-async fn serve_pages(listener: TcpListener, tls: Option<Tls>, pages: Pages) {
+async fn serve_pages(listener: FaceListener, pages: Pages) {
     let metrics = &pages.shared.metrics;
     metrics.add_syncs(SYNCS.clone());
-    metrics.add(State {
+    metrics.add(MetricsCollector {
         shared: pages.shared.clone(),
         phases: pages.phases.clone(),
     });
-    if let Err(error) = http::serve(listener, tls, pages).await {
+    if let Err(error) = http::serve(listener, pages).await {
         error!(%error, "the pages for operators are not served any more");
-    }
-}
-
-/// Refuses to reach beyond this machine without TLS and identities, unless that is allowed. Returns a warning for each
-/// address that does.
-fn check_exposure(
-    config: &Config,
-    address: SocketAddr,
-    (pages, members): (Option<SocketAddr>, Option<SocketAddr>),
-    has_tls: bool,
-) -> Result<Vec<String>, ServerError> {
-    let mut exposed = zenoh::exposed(&config.zenoh)?;
-    let listens = [("grpc.listen", Some(address)), ("http.listen", pages)];
-    for (setting, address) in listens {
-        if let Some(address) = address.filter(|address| !address.ip().is_loopback()) {
-            exposed.push(ExposedAddress {
-                address: format!("{setting}: {address}"),
-                has_tls,
-            });
-        }
-    }
-    let has_identities = config.access.identities().is_some();
-    let is_allowed = config.access.insecure == ON;
-    let mut warnings = exposure::check(&exposed, has_identities, is_allowed)?;
-    if let Some(address) = members {
-        let has_certificates = config.cluster.peer_ca().is_some();
-        let warning =
-            exposure::check_members(address, has_certificates, has_identities, is_allowed)?;
-        warnings.extend(warning);
-    }
-    Ok(warnings)
-}
-
-/// Finishes the accepted calls for at most the grace time, then cuts the rest. `serving` ends once gRPC has stopped;
-/// `under_way` are the calls of gRPC and of the pages.
-async fn drain(
-    serving: impl Future<Output = Result<(), GrpcError>>,
-    zenoh: Option<ZenohFace>,
-    under_way: TaskTracker,
-    cut: CancellationToken,
-    grace_ms: u64,
-) -> Result<(), ServerError> {
-    under_way.close();
-    let faces: Vec<TaskTracker> = [under_way.clone()]
-        .into_iter()
-        .chain(zenoh.as_ref().map(ZenohFace::under_way))
-        .collect();
-    info!(
-        calls = in_use(&faces),
-        grace_ms, "stopping: finishing accepted calls"
-    );
-    let grace_end = Instant::now() + Duration::from_millis(grace_ms);
-    let zenoh_stopped = async {
-        if let Some(face) = zenoh {
-            face.stop().await;
-        }
-    };
-    let mut stopped = pin!(async { tokio::join!(serving, zenoh_stopped, under_way.wait()).0 });
-    let calls = tokio::select! {
-        drained = &mut stopped => {
-            info!("stopped");
-            return drained.map_err(ServerError::from);
-        }
-        () = idle(&faces) => 0,
-        () = sleep_until(grace_end) => in_use(&faces),
-    };
-    if calls > 0 {
-        warn!(calls, grace_ms, "cutting unfinished calls");
-    } else {
-        info!("cutting idle connections that do not close");
-    }
-    cut.cancel();
-    // A timeout changes nothing: the outcome is reported below.
-    let _ = timeout(CUT_WAIT, stopped).await;
-    if calls > 0 {
-        return Err(ServerError::Cut { calls, grace_ms });
-    }
-    info!("stopped");
-    Ok(())
-}
-
-/// The number of calls in flight over all faces.
-fn in_use(faces: &[TaskTracker]) -> usize {
-    faces.iter().map(TaskTracker::len).sum()
-}
-
-/// Returns once no call has been in flight for [`IDLE_WAIT`].
-async fn idle(faces: &[TaskTracker]) {
-    let mut ticks = interval(IDLE_WAIT / 10);
-    let mut since = Instant::now();
-    loop {
-        let now = ticks.tick().await;
-        if in_use(faces) > 0 {
-            since = now;
-        } else if now.saturating_duration_since(since) >= IDLE_WAIT {
-            return;
-        }
     }
 }

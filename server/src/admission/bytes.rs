@@ -32,7 +32,7 @@ impl ByteBudget {
         self.try_take_within(self.max, bytes)
     }
 
-    /// The same if at most `most` bytes are held then.
+    /// Like [`ByteBudget::try_take`], but at most `most` bytes may be held then.
     pub(super) fn try_take_within(&self, most: usize, bytes: usize) -> bool {
         let add = |held: usize| held.checked_add(bytes).filter(|held| *held <= most);
         self.held.fetch_update(Relaxed, Relaxed, add).is_ok()

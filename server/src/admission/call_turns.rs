@@ -65,10 +65,10 @@ impl CallTurns {
         }
     }
 
-    /// The same for a request of a stream that has begun.
+    /// The turns of a request of a stream that has begun: it is not refused, and goes after those that came before it.
     pub(super) fn of_stream(self) -> Self {
         Self {
-            stage: Stage::Resumed,
+            stage: Stage::Demoted,
             ..self
         }
     }
@@ -176,6 +176,8 @@ impl CallTurns {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::RefCell;
+
     use futures_util::poll;
 
     use super::*;
@@ -211,5 +213,35 @@ mod tests {
         while slices.get() < 2 {
             assert!(poll!(long.as_mut()).is_pending());
         }
+    }
+
+    #[tokio::test]
+    async fn requests_of_a_stream_go_in_their_order() {
+        let admission = Admission::new(&Config::default().admission, 1, 0);
+        let (other, stream) = (admission.open(), admission.open());
+        let mut turns = other.turns();
+        let mut other = pin!(turns.run(async {
+            loop {
+                end_slice().await;
+            }
+        }));
+        assert!(poll!(other.as_mut()).is_pending());
+        let order = RefCell::new(Vec::new());
+        let requests = (0..4).map(|number| {
+            let (mut turns, order) = (stream.turns().of_stream(), &order);
+            Box::pin(async move { turns.run(async { order.borrow_mut().push(number) }).await })
+        });
+        let mut requests: Vec<_> = requests.collect();
+        for _ in 0..100 {
+            let mut waiting = Vec::new();
+            for mut request in requests {
+                if poll!(request.as_mut()).is_pending() {
+                    waiting.push(request);
+                }
+            }
+            requests = waiting;
+            assert!(poll!(other.as_mut()).is_pending());
+        }
+        assert_eq!(*order.borrow(), [0, 1, 2, 3]);
     }
 }

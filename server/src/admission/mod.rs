@@ -302,7 +302,7 @@ impl HeldBytes {
         taken
     }
 
-    /// The same, without a count: the call may wait for room and try again.
+    /// Like [`HeldBytes::take`], but a lack of room counts as no refusal: the call may wait and try again.
     #[must_use]
     pub(crate) fn try_take(&self, bytes: usize) -> bool {
         let Flow { all, own, .. } = &*self.flow;
@@ -332,10 +332,15 @@ impl HeldBytes {
         self.flow.all.release(bytes);
     }
 
-    /// False while the flow holds more than it may: answers were not read.
+    /// False while the flow holds more than it may, since answers were not read: the call is refused, and counts as that.
+    #[must_use]
     pub(crate) fn has_room(&self) -> bool {
         let Flow { all, own, .. } = &*self.flow;
-        own.held() <= own.max() && all.held() <= self.flow.most_of_all(own.held())
+        let has_room = own.held() <= own.max() && all.held() <= self.flow.most_of_all(own.held());
+        if !has_room {
+            all.refuse();
+        }
+        has_room
     }
 
     /// The flow of the call.

@@ -122,7 +122,7 @@ impl Turns {
         self.state.lock().open(false)
     }
 
-    /// The same for calls that are not refused for their wait.
+    /// Adds a flow whose calls are not refused for their wait.
     pub(super) fn open_patient(&self) -> FlowNumber {
         self.state.lock().open(true)
     }

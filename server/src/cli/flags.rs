@@ -61,7 +61,8 @@ Stopping:
 Exit status:
   0          the server stopped and finished every accepted call
   1          the server could not start, for example because another server uses
-             the data directory, or it cut calls after shutdown.grace_ms
+             the data directory, or it cut calls after shutdown.grace_ms; with
+             --print-config, standard output cannot be written
   2          the command line or the settings are wrong
   130, 143   ended by a second SIGINT or SIGTERM
 
@@ -85,7 +86,8 @@ the number, the damage and the indices that a repair loses.
 
 Exit status:
   0          the store is whole, or was rebuilt
-  1          --dry-run found damage
+  1          --dry-run found damage, or an index is beyond repair: its records are lost
+             or damaged in files that can be read; or standard output cannot be written
   2          the command line or the settings are wrong
   3          the store cannot be repaired, for example because a server uses it, the
              disk is full, or its list of files is damaged; the old store is kept";
@@ -102,7 +104,7 @@ The data directory needs room for the points twice until the server starts again
 Exit status:
   0          the index goes on under its new uid
   1          it does not, for example because a server uses the data directory, or
-             NATS does not answer
+             NATS does not answer; or standard output cannot be written
   2          the command line or the settings are wrong";
 
 /// The parsed flags.

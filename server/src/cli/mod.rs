@@ -20,7 +20,7 @@ use tokio::{net::TcpListener, runtime};
 use crate::{
     config::{Config, DEFAULTS},
     faces::Addresses,
-    observe, pages,
+    huge_pages, observe,
     run::{self, ServerError},
     snapshots::SnapshotsError,
     zenoh,
@@ -29,16 +29,14 @@ use flags::{Command, Flags};
 
 /// Exit status: the command line or the settings are wrong.
 const USAGE_STATUS: u8 = 2;
-/// Exit status: the server could not start, or cut calls when it stopped.
+/// Exit status: the server could not start or cut calls when it stopped, or standard output could not be written.
 const FAILURE_STATUS: u8 = 1;
 
 /// Runs the server that the command line describes until it has stopped, repairs its store, or reseeds an index.
 pub fn main() -> ExitCode {
     let flags = Flags::parse();
     if flags.print_config {
-        // A failed write means that the reader closed standard output.
-        let _ = io::stdout().write_all(DEFAULTS.as_bytes());
-        return ExitCode::SUCCESS;
+        return print(DEFAULTS, 0);
     }
     let settings = flags.settings().map_err(Box::<dyn Error>::from);
     let config = match settings.and_then(|config| {
@@ -48,7 +46,7 @@ pub fn main() -> ExitCode {
         Ok(config) => config,
         Err(error) => return fail(&*error, USAGE_STATUS),
     };
-    pages::use_small_pages();
+    huge_pages::use_small_pages();
     // Data and snapshots hold the points of all indices: only the user of the server reads the files that it makes.
     #[cfg(target_os = "linux")]
     rustix::process::umask(rustix::fs::Mode::RWXG | rustix::fs::Mode::RWXO);
@@ -69,6 +67,19 @@ pub fn main() -> ExitCode {
             };
             fail(&*error, status)
         }
+    }
+}
+
+/// Ends with `status` once standard output has the text. A reader that closed it early, such as `head`, has seen enough.
+fn print(text: &str, status: u8) -> ExitCode {
+    let mut out = io::stdout().lock();
+    let written = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+    match written {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            let error = format!("cannot write to standard output: {error}");
+            fail(&*Box::<dyn Error>::from(error), FAILURE_STATUS)
+        }
+        _ => ExitCode::from(status),
     }
 }
 

@@ -1,19 +1,14 @@
 //! `wayfold-server repair`: rebuilds a damaged store from everything that can be read of it.
 
-use std::{
-    fmt::Write as _,
-    io::{self, Write},
-    path::Path,
-    process::ExitCode,
-};
+use std::{fmt::Write, path::Path, process::ExitCode};
 
-use super::{FAILURE_STATUS, USAGE_STATUS, fail};
+use super::{FAILURE_STATUS, USAGE_STATUS, fail, print};
 use crate::{
     config::Config,
     log::{RepairReport, repair},
 };
 
-/// Exit status: a dry run found damage. The client uses the same status for a negative answer.
+/// Exit status: the store stays damaged. The client uses the same status for a negative answer.
 const DAMAGED_STATUS: u8 = FAILURE_STATUS;
 /// Exit status: the store cannot be repaired.
 const UNREPAIRED_STATUS: u8 = 3;
@@ -26,12 +21,9 @@ pub(super) fn run(config: &Config, dry_run: bool) -> ExitCode {
     };
     match repair(directory, dry_run) {
         Ok(report) => {
-            // A closed standard output has no reader.
-            let _ = io::stdout().write_all(text(&report, directory, dry_run).as_bytes());
-            match report.damage.is_some() && dry_run {
-                true => ExitCode::from(DAMAGED_STATUS),
-                false => ExitCode::SUCCESS,
-            }
+            let is_damaged = report.damage.is_some() && dry_run || !report.beyond_repair.is_empty();
+            let status = if is_damaged { DAMAGED_STATUS } else { 0 };
+            print(&text(&report, directory, dry_run), status)
         }
         Err(error) => fail(&error, UNREPAIRED_STATUS),
     }
@@ -43,11 +35,27 @@ fn text(report: &RepairReport, directory: &Path, dry_run: bool) -> String {
         "a repair needs {} free bytes, and {} are free",
         report.needed_bytes, report.free_bytes
     );
+    // Writing to a string never fails.
+    let mut beyond = String::new();
+    for (name, why) in &report.beyond_repair {
+        let _ = writeln!(beyond, "beyond repair: {name} ({why})");
+    }
+    if !beyond.is_empty() {
+        beyond += "a repair cannot bring these back: do what their reasons say, or see \"An index answers \
+                   DATA_LOSS\" in docs/operations.md\n";
+    }
     let Some(damage) = &report.damage else {
-        let whole = format!("the store in {directory} is whole: nothing to repair\n");
+        let found = match beyond.is_empty() {
+            true => format!("the store in {directory} is whole: nothing to repair\n"),
+            false => {
+                format!(
+                    "the store in {directory} can be read, and has lost or damaged records\n{beyond}"
+                )
+            }
+        };
         return match dry_run {
-            true => format!("{whole}{room}\n"),
-            false => whole,
+            true => format!("{found}{room}\n"),
+            false => found,
         };
     };
     let mut text = format!("the store in {directory} is damaged: {damage}\n");
@@ -55,7 +63,6 @@ fn text(report: &RepairReport, directory: &Path, dry_run: bool) -> String {
         Some(_) => ("kept", "lost"),
         None => ("a repair keeps", "a repair loses"),
     };
-    // Writing to a string never fails.
     let indices = if report.whole == 1 {
         "index"
     } else {
@@ -65,6 +72,7 @@ fn text(report: &RepairReport, directory: &Path, dry_run: bool) -> String {
     for (name, damage) in &report.lost {
         let _ = writeln!(text, "{losing}: {name} ({damage})");
     }
+    text += &beyond;
     let _ = match &report.kept {
         Some(kept) => writeln!(
             text,
@@ -87,6 +95,7 @@ mod tests {
             damage: Some("checksum mismatch".into()),
             whole: 2,
             lost: vec![("arm".into(), "checksum mismatch".into())],
+            beyond_repair: Vec::new(),
             needed_bytes: 100,
             free_bytes: 200,
             kept: None,

@@ -1,15 +1,10 @@
 //! `wayfold-server reseed`: starts a new generation of an index of a cluster from the points of this server.
 
-use std::{
-    error::Error,
-    io::{self, Write},
-    process::ExitCode,
-    sync::Arc,
-};
+use std::{error::Error, process::ExitCode, sync::Arc};
 
 use tokio::runtime;
 
-use super::{FAILURE_STATUS, USAGE_STATUS, fail};
+use super::{FAILURE_STATUS, USAGE_STATUS, fail, print};
 use crate::{
     config::Config,
     log::{FjallLog, Uid, connect_nats},
@@ -45,9 +40,7 @@ pub(super) fn run(config: &Config, name: &str, uid: Option<&str>) -> ExitCode {
                  next: start this server; the others take copies of it\n",
                 it.new, it.revision, it.points, it.old
             );
-            // A closed standard output has no reader.
-            let _ = io::stdout().write_all(text.as_bytes());
-            ExitCode::SUCCESS
+            print(&text, 0)
         }
         Err(error) => fail(&*error, FAILURE_STATUS),
     }

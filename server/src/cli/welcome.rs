@@ -109,6 +109,7 @@ mod tests {
         Addresses {
             grpc: grpc.parse().unwrap(),
             pages: None,
+            members: None,
             has_tls: false,
             has_identities: false,
             zenoh: zenoh.iter().map(ToString::to_string).collect(),

@@ -11,13 +11,14 @@ use config::{File, FileFormat, Source, Value, ValueKind};
 use wayfold_index::ForestOptions;
 
 use super::{Config, ConfigError, DEFAULTS, OFF, ON, nearest::nearest};
-use crate::wrong_text;
+use crate::redact;
 
 const PREFIX: &str = "WAYFOLD_";
 const SEPARATOR: &str = "__";
 
-/// The least `limits.max_answer_bytes`: streams send parts of half of it.
-const MIN_ANSWER_BYTES: i64 = 4096;
+/// The least `limits.max_answer_bytes`: a part of a stream has half of it, and one point more, which may have 64 KiB of
+/// payload.
+const MIN_ANSWER_BYTES: i64 = 256 * 1024;
 
 /// The most `index.merge_threads`, which shares out the memory for merges.
 const MAX_MERGE_THREADS: i64 = 1024;
@@ -86,7 +87,7 @@ fn toml(origin: &str, text: &str) -> Result<Settings, ConfigError> {
             origin: origin.to_owned(),
             problem: match &problem {
                 config::ConfigError::FileParse { cause, .. } => match cause.downcast_ref() {
-                    Some(error) => wrong_text::toml(error, text),
+                    Some(error) => redact::toml(error, text),
                     None => cause.to_string(),
                 },
                 other => other.to_string(),
@@ -203,6 +204,8 @@ fn check(origin: &str, key: &str, default: &Value, value: &Value) -> Result<(), 
         (ValueKind::I64(_), ValueKind::I64(number)) => {
             let least = match key {
                 "limits.max_answer_bytes" => MIN_ANSWER_BYTES,
+                // One place for streams, and one for calls that end.
+                "grpc.max_calls_per_connection" => 2,
                 _ => i64::from(!MAY_BE_ZERO.contains(&key)),
             };
             let most = match key {

@@ -1,4 +1,5 @@
-//! A response body that counts what its client has not read, enforces a stream's deadline and records its outcome.
+//! A response body that counts what its client has not read, enforces a stream's deadline while its client reads, and
+//! records its outcome.
 
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
@@ -53,13 +54,13 @@ pub(super) struct CallResources {
 }
 
 /// A frame that its client has not read. It is dropped once it is written.
-struct UnreadFrame {
+struct UnreadFrame<H> {
     bytes: Bytes,
-    _held: HeldBytes,
+    _held: H,
     _sending: Option<Sending>,
 }
 
-impl AsRef<[u8]> for UnreadFrame {
+impl<H> AsRef<[u8]> for UnreadFrame<H> {
     fn as_ref(&self) -> &[u8] {
         &self.bytes
     }
@@ -71,13 +72,22 @@ impl CallResources {
         frame.map_data(|bytes| {
             let held = self.held.flow().hold();
             held.force_take(bytes.len().next_power_of_two());
-            Bytes::from_owner(UnreadFrame {
-                bytes,
-                _held: held,
-                _sending: self.activity.as_ref().map(Activity::send),
-            })
+            unread(bytes, held, self.activity.as_ref())
         })
     }
+}
+
+/// A frame's bytes, which hold `held` and count as unread on their connection until they are written.
+pub(super) fn unread<H: Send + 'static>(
+    bytes: Bytes,
+    held: H,
+    activity: Option<&Activity>,
+) -> Bytes {
+    Bytes::from_owner(UnreadFrame {
+        bytes,
+        _held: held,
+        _sending: activity.map(Activity::send),
+    })
 }
 
 impl CallBody {

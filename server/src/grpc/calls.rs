@@ -4,20 +4,24 @@
 //! they must answer just when the server is busy.
 
 mod admitted;
-mod open;
+mod reflection;
+mod unauthenticated;
 
 use std::{
     convert::Infallible,
-    panic::AssertUnwindSafe,
-    pin::{Pin, pin},
+    future::{pending, ready},
+    pin::Pin,
     sync::Arc,
     task::{Context, Poll},
     time::{Duration, Instant},
 };
 
 use bytes::Bytes;
-use futures_util::{FutureExt, poll};
 use http::{HeaderMap, Request, Response, Uri, header};
+use tokio::{
+    sync::OwnedSemaphorePermit,
+    time::{Interval, MissedTickBehavior, interval},
+};
 use tokio_util::task::TaskTracker;
 use tonic::{Status, body::Body};
 use tower::{Layer, Service};
@@ -26,21 +30,20 @@ use tracing::Instrument;
 use admitted::Admitted;
 
 use super::{
-    body::{CallBody, CallResources},
+    body::CallResources,
     connections::Activity,
     deadline,
     refusals::{self, MessageLimit},
     request_body::RequestLimits,
-    verbs::{
-        has_stream_of_answers, has_stream_of_requests, is_lasting, is_of_indices, our_rpc, verb,
-    },
+    rpcs::Rpc,
+    status::{ending, from_error},
 };
 use crate::{
-    admission::{CALL_BYTES, Flow},
+    admission::{CALL_BYTES, Flow, HeldBytes},
     config::GrpcConfig,
-    faces::Shared,
+    faces::FaceContext,
     identity::{Caller, Denial, IdentificationError},
-    observe::{self, CallRecord, Ending, Times},
+    observe::{self, CallRecord},
     service::{Call, Error, Peer},
     status,
 };
@@ -83,10 +86,25 @@ pub(crate) fn token(headers: &HeaderMap) -> Option<&[u8]> {
 }
 
 /// The preamble of every handler: the context of the call, and its message, recorded in the call's span.
-pub(crate) fn open<R: observe::Request>(request: tonic::Request<R>) -> (Call, R) {
+pub(crate) fn into_call<R: observe::Request>(request: tonic::Request<R>) -> (Call, R) {
     let (call, message) = (call_of(&request), request.into_inner());
     observe::request(&message);
     (call, message)
+}
+
+/// The times at which a stream that waits for its client looks at its caller.
+pub(super) fn caller_checks() -> Interval {
+    let mut checks = interval(Duration::from_secs(1));
+    checks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    checks
+}
+
+/// Refuses a caller that is unknown by now.
+pub(super) fn check_caller(call: &Call) -> Result<(), Status> {
+    call.caller.check().map_err(|why| {
+        let why = Denial::Unknown(why);
+        from_error(&Error::Denied { why })
+    })
 }
 
 /// The flow of a call, which the layer leaves there too.
@@ -112,7 +130,7 @@ const MAX_CALLS_OF_MEMBERS: u32 = 256;
 /// Wraps services in [`Calls`].
 #[derive(Clone)]
 pub(super) struct CallsLayer {
-    shared: Shared,
+    shared: FaceContext,
     callers: Callers,
     /// The calls under way.
     under_way: TaskTracker,
@@ -139,7 +157,7 @@ impl CallsLayer {
     /// The layer of these settings, which counts its calls in `under_way`.
     pub(super) fn new(
         config: &GrpcConfig,
-        shared: Shared,
+        shared: FaceContext,
         callers: Callers,
         under_way: TaskTracker,
     ) -> Self {
@@ -196,19 +214,23 @@ where
     }
 
     fn call(&mut self, request: Request<Body>) -> ResponseFuture {
-        let Some(rpc) = our_rpc(request.uri().path()) else {
-            return match open::is_open(request.uri().path()) {
-                true => Box::pin(open::answer(self.inner.clone(), request, &self.settings)),
+        let (path, settings) = (request.uri().path(), &self.settings);
+        let Some(rpc) = Rpc::of(path) else {
+            return match unauthenticated::is_unauthenticated(path) {
+                true => Box::pin(unauthenticated::answer(
+                    self.inner.clone(),
+                    request,
+                    settings,
+                )),
                 false => Box::pin(self.inner.call(request)),
             };
         };
         let activity = request.extensions().get::<Activity>().cloned();
         let active = match activity.as_ref().map(Activity::begin) {
             // The connection is being cut, and its calls with it.
-            Some(None) => return Box::pin(std::future::pending()),
+            Some(None) => return Box::pin(pending()),
             begun => begun.flatten(),
         };
-        let settings = &self.settings;
         let flow = settings.flow(rpc, activity.as_ref());
         // A call waits from its arrival on, not from the time that its task first runs.
         let mut turns = flow.turns();
@@ -216,62 +238,26 @@ where
             // Under overload most calls end here: this must cost next to nothing.
             let mut refusal = Response::new(Body::empty());
             *refusal.headers_mut() = HeaderMap::clone(&settings.overloaded);
-            return Box::pin(std::future::ready(Ok(refusal)));
+            return Box::pin(ready(Ok(refusal)));
         }
         // The clock starts here, not inside the future: after this function returns, tonic starts its own timer for the
         // same header and answers CANCELLED when it ends. Ours must never be the later one.
         let arrived = Instant::now();
-        let peer = activity.as_ref().and_then(Activity::peer);
-        let mut call = Call {
-            caller: settings.caller(request.headers(), activity.as_ref()),
-            peer: peer.map(Peer::Address),
-            trace: traceparent(request.headers()).map(Arc::from),
-            is_forwarded: settings.callers == Callers::Members,
-            stored_reads: Some(flow.stored_reads()),
-            ..Call::default()
-        };
-        let verb = (settings.face(), verb(rpc));
-        let mut record = CallRecord::begin(rpc, verb, arrived, &settings.shared.metrics, &call);
+        let mut call = settings.context(request.headers(), activity.as_ref(), &flow);
+        let (face, metrics) = (settings.face(), &settings.shared.metrics);
+        let mut record = CallRecord::begin(rpc.path, face, rpc.verb, arrived, metrics, &call);
         let held = Arc::new(flow.hold());
-        let is_stream = has_stream_of_answers(rpc) || has_stream_of_requests(rpc);
-        let lasting = activity.as_ref().filter(|_| is_lasting(rpc));
-        let stream = lasting.map(Activity::stream);
-        // The service checks the caller too; here a stranger is refused before it sends its request.
-        let deadline = match (
-            call.caller.check(),
-            deadline::read(request.headers(), arrived),
-        ) {
-            (Err(why), _) => {
-                let why = Denial::Unknown(why);
-                Err(status::from_error(&Error::Denied { why }))
-            }
-            (Ok(()), Err(problem)) => Err(refusals::malformed_timeout(&problem)),
-            _ if matches!(stream, Some(None)) => {
-                settings.shared.admission.count_excess();
-                Err(refusals::too_many_streams(settings.max_calls))
-            }
-            _ if !held.take(call_bytes(request.uri(), request.headers())) => {
-                Err(status::too_many_bytes(flow.max_bytes()))
-            }
-            (_, Ok(None)) if !is_stream => {
-                call.has_default_deadline = true;
-                Ok(arrived.checked_add(settings.default_timeout))
-            }
-            (_, Ok(deadline)) => Ok(deadline),
-        };
-        match deadline {
-            Ok(deadline) => call.deadline = deadline,
+        let stream = match settings.admit(rpc, &request, arrived, &held, &mut call) {
+            Ok(stream) => stream,
             Err(status) => {
-                record.end(Ending::Failed(status.code));
-                let refusal = Status::from(status).into_http();
-                return Box::pin(std::future::ready(Ok(refusal)));
+                record.end(ending(status.code()));
+                return Box::pin(ready(Ok(status.into_http())));
             }
-        }
-        let deadline = call.deadline;
+        };
         let resources = CallResources {
             activity,
             _active: active,
-            _stream: stream.flatten(),
+            _stream: stream,
             _under_way: settings.under_way.token(),
             held: Arc::clone(&held),
         };
@@ -281,62 +267,14 @@ where
             held,
             arrived,
             call,
-            is_stream: has_stream_of_requests(rpc),
+            streams_requests: rpc.streams_requests,
+            streams_answers: rpc.streams_answers,
             service: settings.shared.service.clone(),
             whole: Bytes::new(),
         };
-        let is_answer_stream = has_stream_of_answers(rpc);
         let span = record.span().clone();
         let slow_calls = settings.shared.slow_calls.clone();
-        let answer = async move {
-            let mut received = None;
-            let answer = async {
-                let mut receiving = pin!(admitted.receive(request));
-                let arriving = match poll!(receiving.as_mut()) {
-                    Poll::Ready(arrived) => arrived,
-                    Poll::Pending => {
-                        // The turn of a call whose request is on its way is another's.
-                        turns.give_up();
-                        receiving.await
-                    }
-                };
-                let (admitted, request) = arriving?;
-                received = Some(arrived.elapsed());
-                let done = turns.run(admitted.answer(request)).await;
-                done.unwrap_or_else(|overloaded| Err(status::overloaded(overloaded).into()))
-            };
-            let answer = AssertUnwindSafe(answer).catch_unwind();
-            let answered = match deadline {
-                Some(at) => tokio::time::timeout_at(at.into(), answer).await,
-                None => Ok(answer.await),
-            };
-            let answered = match answered {
-                Ok(Ok(answered)) => answered,
-                Ok(Err(_panic)) => Err(refusals::panicked(record.rpc()).into()),
-                Err(_) => Err(refusals::deadline_exceeded().into()),
-            };
-            if !is_stream {
-                let answered = arrived.elapsed();
-                let (queued, computed) = turns.times();
-                let times = Times {
-                    received: received.unwrap_or(answered),
-                    queued,
-                    computed,
-                    answered,
-                };
-                record.took(times, &slow_calls);
-            }
-            let (response, made) =
-                answered.unwrap_or_else(|status: Status| (status.into_http(), None));
-            Ok(CallBody::wrap(
-                response,
-                made,
-                record,
-                resources,
-                deadline,
-                is_answer_stream.then_some(turns),
-            ))
-        };
+        let answer = admitted.run(request, turns, record, resources, slow_calls);
         Box::pin(answer.instrument(span))
     }
 }
@@ -350,10 +288,52 @@ impl CallsLayer {
         }
     }
 
+    /// The context of a call, without a deadline.
+    fn context(&self, headers: &HeaderMap, activity: Option<&Activity>, flow: &Flow) -> Call {
+        let peer = activity.and_then(Activity::peer);
+        Call {
+            caller: self.caller(headers, activity),
+            peer: peer.map(Peer::Address),
+            trace: traceparent(headers).map(Arc::from),
+            is_forwarded: self.callers == Callers::Members,
+            stored_reads: Some(flow.stored_reads()),
+            ..Call::default()
+        }
+    }
+
+    /// Gives a call its deadline and its bytes, or refuses it. Returns the place of a stream that lasts.
+    fn admit(
+        &self,
+        rpc: Rpc<'_>,
+        request: &Request<Body>,
+        arrived: Instant,
+        held: &HeldBytes,
+        call: &mut Call,
+    ) -> Result<Option<OwnedSemaphorePermit>, Status> {
+        // The service checks the caller too; here a stranger is refused before it sends its request.
+        check_caller(call)?;
+        let deadline = deadline::read(request.headers(), arrived);
+        call.deadline = deadline.map_err(|problem| refusals::malformed_timeout(&problem))?;
+        let activity = request.extensions().get::<Activity>();
+        let stream = activity.filter(|_| rpc.lasts).map(Activity::stream);
+        if matches!(stream, Some(None)) {
+            self.shared.admission.count_excess();
+            return Err(refusals::too_many_streams(self.max_calls).into());
+        }
+        if !held.take(call_bytes(request.uri(), request.headers())) {
+            return Err(status::too_many_bytes(held.flow().max_bytes()).into());
+        }
+        if call.deadline.is_none() && rpc.is_unary() {
+            call.has_default_deadline = true;
+            call.deadline = arrived.checked_add(self.default_timeout);
+        }
+        Ok(stream.flatten())
+    }
+
     /// The limits of the request of a call.
-    fn requests(&self, rpc: &str) -> RequestLimits {
+    fn requests(&self, rpc: Rpc<'_>) -> RequestLimits {
         let mut limits = self.requests;
-        if is_of_indices(rpc) {
+        if rpc.is_of_indices() {
             limits.message = limits.message.for_indices();
         }
         limits
@@ -374,12 +354,10 @@ impl CallsLayer {
 
     /// The flow of a call: that of its connection, or that of the connection's short calls of administration, which other load
     /// does not close.
-    fn flow(&self, rpc: &str, activity: Option<&Activity>) -> Arc<Flow> {
-        let is_admin =
-            is_of_indices(rpc) && !has_stream_of_answers(rpc) && !has_stream_of_requests(rpc);
+    fn flow(&self, rpc: Rpc<'_>, activity: Option<&Activity>) -> Arc<Flow> {
         let flow =
             activity.map_or_else(|| self.shared.admission.open(), |it| Arc::clone(it.flow()));
-        match is_admin {
+        match rpc.is_of_indices() && rpc.is_unary() {
             true => Arc::clone(flow.admin()),
             false => flow,
         }

@@ -21,7 +21,7 @@ use tracing::{debug, warn};
 
 use super::{
     connections::{Activity, Connections, Open},
-    tls::{Socket, Tls},
+    tls::{FaceListener, Socket, Tls},
 };
 
 /// The pause after a failure of the listener, which fails while the process has no file descriptors left.
@@ -46,7 +46,8 @@ const SHORT_PAUSE: Duration = Duration::from_millis(1);
 /// that it hands on, so one poll of its task may read several times as many.
 const MAX_READ_BYTES: usize = 8 * 1024;
 
-/// The same while no call comes with them. Requests as large take their own time to come: they do not wait.
+/// The limit instead while the bytes bring no new call, as in a large request. What such a request takes to arrive is no
+/// delay of the server.
 const MAX_BODY_BYTES: usize = 64 * 1024;
 
 /// Bytes that a connection writes before others have their turn.
@@ -55,16 +56,15 @@ const MAX_WRITTEN_BYTES: usize = 64 * 1024;
 /// The connections made to `listener`, at most as many at a time as `connections` has room for: a further one waits
 /// until an idle one has made room. `cut` fails all of them.
 pub(crate) fn incoming(
-    listener: TcpListener,
+    listener: FaceListener,
     connections: Arc<Connections>,
-    tls: Option<Tls>,
     cut: CancellationToken,
 ) -> impl Stream<Item = io::Result<Connection>> {
     stream::unfold(
-        (listener, connections, tls, cut),
-        async |(listener, connections, tls, cut)| {
+        (listener, connections, cut),
+        async |(listener, connections, cut)| {
             let (socket, own_cut, open) = loop {
-                let socket = accept(&listener, &cut).await;
+                let socket = accept(&listener.socket, &cut).await;
                 // A child token: all connections would contend for the lock of a shared one.
                 let own_cut = cut.child_token();
                 let open = connections.open(socket.peer_addr().ok(), own_cut.clone());
@@ -72,8 +72,9 @@ pub(crate) fn incoming(
                     break (socket, own_cut, open);
                 }
             };
+            let client = Some(open.activity().client());
             let connection = Connection {
-                socket: Tls::accept(tls.as_ref(), socket, Some(open.activity().client())),
+                socket: Tls::accept(listener.tls.as_ref(), socket, client),
                 open,
                 read_bytes: 0,
                 read_calls: 0,
@@ -88,7 +89,7 @@ pub(crate) fn incoming(
                 flushing: None,
                 lingering: None,
             };
-            Some((Ok(connection), (listener, connections, tls, cut)))
+            Some((Ok(connection), (listener, connections, cut)))
         },
     )
 }

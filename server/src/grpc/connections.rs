@@ -6,6 +6,8 @@
 //! idle stream. If none is silent either, one of the network that has the most connections goes after a while, or the new
 //! one if it is of that network. A client reconnects at its next call. Health and reflection are no calls of this kind.
 
+mod cut;
+
 use std::{
     cmp::Reverse,
     collections::{BTreeMap, HashMap},
@@ -20,7 +22,7 @@ use std::{
 use parking_lot::Mutex;
 use tokio::{
     sync::{OwnedSemaphorePermit, Semaphore},
-    time::{Instant, interval, timeout},
+    time::{Instant, timeout},
 };
 use tokio_util::sync::CancellationToken;
 use tracing::debug;
@@ -83,6 +85,8 @@ struct State {
     streams: Arc<Semaphore>,
     /// Those of requests for health and reflection that have not arrived whole.
     arriving: Arc<Semaphore>,
+    /// The turn of a stream for reflection.
+    reflecting: Arc<Semaphore>,
     unread: Mutex<UnreadFrames>,
 }
 
@@ -151,6 +155,7 @@ impl Connections {
             flow: self.admission.open(),
             streams: Arc::new(Semaphore::new(self.max_streams)),
             arriving: Arc::new(Semaphore::new(MAX_ARRIVING)),
+            reflecting: Arc::new(Semaphore::new(1)),
             unread: Mutex::new(UnreadFrames {
                 frames: 0,
                 since: Instant::now(),
@@ -248,21 +253,6 @@ impl Connections {
         }
         Some(())
     }
-
-    /// Cuts each connection whose client reads nothing of its answers for `most`.
-    pub(super) async fn cut_unread(&self, most: Duration) {
-        let mut checks = interval(most / 4);
-        loop {
-            checks.tick().await;
-            for state in self.open.lock().values() {
-                let unread = state.unread.lock();
-                if unread.frames > 0 && unread.since.elapsed() > most {
-                    debug!(peer = ?state.peer, "a client that does not read its answers is cut");
-                    state.cut.cancel();
-                }
-            }
-        }
-    }
 }
 
 /// The network of a client: its address of IPv4, or the upper half of one of IPv6, since it may use all with that.
@@ -357,6 +347,14 @@ impl Activity {
     /// The place of a request for health or reflection that has not arrived whole; None if others have all.
     pub(super) fn arriving(&self) -> Option<OwnedSemaphorePermit> {
         Arc::clone(&self.state.arriving).try_acquire_owned().ok()
+    }
+
+    /// The turn of a stream for reflection: no budget counts its answers, so one of a connection waits for the client.
+    pub(super) async fn reflect(&self) -> Option<OwnedSemaphorePermit> {
+        Arc::clone(&self.state.reflecting)
+            .acquire_owned()
+            .await
+            .ok()
     }
 
     /// A frame of an answer waits for the client to read it, until the result is dropped.

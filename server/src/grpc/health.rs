@@ -52,7 +52,7 @@ impl HealthFace {
         let phase = status_in(self.phases.current());
         match name {
             WRITING if !self.service.accepts_growth() => Some(ServingStatus::NotServing),
-            INDICES if self.service.has_shown_damage() => Some(ServingStatus::NotServing),
+            INDICES if self.service.has_damage_cached() => Some(ServingStatus::NotServing),
             WRITING | INDICES => Some(phase),
             _ if !NAMES.contains(&name) => None,
             _ if !self.service.accepts_reads() => Some(ServingStatus::NotServing),
@@ -111,8 +111,8 @@ impl Health for HealthFace {
         let name = request.into_inner().service;
         let unknown = || {
             Status::not_found(format!(
-                "no service `{name}`; there are {}, {}, {WRITING}, {INDICES} and the empty name for the whole server",
-                NAMES[1], NAMES[2]
+                "no service `{name}`; there are {}, {WRITING}, {INDICES} and the empty name for the whole server",
+                NAMES[1..].join(", ")
             ))
         };
         self.status(&name)
@@ -233,6 +233,10 @@ mod tests {
         let mut watch = health.watch(request("other")).await.unwrap().into_inner();
         let first = watch.next().await.unwrap().unwrap();
         assert_eq!(first.status(), ServingStatus::ServiceUnknown);
+        let unknown = health.check(request("other")).await.unwrap_err();
+        for name in NAMES.into_iter().chain([WRITING, INDICES]) {
+            assert!(unknown.message().contains(name), "{unknown}");
+        }
         lifecycle.advance(Phase::Stopping);
         assert!(watch.next().await.is_none());
     }

@@ -18,7 +18,7 @@ use super::{
 use crate::{
     admission::{CALL_BYTES, Flow},
     config::Config,
-    faces::Shared,
+    faces::FaceContext,
     identity::{Identities, TableError},
     lifecycle::Lifecycle,
     service::Service,
@@ -42,7 +42,7 @@ impl InProcess {
         service: Service,
         identities: Option<&Path>,
     ) -> Result<Self, TableError> {
-        let shared = Shared::new(config, service, Identities::open(identities)?);
+        let shared = FaceContext::new(config, service, Identities::open(identities)?);
         let lifecycle = Lifecycle::starting();
         let flow = shared.admission.open();
         let points = points(&config.grpc, &shared, &lifecycle.watch());

@@ -4,7 +4,7 @@ use tonic::{Request, Streaming};
 use wayfold_proto::v1::{self, index_service_server::IndexService};
 
 use super::{
-    calls::{call_of, open},
+    calls::{call_of, caller_checks, check_caller, into_call},
     refusals::{self, MessageLimit},
     status::{Answer, Messages, from_error, respond, respond_all},
 };
@@ -24,7 +24,7 @@ impl IndexService for IndexFace {
         &self,
         request: Request<v1::GetServerRequest>,
     ) -> Answer<v1::GetServerResponse> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         let described = self
             .service
             .get_server(&call, message, self.max_message_bytes);
@@ -35,7 +35,7 @@ impl IndexService for IndexFace {
         &self,
         request: Request<v1::CreateIndexRequest>,
     ) -> Answer<v1::CreateIndexResponse> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond(self.service.create_index(&call, message).await)
     }
 
@@ -43,7 +43,7 @@ impl IndexService for IndexFace {
         &self,
         request: Request<v1::GetIndexRequest>,
     ) -> Answer<v1::GetIndexResponse> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond(self.service.get_index(&call, message).await)
     }
 
@@ -51,7 +51,7 @@ impl IndexService for IndexFace {
         &self,
         request: Request<v1::ListIndexesRequest>,
     ) -> Answer<v1::ListIndexesResponse> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         let listed = self.service.list_indexes(&call, message).await;
         respond(listed.map(status::listing))
     }
@@ -60,7 +60,7 @@ impl IndexService for IndexFace {
         &self,
         request: Request<v1::DeleteIndexRequest>,
     ) -> Answer<v1::DeleteIndexResponse> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond(self.service.delete_index(&call, message).await)
     }
 
@@ -70,7 +70,7 @@ impl IndexService for IndexFace {
         &self,
         request: Request<v1::SnapshotIndexRequest>,
     ) -> Answer<Self::SnapshotIndexStream> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond_all(self.service.snapshot_index(&call, message).await)
     }
 
@@ -82,8 +82,19 @@ impl IndexService for IndexFace {
         let restoring = self.service.restore_index(&call);
         let mut restoring = restoring.map_err(|error| from_error(&error))?;
         let limit = MessageLimit::of_setting(self.max_message_bytes);
-        let restate = |status| refusals::restate(status, limit, refusals::RAISE);
-        while let Some(message) = messages.message().await.map_err(restate)? {
+        let restate =
+            |status| refusals::unless_left(refusals::restate(status, limit, refusals::RAISE));
+        let mut checks = caller_checks();
+        loop {
+            let message = tokio::select! {
+                biased;
+                message = messages.message() => message.map_err(restate)?,
+                _ = checks.tick() => {
+                    check_caller(&call)?;
+                    continue;
+                }
+            };
+            let Some(message) = message else { break };
             observe::request(&message);
             let added = restoring.add(message).await;
             added.map_err(|error| from_error(&error))?;
@@ -97,7 +108,7 @@ impl IndexService for IndexFace {
         &self,
         request: Request<v1::VerifyIndexRequest>,
     ) -> Answer<Self::VerifyIndexStream> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond_all(self.service.verify_index(&call, message).await)
     }
 }

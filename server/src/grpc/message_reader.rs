@@ -5,7 +5,7 @@
 
 use bytes::{Buf, Bytes, BytesMut};
 use http_body_util::BodyExt;
-use tonic::{Code, Status, body::Body};
+use tonic::{Status, body::Body};
 
 use super::{
     refusals::{self, MessageLimit},
@@ -44,7 +44,7 @@ impl MessageReader {
                     }
                 }
                 // The client has left.
-                Some(Err(status)) if status.code() == Code::Cancelled => return None,
+                Some(Err(status)) if status.details().is_empty() => return None,
                 Some(Err(status)) => return Some(Err(status)),
                 None if self.bytes.is_empty() => return None,
                 None => return Some(Err(malformed("the stream ended within a message"))),
@@ -95,6 +95,7 @@ mod tests {
     use proptest::prelude::*;
     use tokio::sync::mpsc;
     use tokio_stream::wrappers::UnboundedReceiverStream;
+    use tonic::Code;
 
     use super::*;
 

@@ -15,15 +15,14 @@ mod message_reader;
 mod point_service;
 mod refusals;
 mod request_body;
+mod rpcs;
 mod status;
 mod stream_knn;
 mod tls;
-mod verbs;
 
 use std::{io, sync::Arc, time::Duration};
 
 use thiserror::Error;
-use tokio::net::TcpListener;
 use tokio_util::{
     sync::CancellationToken,
     task::{AbortOnDropHandle, TaskTracker},
@@ -45,9 +44,9 @@ use stream_knn::KnnStreams;
 pub use tls::TlsError;
 #[cfg(test)]
 pub(crate) use tls::testing as tls_testing;
-pub(crate) use tls::{Client, Socket, Tls};
+pub(crate) use tls::{Client, FaceListener, Socket, Tls};
 
-use crate::{config::GrpcConfig, faces::Shared, lifecycle::PhaseWatch};
+use crate::{config::GrpcConfig, faces::FaceContext, lifecycle::PhaseWatch};
 
 /// The gRPC face could not be served.
 #[derive(Debug, Error)]
@@ -71,12 +70,12 @@ const MAX_PENDING_RESETS: usize = 2_048;
 const MAX_HEADER_BYTES: u32 = 16 * 1024;
 
 /// The largest request for health or reflection. Strangers may send them, and no budget counts their bytes.
-const MAX_OPEN_REQUEST_BYTES: usize = 4 * 1024;
+const MAX_UNAUTHENTICATED_REQUEST_BYTES: usize = 4 * 1024;
 
 /// The most lasting streams of a connection with `max_calls`: streams must not take the places of calls that end, which
 /// would wait in the client without a word.
 fn max_streams(max_calls: u32) -> usize {
-    (max_calls - max_calls / 4) as usize
+    (max_calls - max_calls.div_ceil(4)) as usize
 }
 
 /// Serves `shared` to `callers` on `listener` until the server begins to stop and every call that was accepted is done.
@@ -84,14 +83,15 @@ fn max_streams(max_calls: u32) -> usize {
 /// `under_way` counts the running calls. `cut` fails the connections that are still open, so that this returns soon.
 pub(crate) async fn serve(
     config: &GrpcConfig,
-    shared: Shared,
+    shared: FaceContext,
     phases: PhaseWatch,
-    (listener, tls, callers): (TcpListener, Option<Tls>, Callers),
+    listener: FaceListener,
+    callers: Callers,
     under_way: TaskTracker,
     cut: CancellationToken,
 ) -> Result<(), GrpcError> {
     let health = HealthServer::new(HealthFace::new(phases.clone(), shared.service.clone()))
-        .max_decoding_message_size(MAX_OPEN_REQUEST_BYTES);
+        .max_decoding_message_size(MAX_UNAUTHENTICATED_REQUEST_BYTES);
     // Sent messages have no limit: the service refuses a large answer before a mutation takes effect, and a second
     // limit here could only fail a call that took effect.
     let indices = IndexServiceServer::new(IndexFace {
@@ -100,9 +100,10 @@ pub(crate) async fn serve(
     })
     .max_decoding_message_size(config.max_message_bytes);
     let reflection = descriptors().build_v1()?;
-    let reflection = reflection.max_decoding_message_size(MAX_OPEN_REQUEST_BYTES);
+    let reflection = reflection.max_decoding_message_size(MAX_UNAUTHENTICATED_REQUEST_BYTES);
     let reflection_alpha = descriptors().build_v1alpha()?;
-    let reflection_alpha = reflection_alpha.max_decoding_message_size(MAX_OPEN_REQUEST_BYTES);
+    let reflection_alpha =
+        reflection_alpha.max_decoding_message_size(MAX_UNAUTHENTICATED_REQUEST_BYTES);
     let keepalive = (config.keepalive_interval_ms > 0)
         .then(|| Duration::from_millis(config.keepalive_interval_ms));
     let max_calls = callers.max_calls(config);
@@ -112,9 +113,13 @@ pub(crate) async fn serve(
         shared.admission.clone(),
     );
     let send_timeout = Duration::from_millis(config.send_timeout_ms);
-    let watched = Arc::clone(&connections);
+    let (watched, stopping) = (Arc::clone(&connections), phases.clone().stopping());
     let _watching = AbortOnDropHandle::new(tokio::spawn(async move {
-        watched.cut_unread(send_timeout).await;
+        let cut_waiting = async {
+            stopping.await;
+            watched.cut_waiting().await;
+        };
+        tokio::join!(watched.cut_unread(send_timeout), cut_waiting);
     }));
     let of_members = (callers == Callers::Members).then(|| MemberFace {
         service: shared.service.clone(),
@@ -134,7 +139,7 @@ pub(crate) async fn serve(
         .add_service(reflection)
         .add_service(reflection_alpha)
         .serve_with_incoming_shutdown(
-            connection::incoming(listener, connections, tls, cut),
+            connection::incoming(listener, connections, cut),
             phases.stopping(),
         )
         .await?;
@@ -142,7 +147,7 @@ pub(crate) async fn serve(
 }
 
 /// The service of the points.
-fn points(config: &GrpcConfig, shared: &Shared, phases: &PhaseWatch) -> TolerantPointServer {
+fn points(config: &GrpcConfig, shared: &FaceContext, phases: &PhaseWatch) -> TolerantPointServer {
     TolerantPointServer::new(PointFace {
         service: shared.service.clone(),
         streams: KnnStreams {

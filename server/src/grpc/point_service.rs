@@ -14,7 +14,7 @@ use wayfold_proto::v1::{
 };
 
 use super::{
-    calls::{call_of, open},
+    calls::{call_of, into_call},
     status::{Answer, Messages, respond, respond_all},
     stream_knn::{Answers, KnnStreams},
 };
@@ -30,17 +30,17 @@ pub(crate) struct PointFace {
 #[tonic::async_trait]
 impl PointService for PointFace {
     async fn insert(&self, request: Request<v1::InsertRequest>) -> Answer<v1::InsertResponse> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond(self.service.insert(&call, message).await)
     }
 
     async fn update(&self, request: Request<v1::UpdateRequest>) -> Answer<v1::UpdateResponse> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond(self.service.update(&call, message).await)
     }
 
     async fn remove(&self, request: Request<v1::RemoveRequest>) -> Answer<v1::RemoveResponse> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond(self.service.remove(&call, message).await)
     }
 
@@ -48,27 +48,27 @@ impl PointService for PointFace {
         &self,
         request: Request<v1::OpenSessionRequest>,
     ) -> Answer<v1::OpenSessionResponse> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond(self.service.open_session(&call, message).await)
     }
 
     async fn write(&self, request: Request<v1::WriteRequest>) -> Answer<v1::WriteResponse> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond(self.service.write(&call, message).await)
     }
 
     async fn get(&self, request: Request<v1::GetRequest>) -> Answer<v1::GetResponse> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond(self.service.get(&call, message).await)
     }
 
     async fn knn(&self, request: Request<v1::KnnRequest>) -> Answer<v1::KnnResponse> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond(self.service.knn(&call, message).await)
     }
 
     async fn query(&self, request: Request<v1::QueryRequest>) -> Answer<v1::QueryResponse> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond(self.service.query(&call, message).await)
     }
 
@@ -87,14 +87,14 @@ impl PointService for PointFace {
     type ScanStream = Messages<v1::ScanResponse>;
 
     async fn scan(&self, request: Request<v1::ScanRequest>) -> Answer<Self::ScanStream> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond_all(self.service.scan(&call, message).await)
     }
 
     type WatchStream = Messages<v1::WatchResponse>;
 
     async fn watch(&self, request: Request<v1::WatchRequest>) -> Answer<Self::WatchStream> {
-        let (call, message) = open(request);
+        let (call, message) = into_call(request);
         respond_all(self.service.watch(&call, message).await)
     }
 }

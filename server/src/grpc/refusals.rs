@@ -10,14 +10,15 @@ use tonic::{Code, Status, body::Body};
 
 use super::deadline::{self, MalformedTimeout};
 use crate::{
+    request_bounds::{MAX_INDEX_REQUEST_BYTES, SMALL_SPACE},
     service::{Error, Unavailability, Violation},
     status::{Status as Refusal, busy, from_error, limit},
-    verbs::{MAX_INDEX_REQUEST_BYTES, SMALL_SPACE},
 };
 
 const MAX_MESSAGE_BYTES: &str = "grpc.max_message_bytes";
 const MAX_INDEX_REQUEST: &str = "index_request_bytes";
 const MAX_ARRIVING: &str = "arriving_requests";
+const WAITING_REFLECTION: &str = "waiting_reflection_bytes";
 const MAX_CALLS: &str = "grpc.max_calls_per_connection";
 const RECEIVE_TIMEOUT_MS: &str = "grpc.receive_timeout_ms";
 
@@ -45,7 +46,7 @@ impl MessageLimit {
         Self { name, bytes }
     }
 
-    /// The same for a call on indices, except for the parts of a snapshot.
+    /// The limit of a call on indices: at most [`MAX_INDEX_REQUEST_BYTES`], except for the parts of a snapshot.
     pub(crate) fn for_indices(self) -> Self {
         match self.bytes > MAX_INDEX_REQUEST_BYTES {
             true => Self {
@@ -80,6 +81,14 @@ pub(crate) fn restate(status: Status, limit: MessageLimit, advice: &str) -> Stat
         Code::OutOfRange => too_large(limit, advice).into(),
         Code::Internal => malformed(status.message()).into(),
         _ => status,
+    }
+}
+
+/// Our own refusal of a request, or the end of a call whose client cut it: that is no fault of the server.
+pub(crate) fn unless_left(status: Status) -> Status {
+    match status.details().is_empty() {
+        true => Status::cancelled("the request was cut"),
+        false => status,
     }
 }
 
@@ -148,6 +157,14 @@ pub(crate) fn too_many_arriving(most: usize) -> Refusal {
         "{most} requests for health or reflection of this connection have not arrived whole: wait for them"
     );
     busy("TOO_MANY_CALLS", message, MAX_ARRIVING, most)
+}
+
+/// The refusal of requests for reflection above `most` bytes that wait for their client to read the answers before.
+pub(crate) fn too_many_waiting(most: usize) -> Refusal {
+    let message = format!(
+        "more than {most} bytes of requests for reflection wait: read the answers before you ask on"
+    );
+    limit("LIMIT_EXCEEDED", message, WAITING_REFLECTION, most)
 }
 
 /// The answer to a call that made the server panic.

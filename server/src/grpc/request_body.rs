@@ -1,4 +1,5 @@
-//! The body of a request on its way in: its bytes are counted, and its time is limited.
+//! The body of a request on its way in: its bytes are counted, and its time is limited. A server that stops ends it if it is
+//! not whole.
 //!
 //! A client that sends parts of messages holds memory of the server for as long as it likes. So all requests together
 //! may hold a number of bytes, those of one connection a share of it, and a request must arrive in time.
@@ -14,13 +15,14 @@ use bytes::{Buf, Bytes};
 use http_body::{Body as HttpBody, Frame, SizeHint};
 use http_body_util::BodyExt;
 use tokio::time::Sleep;
+use tokio_util::sync::WaitForCancellationFutureOwned;
 use tonic::{Status, body::Body};
 
 use super::{
     connections::Activity,
     refusals::{self, MessageLimit},
 };
-use crate::{admission::HeldBytes, status};
+use crate::{admission::HeldBytes, service::Service, status};
 
 /// Bytes before each message: a flag and the length.
 pub(super) const HEADER_BYTES: usize = 5;
@@ -48,10 +50,13 @@ pub(super) struct RequestBody {
     began: Instant,
     /// Set at the first wait for a message.
     timer: Option<Pin<Box<Sleep>>>,
+    service: Service,
+    /// Set at the first wait: the time at which the server begins to stop.
+    stopping: Option<Pin<Box<WaitForCancellationFutureOwned>>>,
 }
 
 impl RequestBody {
-    /// The body of a call on the connection of `activity` that began at `began`, and whose bytes are `held`.
+    /// The body of a call of `service` on the connection of `activity` that began at `began`, and whose bytes are `held`.
     pub(super) fn new(
         inner: Body,
         limits: RequestLimits,
@@ -59,6 +64,7 @@ impl RequestBody {
         activity: Option<Activity>,
         is_stream: bool,
         began: Instant,
+        service: Service,
     ) -> Self {
         Self {
             inner,
@@ -69,6 +75,8 @@ impl RequestBody {
             messages: Messages::default(),
             began,
             timer: None,
+            service,
+            stopping: None,
         }
     }
 
@@ -112,6 +120,12 @@ impl RequestBody {
         }
     }
 
+    fn is_stopping(&mut self, context: &mut Context<'_>) -> bool {
+        let stopping = || Box::pin(self.service.stopping());
+        let stopping = self.stopping.get_or_insert_with(stopping);
+        stopping.as_mut().poll(context).is_ready()
+    }
+
     fn is_late(&mut self, context: &mut Context<'_>) -> bool {
         if self.is_stream && self.messages.are_whole() {
             return false;
@@ -146,10 +160,18 @@ impl HttpBody for RequestBody {
                     return Poll::Ready(Some(Err(status)));
                 }
             }
+            // A stopping server waits for no client that may never send the rest.
+            Poll::Pending if this.is_stopping(context) => {
+                return Poll::Ready(Some(Err(refusals::stopping().into())));
+            }
             Poll::Pending if this.is_late(context) => {
                 this.held.flow().count_slow();
                 let status = refusals::too_slow(this.limits.time);
                 return Poll::Ready(Some(Err(status.into())));
+            }
+            // A stream that its client resets has not ended, whatever the reason. Tonic takes CANCELLED for an end.
+            Poll::Ready(Some(Err(_)) | None) if this.is_stream && !this.inner.is_end_stream() => {
+                return Poll::Ready(Some(Err(Status::unknown("the request was cut"))));
             }
             Poll::Pending | Poll::Ready(_) => {}
         }
@@ -253,7 +275,7 @@ mod tests {
     use super::*;
     use crate::{admission::Admission, config::Config};
 
-    async fn whole_of(frames: Vec<Bytes>) -> Result<Bytes, Status> {
+    fn request(frames: Vec<Bytes>, is_stream: bool) -> RequestBody {
         let frames = frames
             .into_iter()
             .map(|bytes| Ok::<_, Status>(Frame::data(bytes)));
@@ -264,8 +286,28 @@ mod tests {
         };
         let admission = Admission::new(&Config::default().admission, 1, 0);
         let held = Arc::new(admission.open().hold());
-        let body = RequestBody::new(inner, limits, held, None, false, Instant::now());
-        body.whole().await
+        let service = Service::starting(Default::default());
+        RequestBody::new(
+            inner,
+            limits,
+            held,
+            None,
+            is_stream,
+            Instant::now(),
+            service,
+        )
+    }
+
+    async fn whole_of(frames: Vec<Bytes>) -> Result<Bytes, Status> {
+        request(frames, false).whole().await
+    }
+
+    /// Hyper reports no error for some resets: the body is over, and not at its end.
+    #[tokio::test]
+    async fn a_stream_that_is_reset_has_not_ended() {
+        let mut stream = request(vec![Bytes::from_static(&[0, 0, 0, 0, 0])], true);
+        assert!(stream.frame().await.unwrap().is_ok());
+        assert!(stream.frame().await.unwrap().is_err());
     }
 
     /// Frames of one byte would hold more than thirty times what they count.

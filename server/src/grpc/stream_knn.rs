@@ -10,6 +10,7 @@ use std::{
 use futures_util::{FutureExt, Stream, StreamExt, stream, stream::BoxStream};
 use http::{Request, Response};
 use prost::{DecodeError, Message};
+use tokio::time::Interval;
 use tokio_util::task::AbortOnDropHandle;
 use tonic::{
     Status,
@@ -22,7 +23,7 @@ use tracing::Instrument;
 use wayfold_proto::v1;
 
 use super::{
-    calls::{call_of, flow_of},
+    calls::{call_of, caller_checks, check_caller, flow_of},
     message_reader::MessageReader,
     refusals::{self, MessageLimit},
 };
@@ -89,6 +90,8 @@ impl KnnStreams {
     {
         let reader = Reader {
             messages,
+            call: call.clone(),
+            checks: caller_checks(),
             stopping: Box::pin(self.phases.clone().stopping()),
             max_message_bytes: self.max_message_bytes,
             ended: false,
@@ -214,6 +217,9 @@ enum ReadOutcome {
 
 struct Reader<M> {
     messages: M,
+    call: Call,
+    /// A stream ends with the rights of its caller, also without a request.
+    checks: Interval,
     stopping: Pin<Box<dyn Future<Output = ()> + Send>>,
     max_message_bytes: usize,
     ended: bool,
@@ -224,10 +230,17 @@ impl<M: Stream<Item = Result<Incoming, Status>> + Unpin> Reader<M> {
         if self.ended {
             return None;
         }
-        let message = tokio::select! {
-            biased;
-            () = &mut self.stopping => Some(Err(refusals::stopping().into())),
-            message = self.messages.next() => message,
+        let message = loop {
+            tokio::select! {
+                biased;
+                () = &mut self.stopping => break Some(Err(refusals::stopping().into())),
+                message = self.messages.next() => break message,
+                _ = self.checks.tick() => {
+                    if let Err(status) = check_caller(&self.call) {
+                        break Some(Err(status));
+                    }
+                }
+            }
         };
         let read = match message? {
             Ok(Ok(v1::StreamKnnRequest { knn: Some(request) })) => ReadOutcome::Request(request),

@@ -15,7 +15,7 @@ use prometheus_client::metrics::gauge::Gauge;
 use thiserror::Error;
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
-    net::TcpStream,
+    net::{TcpListener, TcpStream},
 };
 use tokio_rustls::{
     Accept, TlsAcceptor,
@@ -62,6 +62,12 @@ pub enum TlsError {
     Members,
 }
 
+/// The listener of a face, and its certificates if it speaks TLS.
+pub(crate) struct FaceListener {
+    pub(crate) socket: TcpListener,
+    pub(crate) tls: Option<Tls>,
+}
+
 /// The certificates of the server. Clones share them.
 #[derive(Clone)]
 pub(crate) struct Tls {
@@ -101,8 +107,8 @@ impl Tls {
         Self::of(certificate, key, client_ca).map(Some)
     }
 
-    /// The same for the listener of a cluster: it accepts only members, whose certificates come from the authorities in
-    /// `peer_ca`.
+    /// Reads the certificates of the listener of a cluster, which accepts only clients with a certificate by the
+    /// authorities in `peer_ca`.
     pub(crate) fn of_members(config: &TlsConfig, peer_ca: &Path) -> Result<Self, TlsError> {
         let (Some(certificate), Some(key)) = (config.certificate(), config.key()) else {
             return Err(TlsError::Members);

@@ -10,7 +10,7 @@ use std::{
 
 use axum::{
     body::Body,
-    extract::{Request as HttpRequest, State as Of},
+    extract::{Request as HttpRequest, State},
     http::{StatusCode, header, request::Parts},
     response::{IntoResponse, Response},
 };
@@ -24,7 +24,7 @@ use tracing::Instrument;
 use super::{Pages, streams::MAX_STREAMS};
 use crate::{
     admission::{CALL_BYTES, CallTurns, Flow, HeldBytes},
-    faces::{Addresses, Shared},
+    faces::{Addresses, FaceContext},
     identity::Denial,
     observe::{CallRecord, Ending, Times},
     service::{Call, Code, Error},
@@ -43,7 +43,7 @@ const MAX_TIME: Duration = Duration::from_secs(10);
 
 /// The state that the calls of this listener share.
 pub(super) struct Api {
-    pub(super) shared: Shared,
+    pub(super) shared: FaceContext,
     /// All of them take the turns and the memory of one connection, so that the page cannot slow planners.
     flow: Arc<Flow>,
     /// That of scrapes is one of administration: the load does not refuse them.
@@ -120,7 +120,8 @@ impl Api {
         }
         let mut record = CallRecord::begin(
             format!("Http/{verb}"),
-            ("http", verb),
+            "http",
+            verb,
             arrived,
             &self.shared.metrics,
             &call,
@@ -157,7 +158,7 @@ impl Api {
 }
 
 /// Answers a verb.
-pub(super) async fn answer(Of(api): Of<Arc<Api>>, request: HttpRequest) -> Response {
+pub(super) async fn answer(State(api): State<Arc<Api>>, request: HttpRequest) -> Response {
     let (parts, body) = request.into_parts();
     let target = Target::of_reader(PREFIX, parts.uri.path());
     let verb = target.as_ref().map_or("other", |it| it.verb.name());
@@ -245,7 +246,7 @@ async fn receive(mut body: Body, held: &HeldBytes) -> Result<Bytes, Status> {
 }
 
 async fn ask(
-    shared: &Shared,
+    shared: &FaceContext,
     call: &Call,
     target: Result<Target<'_>, Error>,
     query: Option<&str>,

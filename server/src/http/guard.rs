@@ -3,7 +3,7 @@
 use std::net::IpAddr;
 
 use axum::{
-    extract::{Request, State as Of},
+    extract::{Request, State},
     http::{HeaderMap, StatusCode, header},
     middleware::Next,
     response::{IntoResponse, Response},
@@ -20,7 +20,11 @@ pub(super) struct Guard {
 
 /// Answers requests of the server's own page and of programs. A page of another origin shows itself by `Sec-Fetch-Site`, in
 /// older browsers by `Origin`; one whose name was pointed at this machine (DNS rebinding), by a `Host` that is neither an address nor localhost.
-pub(super) async fn own_origin(Of(guard): Of<Guard>, request: Request, next: Next) -> Response {
+pub(super) async fn own_origin(
+    State(guard): State<Guard>,
+    request: Request,
+    next: Next,
+) -> Response {
     // HTTP/2 has the host in the address.
     let authority = request.uri().authority().map(|it| it.as_str());
     match guard.admits(request.headers(), authority) {

@@ -6,12 +6,12 @@
 
 mod api;
 mod bounded;
+mod collector;
 mod frame;
 mod guard;
 mod overview;
 mod page;
 mod points;
-mod state;
 mod streams;
 
 use std::{
@@ -25,7 +25,7 @@ use std::{
 use axum::{
     Router,
     extract::{
-        State as Of,
+        State,
         connect_info::{ConnectInfo, Connected},
     },
     http::{StatusCode, header, request::Parts},
@@ -34,13 +34,13 @@ use axum::{
     routing::{get, post},
     serve::{IncomingStream, Listener},
 };
-use tokio::{net::TcpListener, time::timeout};
+use tokio::time::timeout;
 use tokio_util::task::{TaskTracker, task_tracker::TaskTrackerToken};
 
 use crate::{
     admission::CALL_BYTES,
-    faces::{Addresses, Shared},
-    grpc::{Client, Tls, token},
+    faces::{Addresses, FaceContext},
+    grpc::{Client, FaceListener, Tls, token},
     identity::Identities,
     lifecycle::{Phase, PhaseWatch},
     observe::{CallRecord, Ending, MAX_SCRAPES},
@@ -49,8 +49,8 @@ use crate::{
 };
 use api::{Api, refusal, unread};
 use bounded::{BoundedConnection, ConnectionSlots};
+pub(crate) use collector::MetricsCollector;
 use guard::Guard;
-pub(crate) use state::State;
 
 /// The media type of OpenMetrics.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -64,19 +64,18 @@ const ACCEPT_RETRY_PAUSE: Duration = Duration::from_secs(1);
 /// The sources of the pages.
 #[derive(Clone)]
 pub(crate) struct Pages {
-    pub(crate) shared: Shared,
+    pub(crate) shared: FaceContext,
     pub(crate) phases: PhaseWatch,
     pub(crate) addresses: Arc<Addresses>,
     /// The calls that a stopping server finishes.
     pub(crate) under_way: TaskTracker,
 }
 
-/// Serves the pages on `listener`, over TLS if there is any, until it is dropped.
-pub(crate) async fn serve(listener: TcpListener, tls: Option<Tls>, pages: Pages) -> io::Result<()> {
-    let routes = routes(pages, tls.is_some());
+/// Serves the pages on `listener` until it is dropped.
+pub(crate) async fn serve(listener: FaceListener, pages: Pages) -> io::Result<()> {
+    let routes = routes(pages, listener.tls.is_some());
     let listener = PagesListener {
         listener,
-        tls,
         slots: ConnectionSlots::new(MAX_CONNECTIONS),
     };
     let routes = routes.into_make_service_with_connect_info::<Connection>();
@@ -138,15 +137,16 @@ fn active(request: &Parts) -> Option<TaskTrackerToken> {
     connection.map(|it| it.0.calls.token())
 }
 
-async fn metrics(Of(api): Of<Arc<Api>>, request: Parts) -> Response {
+async fn metrics(State(api): State<Arc<Api>>, request: Parts) -> Response {
     let arrived = Instant::now();
     let shared = &api.shared;
     let call = call(&shared.identities, &request);
     if let Err(denied) = Service::authorize_metrics(&call) {
         let status = status::from_error(&denied);
         // Each look would be a call; only those of strangers count.
-        let verb = ("http", "metrics");
-        let mut record = CallRecord::begin("Http/metrics", verb, arrived, &shared.metrics, &call);
+        let metrics = &shared.metrics;
+        let mut record =
+            CallRecord::begin("Http/metrics", "http", "metrics", arrived, metrics, &call);
         record.end(Ending::Failed(status.code));
         return refusal(&status);
     }
@@ -170,7 +170,7 @@ async fn metrics(Of(api): Of<Arc<Api>>, request: Parts) -> Response {
 }
 
 /// The metrics as text.
-async fn metrics_text(shared: &Shared) -> Result<String, Error> {
+async fn metrics_text(shared: &FaceContext) -> Result<String, Error> {
     let text = shared.metrics.scrape().await;
     text.map_err(|error| Error::Internal {
         what: format!("the metrics cannot be written: {error}"),
@@ -178,7 +178,7 @@ async fn metrics_text(shared: &Shared) -> Result<String, Error> {
 }
 
 /// 200 while calls that read are answered; the text tells whether points can be added too, and whether an index is damaged.
-async fn ready(Of(pages): Of<Arc<Pages>>) -> (StatusCode, &'static str) {
+async fn ready(State(pages): State<Arc<Pages>>) -> (StatusCode, &'static str) {
     let service = &pages.shared.service;
     match pages.phases.current() {
         Phase::Serving if !service.accepts_reads() => (
@@ -186,7 +186,7 @@ async fn ready(Of(pages): Of<Arc<Pages>>) -> (StatusCode, &'static str) {
             "the store cannot be read, see `wayfold list`\n",
         ),
         Phase::Serving if !service.accepts_growth() => (StatusCode::OK, "degraded: reading only\n"),
-        Phase::Serving if service.has_shown_damage() => (
+        Phase::Serving if service.has_damage_cached() => (
             StatusCode::OK,
             "degraded: an index is damaged, see `wayfold list`\n",
         ),
@@ -196,10 +196,9 @@ async fn ready(Of(pages): Of<Arc<Pages>>) -> (StatusCode, &'static str) {
     }
 }
 
-/// A listener with TLS, or without.
+/// A listener that bounds its connections.
 struct PagesListener {
-    listener: TcpListener,
-    tls: Option<Tls>,
+    listener: FaceListener,
     slots: Arc<ConnectionSlots>,
 }
 
@@ -209,7 +208,7 @@ impl Listener for PagesListener {
 
     async fn accept(&mut self) -> (Self::Io, Self::Addr) {
         loop {
-            let Ok((socket, peer)) = self.listener.accept().await else {
+            let Ok((socket, peer)) = self.listener.socket.accept().await else {
                 // The listener fails while the process has no file descriptors left.
                 let _ = timeout(ACCEPT_RETRY_PAUSE, pending::<()>()).await;
                 continue;
@@ -217,7 +216,11 @@ impl Listener for PagesListener {
             let slot = self.slots.take().await;
             let calls = slot.calls.clone();
             let client = Client::default();
-            let socket = Tls::accept(self.tls.as_ref(), socket, Some(Arc::clone(&client)));
+            let socket = Tls::accept(
+                self.listener.tls.as_ref(),
+                socket,
+                Some(Arc::clone(&client)),
+            );
             return (
                 BoundedConnection::new(socket, slot),
                 Connection {
@@ -232,7 +235,7 @@ impl Listener for PagesListener {
     fn local_addr(&self) -> io::Result<Self::Addr> {
         // The listener itself has no client.
         Ok(Connection {
-            peer: self.listener.local_addr()?,
+            peer: self.listener.socket.local_addr()?,
             client: Client::default(),
             calls: TaskTracker::new(),
         })

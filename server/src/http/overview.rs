@@ -4,7 +4,7 @@
 use std::{net::SocketAddr, sync::Arc, time::Duration};
 
 use axum::{
-    extract::State as Of,
+    extract::State,
     http::{header, request::Parts},
     response::{IntoResponse, Response},
 };
@@ -33,7 +33,7 @@ const PERIOD: Duration = Duration::from_secs(1);
 const MAX_SHARE: u32 = 10;
 
 /// Answers with the addresses that the server listens on.
-pub(super) async fn addresses(Of(api): Of<Arc<Api>>, request: Parts) -> Response {
+pub(super) async fn addresses(State(api): State<Arc<Api>>, request: Parts) -> Response {
     match api.admit("addresses", &request, false) {
         Ok(mut admitted) => {
             admitted.record.end(Ending::Ok);
@@ -52,7 +52,7 @@ pub(super) async fn addresses(Of(api): Of<Arc<Api>>, request: Parts) -> Response
 }
 
 /// Answers with the stream.
-pub(super) async fn overview(Of(api): Of<Arc<Api>>, request: Parts) -> Response {
+pub(super) async fn overview(State(api): State<Arc<Api>>, request: Parts) -> Response {
     match StreamCall::admit(&api, "overview", &request) {
         Ok(call) => {
             streams::answer(

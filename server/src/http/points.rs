@@ -7,7 +7,7 @@
 use std::{sync::Arc, time::Duration};
 
 use axum::{
-    extract::{Path, RawQuery, State as Of},
+    extract::{Path, RawQuery, State},
     http::request::Parts,
     response::Response,
 };
@@ -115,7 +115,7 @@ impl PointsRequest {
 
 /// Answers with the stream of an index.
 pub(super) async fn points(
-    Of(api): Of<Arc<Api>>,
+    State(api): State<Arc<Api>>,
     Path(index): Path<String>,
     RawQuery(query): RawQuery,
     request: Parts,

@@ -80,11 +80,12 @@ fn router(service: &Service, identities: Identities) -> Router {
 }
 
 fn pages(service: &Service, identities: Identities) -> Pages {
-    let shared = Shared::new(&Config::default(), service.clone(), identities);
+    let shared = FaceContext::new(&Config::default(), service.clone(), identities);
     let phases = Lifecycle::starting().watch();
     let addresses = Arc::new(Addresses {
         grpc: ([0, 0, 0, 0], 50051).into(),
         pages: Some(([127, 0, 0, 1], 8080).into()),
+        members: None,
         has_tls: true,
         has_identities: false,
         zenoh: Vec::new(),

@@ -316,7 +316,7 @@ mod tests {
 
     use super::*;
 
-    /// The same by trying every length of the first star.
+    /// Matches by the definition: tries every length of the first star.
     fn matches_by_definition(pattern: &[u8], name: &[u8]) -> bool {
         match (pattern.split_first(), name.split_first()) {
             (None, None) => true,

@@ -15,7 +15,7 @@ use thiserror::Error;
 use time::{OffsetDateTime, format_description::well_known::Rfc3339};
 
 use super::{Caller, ClientCertificate, IdentificationError, Identity, Pattern, Role};
-use crate::wrong_text;
+use crate::redact;
 
 /// The SHA-256 of a token, in words, which are compared faster than bytes.
 type Digest = [u64; 4];
@@ -86,7 +86,7 @@ impl Table {
     }
 
     fn parse(text: &str) -> Result<Self, String> {
-        let parsed: File = toml::from_str(text).map_err(|error| wrong_text::toml(&error, text))?;
+        let parsed: File = toml::from_str(text).map_err(|error| redact::toml(&error, text))?;
         let mut table = Self::default();
         for entry in parsed.identities {
             let name = entry.name.clone();

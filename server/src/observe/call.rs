@@ -2,7 +2,7 @@
 
 use std::{fmt, sync::Arc, time::Instant};
 
-use tracing::{Span, debug, field, info_span, warn};
+use tracing::{Span, debug, error_span, field, warn};
 use wayfold_proto::v1;
 
 use super::{
@@ -88,7 +88,8 @@ impl CallRecord {
     /// its caller, its peer, and the trace and the parent of its `traceparent`.
     pub(crate) fn begin(
         rpc: impl Into<String>,
-        (face, verb): (&'static str, &'static str),
+        face: &'static str,
+        verb: &'static str,
         started: Instant,
         metrics: &Metrics,
         call: &Call,
@@ -100,7 +101,8 @@ impl CallRecord {
             face,
             verb,
             index: Arc::clone(&call.index),
-            span: info_span!(
+            // The lines of a call name it at every level of the filter.
+            span: error_span!(
                 "call",
                 rpc,
                 // A field that is recorded later costs a call more than one that is known here.

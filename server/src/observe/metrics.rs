@@ -175,7 +175,8 @@ impl Metrics {
         Ok(written)
     }
 
-    /// The same, from another thread. One such thread writes at a time; a caller that leaves before its turn starts none.
+    /// Writes the metrics as text on another thread. One such thread writes at a time, and a caller that leaves before its
+    /// turn starts none.
     pub(crate) async fn scrape(&self) -> Result<String, fmt::Error> {
         let writing = Arc::clone(&self.0.writing).lock_owned().await;
         let metrics = self.clone();

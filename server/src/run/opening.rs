@@ -3,22 +3,28 @@
 use std::{mem, sync::Arc};
 
 use parking_lot::Mutex;
+use tokio::runtime::Handle;
+use tokio_util::sync::CancellationToken;
 use tracing::error;
 
 use super::ServerError;
 use crate::{
     config::DataConfig,
     log::{
-        Catalogue, FjallLog, Journal, Log, MemoryLog, NatsError, NatsOptions, PointStore,
-        StoreOptions, connect_nats,
+        Catalogue, FjallLog, Journal, Log, MemoryLog, NatsOptions, PointStore, StoreOptions,
+        open_nats,
     },
     registry::{Registry, RegistryOptions},
     watermark::Watermarks,
 };
 
-/// The store on disk, once it is open. Clones share it.
+/// The life of the store on disk, which a server in memory never opens. Clones share it.
 #[derive(Clone, Default)]
-pub(super) struct OpenedStore(Arc<Mutex<Stage>>);
+pub(super) struct StoreLifetime {
+    stage: Arc<Mutex<Stage>>,
+    /// Cancelled by [`StoreLifetime::close`].
+    closing: CancellationToken,
+}
 
 #[derive(Default)]
 enum Stage {
@@ -28,16 +34,22 @@ enum Stage {
     Closed,
 }
 
-impl OpenedStore {
+impl StoreLifetime {
     /// Opens the log and replays it into a registry, on a blocking thread. Returns the connection to NATS if the journal
     /// is there.
     pub(super) async fn open_registry(
         self,
         options: RegistryOptions,
-        (data, cluster): (DataConfig, Option<NatsOptions>),
+        data: DataConfig,
+        cluster: Option<NatsOptions>,
         watermarks: Watermarks,
     ) -> Result<(Registry, Option<async_nats::Client>), ServerError> {
         let open = move || {
+            // A server that stops meanwhile waits for this lock: the runtime must outlive the connecting.
+            let mut stage = self.stage.lock();
+            if matches!(*stage, Stage::Closed) {
+                return Err(ServerError::Ended);
+            }
             let (log, nats) = match data.directory() {
                 Some(directory) => {
                     let memory = watermarks.memory.as_ref().and_then(|memory| memory.limit());
@@ -46,18 +58,13 @@ impl OpenedStore {
                         memory: memory.unwrap_or(u64::MAX),
                         is_copy: cluster.is_some(),
                     };
-                    // A server that stops meanwhile waits for this lock, and then closes the store.
-                    let mut stage = self.0.lock();
-                    if matches!(*stage, Stage::Closed) {
-                        return Err(ServerError::Ended);
-                    }
                     let local = Arc::new(FjallLog::open(directory, options)?);
                     *stage = Stage::Open(Arc::clone(&local));
-                    drop(stage);
-                    log_over(local, cluster.as_ref())?
+                    self.log_over(local, cluster.as_ref())?
                 }
-                None => log_over(Arc::new(MemoryLog::new()), cluster.as_ref())?,
+                None => self.log_over(Arc::new(MemoryLog::new()), cluster.as_ref())?,
             };
+            drop(stage);
             let registry = Registry::with_watermarks(log, options, watermarks);
             registry.replay()?;
             Ok((registry, nats))
@@ -67,10 +74,11 @@ impl OpenedStore {
         opened.unwrap_or(Err(ServerError::Ended))
     }
 
-    /// Closes the store, which does not open any more. The pages and calls that were cut may hold it for longer than the process lives.
+    /// Closes the store for good, without waiting for the pages and cut calls that may hold it until the process ends.
     pub(super) async fn close(self) {
+        self.closing.cancel();
         let close = move || {
-            if let Stage::Open(store) = mem::replace(&mut *self.0.lock(), Stage::Closed) {
+            if let Stage::Open(store) = mem::replace(&mut *self.stage.lock(), Stage::Closed) {
                 store.close();
             }
         };
@@ -78,19 +86,24 @@ impl OpenedStore {
             error!(%error, "the store was not closed in order");
         }
     }
-}
 
-/// The log over the engine of this server: the engine itself, or its points under the journal of a cluster.
-fn log_over<Engine>(
-    local: Arc<Engine>,
-    cluster: Option<&NatsOptions>,
-) -> Result<(Log, Option<async_nats::Client>), NatsError>
-where
-    Engine: Journal + PointStore + Catalogue + 'static,
-{
-    match cluster {
-        None => Ok((Log::from(local), None)),
-        Some(options) => connect_nats(options, local).map(|(log, nats)| (log, Some(nats))),
+    /// The log over the engine of this server: the engine itself, or its points under the journal of a cluster. The wait for
+    /// NATS ends with [`StoreLifetime::close`].
+    fn log_over<Engine>(
+        &self,
+        local: Arc<Engine>,
+        cluster: Option<&NatsOptions>,
+    ) -> Result<(Log, Option<async_nats::Client>), ServerError>
+    where
+        Engine: Journal + PointStore + Catalogue + 'static,
+    {
+        let Some(options) = cluster else {
+            return Ok((Log::from(local), None));
+        };
+        let opening = self.closing.run_until_cancelled(open_nats(options, local));
+        let opened = Handle::current().block_on(opening);
+        let (log, nats) = opened.ok_or(ServerError::Ended)??;
+        Ok((log, Some(nats)))
     }
 }
 
@@ -106,11 +119,12 @@ mod tests {
             dir: directory.path().to_str().unwrap().into(),
             durability: Durability::Fsync,
         };
-        let store = OpenedStore::default();
+        let store = StoreLifetime::default();
         store.clone().close().await;
         let opened = store.open_registry(
             RegistryOptions::default(),
-            (data, None),
+            data,
+            None,
             Watermarks::default(),
         );
         assert!(matches!(opened.await, Err(ServerError::Ended)));

@@ -5,12 +5,10 @@
 
 mod codec;
 mod dispatch;
-mod fields;
 mod request;
 mod verb;
 
 pub(crate) use codec::{Form, MAX_DYNAMIC_BYTES, invalid};
 pub(crate) use dispatch::dispatch;
-pub(crate) use fields::{MAX_INDEX_REQUEST_BYTES, SMALL_SPACE, check_fields};
 pub(crate) use request::{MAX_TIMEOUT, Request, at_length};
 pub(crate) use verb::{Target, Verb};

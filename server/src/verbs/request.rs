@@ -9,11 +9,11 @@ use prost::Name;
 
 use super::{
     codec::{Form, MAX_DYNAMIC_BYTES, invalid},
-    fields::{MAX_INDEX_REQUEST_BYTES, SMALL_SPACE, check_fields},
     verb::Verb,
 };
 use crate::{
     observe,
+    request_bounds::{MAX_INDEX_REQUEST_BYTES, SMALL_SPACE, check_fields},
     service::{Error, Limits},
 };
 

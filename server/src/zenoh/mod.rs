@@ -30,7 +30,7 @@ use zenoh::{Session, key_expr::KeyExpr, query::Queryable};
 pub use session::ZenohError;
 pub(crate) use session::{MAX_PENDING, MAX_SESSIONS, exposed};
 
-use crate::{config::ZenohConfig, faces::Shared};
+use crate::{config::ZenohConfig, faces::FaceContext};
 use feed::Announcer;
 use flows::Flows;
 use inline::Inline;
@@ -68,7 +68,7 @@ impl ZenohFace {
     /// service serves. In a cluster it takes none until then: the other servers answer them.
     pub(crate) async fn open(
         config: &ZenohConfig,
-        shared: Shared,
+        shared: FaceContext,
         in_cluster: bool,
     ) -> Result<Option<Self>, ZenohError> {
         if config.is_off() {
@@ -150,7 +150,7 @@ impl ZenohFace {
         self.stop_after(linger(&session)).await;
     }
 
-    /// The same, with another moment for the callers.
+    /// Does the work of [`stop`](Self::stop), but leaves callers until `lingered` to read the answers.
     async fn stop_after(mut self, lingered: impl Future<Output = ()>) {
         if self.in_cluster {
             // The other servers answer from now on.

@@ -33,7 +33,7 @@ use super::{
 };
 use crate::{
     admission::{CALL_BYTES, CallTurns, HeldBytes},
-    faces::Shared,
+    faces::FaceContext,
     identity::{Caller, Denial, Identities},
     observe::{CallRecord, Ending, Times},
     service::{Call, Error, Peer, Unavailability},
@@ -51,7 +51,7 @@ const MAX_SELECTOR_BYTES: usize = 64 * 1024;
 
 /// Answers queries.
 pub(super) struct Queries {
-    pub(super) shared: Shared,
+    pub(super) shared: FaceContext,
     pub(super) prefix: String,
     pub(super) flows: Flows,
     /// Bounds the queries in flight: each may wait for its link on a thread of its own.
@@ -217,7 +217,8 @@ impl Queries {
         };
         let mut record = CallRecord::begin(
             format!("Zenoh/{rpc}"),
-            ("zenoh", rpc),
+            "zenoh",
+            rpc,
             arrived,
             &self.shared.metrics,
             &call,
@@ -227,7 +228,7 @@ impl Queries {
             if !held.has_room() {
                 return Err(status::too_many_bytes(held.flow().max_bytes()));
             }
-            self.ask(&query, form, target, (arrived, call)).await
+            self.ask(&query, form, target, arrived, call).await
         };
         let answering = AssertUnwindSafe(turns.run(evaluation)).catch_unwind();
         let answered = timeout_at(deadline.into(), answering.instrument(span)).await;
@@ -273,13 +274,14 @@ impl Queries {
         query: &Query,
         form: Result<Form, Error>,
         target: Result<Target<'_>, Error>,
-        of: (Instant, Call),
+        arrived: Instant,
+        call: Call,
     ) -> Result<Replies, Status> {
         let bytes = query.payload().map_or(0, |payload| payload.len());
         if bytes > self.max_message_bytes {
             return Err(self.too_large(bytes));
         }
-        let replies = self.replies(query, form, target, of).await;
+        let replies = self.replies(query, form, target, arrived, call).await;
         replies.map_err(|error| status::from_error(&error))
     }
 
@@ -288,7 +290,8 @@ impl Queries {
         query: &Query,
         form: Result<Form, Error>,
         target: Result<Target<'_>, Error>,
-        (arrived, call): (Instant, Call),
+        arrived: Instant,
+        call: Call,
     ) -> Result<Replies, Error> {
         // The service checks the caller too; here a stranger is refused before its request is parsed.
         call.caller.check().map_err(|why| Error::Denied {

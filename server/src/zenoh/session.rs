@@ -10,7 +10,7 @@ use super::links::ZenohRuntime;
 use crate::{
     config::ZenohConfig,
     exposure::{ExposedAddress, is_local},
-    wrong_text,
+    redact,
 };
 
 /// Time after which a peer that does not read its answers is disconnected, in microseconds.
@@ -259,7 +259,7 @@ fn settings(config: &ZenohConfig) -> Result<Config, ZenohError> {
     }
     lay_over(&mut settings, over);
     Config::from_json5(&settings.to_string()).map_err(|error| {
-        let problem = wrong_text::without_value(&error.to_string());
+        let problem = redact::without_value(&error.to_string());
         wrong(problem.unwrap_or_else(|| "Zenoh does not take one of its values".into()))
     })
 }

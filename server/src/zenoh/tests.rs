@@ -55,7 +55,7 @@ async fn face_and_robot_with(
     identities: Identities,
 ) -> (ZenohFace, Session, Metrics) {
     settings.zenoh.listen = "tcp/127.0.0.1:0".into();
-    let shared = Shared::new(&settings, service, identities);
+    let shared = FaceContext::new(&settings, service, identities);
     let metrics = shared.metrics.clone();
     let face = ZenohFace::open(&settings.zenoh, shared, false)
         .await

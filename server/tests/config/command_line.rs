@@ -5,8 +5,8 @@ use std::process::{Command, Output};
 use std::{ffi::OsStr, os::unix::ffi::OsStrExt};
 #[cfg(target_os = "linux")]
 use std::{
-    fs,
-    io::{BufRead, BufReader, Read},
+    fs::{self, File},
+    io::{self, BufRead, BufReader, Read},
     process::Stdio,
 };
 
@@ -70,6 +70,33 @@ fn the_default_settings_are_printed_as_they_are_and_can_be_read_back() {
     std::fs::write(&file, printed).unwrap();
     let config = wayfold_server::config::Config::load(Some(&file), &Default::default(), &[]);
     assert_eq!(config.unwrap(), wayfold_server::config::Config::default());
+}
+
+/// A full disk is no success; a reader that has seen enough, such as `head`, is.
+#[cfg(target_os = "linux")]
+#[test]
+fn output_that_cannot_be_written_is_a_failure() {
+    let (reader, closed) = io::pipe().unwrap();
+    drop(reader);
+    let full = File::options().write(true).open("/dev/full").unwrap();
+    for (output, status, part) in [
+        (
+            Stdio::from(full),
+            1,
+            "cannot write to standard output: No space",
+        ),
+        (Stdio::from(closed), 0, ""),
+    ] {
+        let mut server = Command::new(env!("CARGO_BIN_EXE_wayfold-server"));
+        let ended = server.arg("--print-config").stdout(output).output();
+        let ended = ended.unwrap();
+        let stderr = String::from_utf8(ended.stderr).unwrap();
+        assert_eq!(ended.status.code(), Some(status), "{stderr}");
+        assert!(
+            stderr.contains(part) && stderr.is_empty() == part.is_empty(),
+            "{stderr}"
+        );
+    }
 }
 
 #[test]

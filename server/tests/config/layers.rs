@@ -175,6 +175,10 @@ fn a_value_out_of_range_is_named() {
         ("[grpc]\nmax_connections = -1", "grpc.max_connections"),
         ("[shutdown]\ngrace_ms = -1", "shutdown.grace_ms"),
         (
+            "[grpc]\nmax_calls_per_connection = 1",
+            "grpc.max_calls_per_connection",
+        ),
+        (
             "[grpc]\nmax_calls_per_connection = 5_000_000_000",
             "grpc.max_calls_per_connection",
         ),
@@ -202,7 +206,7 @@ fn a_growing_tree_has_no_more_rows_than_the_index_library_takes() {
 #[test]
 fn numbers_with_which_the_server_could_not_work_are_refused() {
     for text in [
-        "[limits]\nmax_answer_bytes = 4095",
+        "[limits]\nmax_answer_bytes = 262_143",
         "[index]\nmerge_threads = 1025",
         "[grpc]\nmax_message_bytes = 4_294_967_296",
         "[zenoh]\nmax_message_bytes = 4_294_967_296",
@@ -211,7 +215,7 @@ fn numbers_with_which_the_server_could_not_work_are_refused() {
         let message = load_file(text).unwrap_err().to_string();
         assert!(message.contains("is too"), "{message}");
     }
-    load_file("[limits]\nmax_answer_bytes = 4096\n[index]\nmerge_threads = 1024").unwrap();
+    load_file("[limits]\nmax_answer_bytes = 262_144\n[index]\nmerge_threads = 1024").unwrap();
 }
 
 #[test]

@@ -1,14 +1,14 @@
 //! `wayfold-server repair` as an operator runs it: its report and its exit statuses. Beside it, `reseed` without a store.
 
 use std::{
-    fs,
+    fs::{self, File},
     path::Path,
     process::{Command, Output},
 };
 
 use wayfold_server::log::{Catalogue, Durability, FjallLog, PointStore};
 
-use crate::tables::{created, flip, in_tables, move_to_tables, payload, places};
+use crate::tables::{created, flip, grow, in_tables, move_to_tables, payload, places};
 
 /// The bytes of a payload that fills a block of its own.
 const PAYLOAD: usize = 256 * 1024;
@@ -112,6 +112,48 @@ fn a_repair_does_not_lose_a_deleted_index() {
     assert_eq!(status, Some(1), "{text}");
     assert!(text.contains("loses: a-live-index ("), "{text}");
     assert_eq!(text.matches("loses: ").count(), 1, "{text}");
+}
+
+/// A clean stop had synced these revisions, so a cut journal has lost acknowledged mutations.
+#[test]
+fn lost_revisions_are_reported_though_every_byte_can_be_read() {
+    let directory = tempfile::tempdir().unwrap();
+    fill(directory.path());
+    let log = FjallLog::open(directory.path(), Durability::Fsync).unwrap();
+    let cut = created(&log, "cut");
+    for id in 1..=3 {
+        grow(&log, cut.uid, payload(id, 64)).unwrap();
+    }
+    drop(log);
+    for file in fs::read_dir(directory.path().join("store")).unwrap() {
+        let path = file.unwrap().path();
+        if path.extension().is_some_and(|suffix| suffix == "jnl") {
+            let journal = File::options().write(true).open(path).unwrap();
+            journal
+                .set_len(journal.metadata().unwrap().len() / 2)
+                .unwrap();
+        }
+    }
+    let beyond = [
+        "beyond repair: cut (the revisions 1 to 3 were",
+        "restore the index",
+        "cannot bring",
+    ];
+    for (arguments, kept) in [
+        (&["--dry-run"][..], None),
+        (&[], None),
+        (&[], Some("kept: 1 ind")),
+    ] {
+        if kept.is_some() {
+            damage(directory.path());
+        }
+        let (status, text) = repair(directory.path(), arguments);
+        assert_eq!(status, Some(1), "{text}");
+        assert!(!text.contains("is whole"), "{text}");
+        for part in beyond.into_iter().chain(kept) {
+            assert!(text.contains(part), "{part} is missing in\n{text}");
+        }
+    }
 }
 
 /// A start fails as the repair does, so neither names the other as the way out.

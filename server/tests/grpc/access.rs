@@ -1,6 +1,7 @@
 //! Every call against every kind of credential. A call without a row fails the test.
 
 mod certificates;
+mod streams;
 
 use std::{fs, path::Path};
 

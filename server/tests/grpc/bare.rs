@@ -21,8 +21,17 @@ pub struct Connection {
 
 impl Connection {
     pub async fn open(address: SocketAddr) -> Self {
+        Self::build(address, &h2::client::Builder::new()).await
+    }
+
+    /// The connection of a client that makes no room for any byte of an answer.
+    pub async fn open_without_window(address: SocketAddr) -> Self {
+        Self::build(address, h2::client::Builder::new().initial_window_size(0)).await
+    }
+
+    async fn build(address: SocketAddr, builder: &h2::client::Builder) -> Self {
         let socket = TcpStream::connect(address).await.unwrap();
-        let (client, connection) = h2::client::handshake(socket).await.unwrap();
+        let (client, connection) = builder.handshake(socket).await.unwrap();
         tokio::spawn(connection);
         Self { address, client }
     }

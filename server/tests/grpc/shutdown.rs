@@ -1,6 +1,10 @@
 //! A server that is asked to stop finishes accepted calls, refuses new ones, and does not wait without end.
 
-use crate::harness::{TestServer, connect, knn, reason};
+use crate::{
+    bare::{Connection, frame},
+    harness::{TestServer, connect, insert, knn, reason},
+};
+use bytes::Bytes;
 use futures_util::{StreamExt, stream};
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
@@ -146,6 +150,48 @@ async fn calls_beyond_the_grace_period_are_cut() {
     assert_eq!((calls, grace_ms), (1, 1));
     let rest: Vec<_> = parts.collect().await;
     assert!(rest.last().unwrap().is_err());
+}
+
+/// The clock stands still as in the next test. The client sends no more of its request, or reads nothing of its answer.
+#[tokio::test]
+async fn calls_that_only_wait_for_their_client_do_not_delay_a_stop() {
+    let watch = frame(&v1::WatchRequest {
+        index_name: "line".into(),
+        ..Default::default()
+    });
+    for (rpc, sent, is_answered) in [
+        ("PointService/Watch", watch, true),
+        ("PointService/StreamKnn", frame(&nearest_to(1.0)), true),
+        ("IndexService/RestoreIndex", Bytes::new(), false),
+        (
+            "PointService/Insert",
+            frame(&insert("line", &[0.0])).slice(..4),
+            false,
+        ),
+    ] {
+        let server = TestServer::start(|config| config.shutdown.grace_ms = 2_000_000_000).await;
+        server.create_ruler("line", 10).await;
+        let mut connection = match is_answered {
+            true => Connection::open_without_window(server.address).await,
+            false => Connection::open(server.address).await,
+        };
+        let request = connection.request(rpc);
+        let (answer, mut body) = connection.begin(request).await.unwrap();
+        body.send_data(sent, rpc == "PointService/Watch").unwrap();
+        let mut unread = None;
+        match is_answered {
+            true => unread = Some(answer.await.unwrap()),
+            false => connection.expect_call().await,
+        }
+        let began = tokio::time::Instant::now();
+        let ended = server.stop();
+        tokio::time::pause();
+        ended.await.unwrap().unwrap();
+        tokio::time::resume();
+        let waited = began.elapsed();
+        assert!(waited.as_secs() < 5, "{rpc}: {waited:?}");
+        drop((unread, body));
+    }
 }
 
 /// The clock stands still except while the server waits for a timer. A server that waited for the grace period of

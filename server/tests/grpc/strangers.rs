@@ -7,7 +7,7 @@ use crate::{
 use bytes::Bytes;
 use futures_util::{StreamExt, stream::FuturesUnordered};
 use http::{StatusCode, header};
-use tonic::Code;
+use tonic::{Code, Status};
 use tonic_health::pb::HealthCheckRequest;
 use tonic_reflection::pb::v1::{
     ServerReflectionRequest, server_reflection_request::MessageRequest,
@@ -16,6 +16,13 @@ use wayfold_proto::v1;
 
 const CHECK: &str = "grpc.health.v1.Health/Check";
 const REFLECTION: &str = "grpc.reflection.v1.ServerReflection/ServerReflectionInfo";
+
+fn list_services() -> Bytes {
+    frame(&ServerReflectionRequest {
+        host: String::new(),
+        message_request: Some(MessageRequest::ListServices(String::new())),
+    })
+}
 
 #[tokio::test]
 async fn many_headers_are_refused_and_a_long_token_is_not() {
@@ -103,15 +110,45 @@ async fn few_streams_for_reflection_of_a_connection_are_open() {
 }
 
 #[tokio::test]
+async fn an_unread_answer_of_reflection_keeps_its_place() {
+    let server = TestServer::start(|_| ()).await;
+    let mut connection = Connection::open_without_window(server.address).await;
+    let mut open = Vec::new();
+    for _ in 0..4 {
+        let request = connection.request_of(REFLECTION);
+        let (answer, mut body) = connection.begin(request).await.unwrap();
+        body.send_data(list_services(), true).unwrap();
+        open.push(answer.await.unwrap());
+    }
+    let request = connection.request_of(REFLECTION);
+    let (answer, _body) = connection.begin(request).await.unwrap();
+    let refused = Status::from_header_map(answer.await.unwrap().headers()).unwrap();
+    assert_eq!(reason(&refused, Code::ResourceExhausted), "TOO_MANY_CALLS");
+    drop(open);
+    server.stop().await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn a_stream_for_reflection_keeps_few_requests_ahead_of_its_client() {
+    const REQUESTS: usize = 10_000;
+    let server = TestServer::start(|_| ()).await;
+    let mut connection = Connection::open(server.address).await;
+    let request = connection.request_of(REFLECTION);
+    let (answer, mut body) = connection.begin(request).await.unwrap();
+    body.send_data(list_services().repeat(REQUESTS).into(), true)
+        .unwrap();
+    let refused = status(answer).await.unwrap();
+    assert_eq!(reason(&refused, Code::ResourceExhausted), "LIMIT_EXCEEDED");
+    server.stop().await.unwrap().unwrap();
+}
+
+#[tokio::test]
 async fn a_conversation_with_reflection_goes_on_after_its_first_request() {
     let server = TestServer::start(|_| ()).await;
     let mut connection = Connection::open(server.address).await;
     let request = connection.request_of(REFLECTION);
     let (answer, mut body) = connection.begin(request).await.unwrap();
-    let list = frame(&ServerReflectionRequest {
-        host: String::new(),
-        message_request: Some(MessageRequest::ListServices(String::new())),
-    });
+    let list = list_services();
     body.send_data(list.clone(), false).unwrap();
     let mut answers = answer.await.unwrap().into_body();
     assert!(answers.data().await.unwrap().unwrap().len() > 5);

@@ -49,8 +49,8 @@ impl Cluster {
     fn launch(&self, number: usize, settings: &[(&str, &str)]) -> Process {
         let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
         command
-            .args(["--grpc", "127.0.0.1:0", "--http", "127.0.0.1:0", "--data"])
-            .arg(self.data(number))
+            .args(["--grpc", "127.0.0.1:0", "--http", "127.0.0.1:0"])
+            .env("WAYFOLD_DATA__DIR", self.data(number))
             .envs(self.nats.member_settings())
             .envs(settings.iter().copied());
         Process::spawn(&mut command)

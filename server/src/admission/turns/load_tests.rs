@@ -51,7 +51,7 @@ impl Caller {
         }
     }
 
-    /// The same in the flow of the caller with this number.
+    /// A caller that shares the flow of the caller with this number.
     fn sharing(first: usize, work: Duration, asks_at: Duration, goes_on: bool) -> Self {
         let shares = Some(first);
         Self {

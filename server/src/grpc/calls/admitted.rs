@@ -1,25 +1,36 @@
 //! A call that may wait for its turns: its request arrives, and then it is answered.
 
 use std::{
-    convert::Infallible, future::poll_fn, mem, pin::Pin, sync::Arc, task::Poll, time::Instant,
+    convert::Infallible,
+    future::poll_fn,
+    mem,
+    panic::AssertUnwindSafe,
+    pin::{Pin, pin},
+    sync::Arc,
+    task::Poll,
+    time::Instant,
 };
 
 use bytes::Bytes;
+use futures_util::{FutureExt, poll};
 use http::{Request, Response};
 use http_body::Body as HttpBody;
 use http_body_util::Full;
+use tokio::time::timeout_at;
 use tonic::{Status, body::Body};
 
 use crate::{
-    admission::HeldBytes,
+    admission::{CallTurns, HeldBytes},
     grpc::{
-        body::AnswerFrame,
+        body::{AnswerFrame, CallBody, CallResources},
         connections::Activity,
         refusals,
         request_body::{HEADER_BYTES, RequestBody, RequestLimits},
     },
+    observe::{CallRecord, SlowCalls, Times},
+    request_bounds::check_fields,
     service::{Call, Service},
-    status, verbs,
+    status,
 };
 
 const WRITE: &str = "/wayfold.v1.PointService/Write";
@@ -31,8 +42,8 @@ pub(super) struct Admitted<S> {
     pub(super) held: Arc<HeldBytes>,
     pub(super) arrived: Instant,
     pub(super) call: Call,
-    /// True if its request is a stream.
-    pub(super) is_stream: bool,
+    pub(super) streams_requests: bool,
+    pub(super) streams_answers: bool,
     pub(super) service: Service,
     /// The request, unless it is a stream.
     pub(super) whole: Bytes,
@@ -42,8 +53,63 @@ impl<S> Admitted<S>
 where
     S: tower::Service<Request<Body>, Response = Response<Body>, Error = Infallible>,
 {
+    /// Receives the request and answers it, unless the call's deadline passes before.
+    pub(super) async fn run(
+        self,
+        request: Request<Body>,
+        mut turns: CallTurns,
+        mut record: CallRecord,
+        resources: CallResources,
+        slow_calls: SlowCalls,
+    ) -> Result<Response<Body>, Infallible> {
+        let (arrived, deadline) = (self.arrived, self.call.deadline);
+        let (streams_requests, streams_answers) = (self.streams_requests, self.streams_answers);
+        let mut received = None;
+        let answer = async {
+            let mut receiving = pin!(self.receive(request));
+            let arriving = match poll!(receiving.as_mut()) {
+                Poll::Ready(arrived) => arrived,
+                Poll::Pending => {
+                    // While its request still arrives, the call gives its turn to another.
+                    turns.give_up();
+                    receiving.await
+                }
+            };
+            let (admitted, request) = arriving?;
+            received = Some(arrived.elapsed());
+            let done = turns.run(admitted.answer(request)).await;
+            done.unwrap_or_else(|overloaded| Err(status::overloaded(overloaded).into()))
+        };
+        let answer = AssertUnwindSafe(answer).catch_unwind();
+        let answered = match deadline {
+            Some(at) => timeout_at(at.into(), answer).await,
+            None => Ok(answer.await),
+        };
+        let answered = match answered {
+            Ok(Ok(answered)) => answered,
+            Ok(Err(_panic)) => Err(refusals::panicked(record.rpc()).into()),
+            Err(_) => Err(refusals::deadline_exceeded().into()),
+        };
+        if !streams_requests && !streams_answers {
+            let answered = arrived.elapsed();
+            let (queued, computed) = turns.times();
+            let times = Times {
+                received: received.unwrap_or(answered),
+                queued,
+                computed,
+                answered,
+            };
+            record.took(times, &slow_calls);
+        }
+        let (response, made) = answered.unwrap_or_else(|status: Status| (status.into_http(), None));
+        let turns = streams_answers.then_some(turns);
+        Ok(CallBody::wrap(
+            response, made, record, resources, deadline, turns,
+        ))
+    }
+
     /// Receives the request.
-    pub(super) async fn receive(
+    async fn receive(
         mut self,
         mut request: Request<Body>,
     ) -> Result<(Self, Request<Body>), Status> {
@@ -54,12 +120,21 @@ where
         let activity = request.extensions().get::<Activity>().cloned();
         let (parts, body) = request.into_parts();
         let held = Arc::clone(&self.held);
-        let (is_stream, arrived) = (self.is_stream, self.arrived);
-        let body = RequestBody::new(body, self.limits, held, activity, is_stream, arrived);
-        let body = match self.is_stream {
+        let (is_stream, arrived) = (self.streams_requests, self.arrived);
+        let service = self.service.clone();
+        let body = RequestBody::new(
+            body,
+            self.limits,
+            held,
+            activity,
+            is_stream,
+            arrived,
+            service,
+        );
+        let body = match is_stream {
             true => Body::new(body),
             false => {
-                self.whole = body.whole().await.map_err(unless_left)?;
+                self.whole = body.whole().await.map_err(refusals::unless_left)?;
                 Body::empty()
             }
         };
@@ -67,18 +142,18 @@ where
     }
 
     /// Answers the request, and makes the first frame of the answer if that can be done at once.
-    pub(super) async fn answer(
+    async fn answer(
         mut self,
         mut request: Request<Body>,
     ) -> Result<(Response<Body>, Option<AnswerFrame>), Status> {
         if !self.held.has_room() {
             return Err(status::too_many_bytes(self.held.flow().max_bytes()).into());
         }
-        if !self.is_stream {
+        if !self.streams_requests {
             let message = self.whole.get(HEADER_BYTES..).unwrap_or_default();
             let is_write = request.uri().path() == WRITE;
             let limits = self.service.limits();
-            if let Err(error) = verbs::check_fields(message, is_write, limits) {
+            if let Err(error) = check_fields(message, is_write, limits) {
                 return Err(status::from_error(&error).into());
             }
             *request.body_mut() = Body::new(Full::new(mem::take(&mut self.whole)));
@@ -95,13 +170,5 @@ where
             Poll::Pending => None,
         };
         Ok((response, made))
-    }
-}
-
-/// Our own refusal of a request, or the end of a call whose client cut it: that is no fault of the server.
-fn unless_left(status: Status) -> Status {
-    match status.details().is_empty() {
-        true => Status::cancelled("the request was cut"),
-        false => status,
     }
 }

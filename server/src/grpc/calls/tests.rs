@@ -29,13 +29,13 @@ impl Service<Request<Body>> for Answering {
     }
 }
 
-fn shared() -> Shared {
+fn shared() -> FaceContext {
     let service = crate::service::Service::starting(Default::default());
-    Shared::new(&Config::default(), service, Default::default())
+    FaceContext::new(&Config::default(), service, Default::default())
 }
 
 async fn call(
-    shared: &Shared,
+    shared: &FaceContext,
     under_way: &TaskTracker,
     answer: fn() -> Response<Body>,
 ) -> Response<Body> {

@@ -24,10 +24,11 @@ async fn connection(sent: &[u8]) -> (Connection, TcpStream) {
     )
 }
 
-async fn accept_one(listener: TcpListener, tls: Option<Tls>, cut: CancellationToken) -> Connection {
+async fn accept_one(socket: TcpListener, tls: Option<Tls>, cut: CancellationToken) -> Connection {
     let admission = Admission::new(&Config::default().admission, 1, 0);
     let connections = Connections::new(1, 1, admission);
-    let mut incoming = Box::pin(incoming(listener, connections, tls, cut));
+    let listener = FaceListener { socket, tls };
+    let mut incoming = Box::pin(incoming(listener, connections, cut));
     incoming.next().await.unwrap().unwrap()
 }
 

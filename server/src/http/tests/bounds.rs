@@ -81,9 +81,10 @@ async fn an_answer_counts_until_its_client_reads_it() {
     let listener = TcpSocket::new_v4().unwrap();
     listener.set_send_buffer_size(4096).unwrap();
     listener.bind(([127, 0, 0, 1], 0).into()).unwrap();
-    let listener = listener.listen(1).unwrap();
-    let address = listener.local_addr().unwrap();
-    let _serving = AbortOnDropHandle::new(spawn(serve(listener, None, pages)));
+    let socket = listener.listen(1).unwrap();
+    let address = socket.local_addr().unwrap();
+    let listener = FaceListener { socket, tls: None };
+    let _serving = AbortOnDropHandle::new(spawn(serve(listener, pages)));
     let client = TcpSocket::new_v4().unwrap();
     client.set_recv_buffer_size(4096).unwrap();
     let mut client = client.connect(address).await.unwrap();
@@ -112,7 +113,7 @@ async fn a_call_waits_for_its_place_and_then_needs_room() {
     let api = Arc::new(Api::new(&pages, false));
     let list = || {
         let request = Request::post("/api/v1/list").body(Body::empty()).unwrap();
-        api::answer(Of(Arc::clone(&api)), request)
+        api::answer(State(Arc::clone(&api)), request)
     };
     for expected in [StatusCode::OK, StatusCode::TOO_MANY_REQUESTS] {
         let others = api.calls.acquire_many(api::MAX_CALLS as u32).await;
@@ -140,7 +141,7 @@ async fn unread_scrapes_leave_no_room_for_more_until_they_are_written() {
     others.force_take(api.scrapes.max_bytes() / 2 - ROOM);
     let scrape = || {
         let (request, ()) = Request::get("/metrics").body(()).unwrap().into_parts();
-        metrics(Of(Arc::clone(&api)), request)
+        metrics(State(Arc::clone(&api)), request)
     };
     let mut unread = Vec::new();
     let refused = loop {
@@ -274,7 +275,10 @@ async fn a_server_whose_store_cannot_be_read_is_not_ready() {
             ..pages(&service, Identities::default())
         };
         let (shared, phases) = (pages.shared.clone(), pages.phases.clone());
-        pages.shared.metrics.add(State { shared, phases });
+        pages
+            .shared
+            .metrics
+            .add(MetricsCollector { shared, phases });
         let mut router = routes(pages, false);
         let ready = ask(&mut router, Request::get("/readyz"), "").await;
         assert_eq!(ready.status(), expected);

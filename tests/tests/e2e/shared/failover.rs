@@ -24,7 +24,7 @@ fn nats_uri(cluster: &Cluster) -> String {
     cluster.nats.urls().replace("nats://", "http://")
 }
 
-/// Two servers, of which the second one reaches NATS through a proxy.
+/// Two servers with their data in memory, of which the second one reaches NATS through a proxy.
 struct TwoServers {
     runtime: Runtime,
     way: Proxy,
@@ -39,9 +39,10 @@ impl TwoServers {
         let cluster = Cluster::empty();
         let runtime = Runtime::new().unwrap();
         let way = runtime.block_on(Proxy::to(&nats_uri(&cluster)));
-        let first = cluster.start(0);
+        let memory = ("WAYFOLD_DATA__DIR", "memory");
+        let first = cluster.start_with(0, &[memory]);
         let through = way.uri.replace("http://", "nats://");
-        let second = cluster.start_with(1, &[("WAYFOLD_CLUSTER__NATS", &through)]);
+        let second = cluster.start_with(1, &[memory, ("WAYFOLD_CLUSTER__NATS", &through)]);
         let uris = format!("{},{}", first.uri(), second.uri());
         TwoServers {
             runtime,

@@ -13,21 +13,21 @@ use prometheus_client::{
 };
 
 use crate::{
-    faces::Shared,
+    faces::FaceContext,
     lifecycle::{Phase, PhaseWatch},
-    registry::{IndexState, Part},
+    registry::{IndexState, Registry, UsagePart},
     watermark::Usage,
 };
 
 /// See the module.
-pub(crate) struct State {
-    pub(crate) shared: Shared,
+pub(crate) struct MetricsCollector {
+    pub(crate) shared: FaceContext,
     pub(crate) phases: PhaseWatch,
 }
 
-impl fmt::Debug for State {
+impl fmt::Debug for MetricsCollector {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("State")
+        f.write_str("MetricsCollector")
     }
 }
 
@@ -87,7 +87,7 @@ const OF_INDEX: [(&str, &str); 15] = [
     ),
 ];
 
-impl Collector for State {
+impl Collector for MetricsCollector {
     fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> fmt::Result {
         let version = [("version", env!("CARGO_PKG_VERSION"))];
         gauges(
@@ -115,13 +115,14 @@ impl Collector for State {
             None,
             &states,
         )?;
+        let merges = self.shared.service.opened().map_or(0, Registry::merges);
         let help = "Merges of trees that run now; index.merge_threads is the most";
         gauges(
             &mut encoder,
             "merges",
             help,
             None,
-            &[([("state", "running")], self.shared.service.merges())],
+            &[([("state", "running")], merges)],
         )?;
         let help = "The live servers of the cluster that this one hears, itself among them";
         let members = [([("state", "live")], self.shared.service.members())];
@@ -137,7 +138,7 @@ impl Collector for State {
     }
 }
 
-impl State {
+impl MetricsCollector {
     fn admission(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
         let (held, most) = self.shared.admission.bytes();
         let bytes = [([("of", "held")], held), ([("of", "most")], most)];
@@ -146,7 +147,8 @@ impl State {
         gauges(encoder, "in_flight", help, Some(&Unit::Bytes), &bytes)?;
         let excess = self.shared.identities.excess();
         let busy = self.shared.admission.refused(excess);
-        let refused = busy.into_iter().chain(self.shared.service.refused_growth());
+        let of_growth = self.shared.service.opened().map(Registry::refused_growth);
+        let refused = busy.into_iter().chain(of_growth.into_iter().flatten());
         let refused: Vec<_> = refused
             .map(|(reason, count)| ([("reason", reason)], count))
             .collect();
@@ -155,9 +157,9 @@ impl State {
     }
 
     fn resources(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        let watermarks = self.shared.service.watermarks();
+        let registry = self.shared.service.opened();
         let mut figures = Vec::new();
-        for (resource, level) in watermarks {
+        for (resource, level) in registry.into_iter().flat_map(Registry::levels) {
             let Usage {
                 used, high, limit, ..
             } = level;
@@ -167,8 +169,8 @@ impl State {
         }
         let help = "Memory and disk: what is used, the high watermark, and what there is";
         gauges(encoder, "resource", help, Some(&Unit::Bytes), &figures)?;
-        let (memory, disk) = self.shared.service.usage();
-        let parts = |parts: Vec<Part>| -> Vec<_> {
+        let (memory, disk) = registry.map(Registry::usage).unwrap_or_default();
+        let parts = |parts: Vec<UsagePart>| -> Vec<_> {
             let labelled = parts
                 .into_iter()
                 .map(|(part, bytes)| ([("part", part)], bytes));

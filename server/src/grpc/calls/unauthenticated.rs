@@ -1,6 +1,6 @@
 //! Health and reflection, which strangers may call and no load closes. No budget counts their requests, so few of those of a
 //! connection may be on their way: a request for health until it is whole, and not for long, and a stream for reflection
-//! for as long as its client likes.
+//! for as long as its client likes, and until its answers are read.
 
 use std::{convert::Infallible, pin::pin, task::Poll};
 
@@ -12,19 +12,23 @@ use tokio::time::timeout;
 use tonic::{Status, body::Body};
 use tower::Service;
 
-use super::CallsLayer;
+use super::{CallsLayer, reflection};
 use crate::grpc::{
-    MAX_OPEN_REQUEST_BYTES,
+    MAX_UNAUTHENTICATED_REQUEST_BYTES,
     connections::{Activity, MAX_ARRIVING},
     refusals,
     request_body::HEADER_BYTES,
 };
 
-const REFLECTION: &str = "/grpc.reflection.";
+/// The streams for reflection.
+const STREAMS: [&str; 2] = [
+    "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
+    "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
+];
 
 /// True for the paths of health and reflection.
-pub(super) fn is_open(path: &str) -> bool {
-    path.starts_with("/grpc.health.") || path.starts_with(REFLECTION)
+pub(super) fn is_unauthenticated(path: &str) -> bool {
+    path.starts_with("/grpc.health.") || path.starts_with("/grpc.reflection.")
 }
 
 /// Answers a request: one for health once it has arrived.
@@ -34,12 +38,13 @@ pub(super) fn answer<S>(
     settings: &CallsLayer,
 ) -> impl Future<Output = Result<Response<Body>, Infallible>> + use<S>
 where
-    S: Service<Request<Body>, Response = Response<Body>, Error = Infallible>,
+    S: Service<Request<Body>, Response = Response<Body>, Error = Infallible> + Send + 'static,
+    S::Future: Send + 'static,
 {
     let (time, admission) = (settings.requests.time, settings.shared.admission.clone());
     let activity = request.extensions().get::<Activity>().cloned();
     async move {
-        let is_stream = request.uri().path().starts_with(REFLECTION);
+        let is_stream = STREAMS.contains(&request.uri().path());
         let mut receiving = pin!(receive(request, is_stream));
         let mut received = poll!(receiving.as_mut());
         let mut place = None;
@@ -65,17 +70,10 @@ where
             Ok(request) => request,
             Err(status) => return Ok(status.into_http()),
         };
-        let request = match is_stream {
-            false => request,
-            // Its place is free once its body is dropped.
-            true => request.map(|body| {
-                Body::new(body.map_frame(move |frame| {
-                    let _held = &place;
-                    frame
-                }))
-            }),
-        };
-        inner.call(request).await
+        match is_stream {
+            true => Ok(reflection::converse(inner, request, place)),
+            false => inner.call(request).await,
+        }
     }
 }
 
@@ -93,7 +91,7 @@ async fn receive(request: Request<Body>, is_stream: bool) -> Result<Request<Body
         // The service refuses a message that is too large at its header.
         let length = whole.get(1..HEADER_BYTES).map(|mut it| it.get_u32());
         let length = length.map_or(whole.len(), |length| whole.len().max(length as usize));
-        if length > MAX_OPEN_REQUEST_BYTES {
+        if length > MAX_UNAUTHENTICATED_REQUEST_BYTES {
             break;
         }
     }
