@@ -49,7 +49,7 @@ pub(super) struct CallResources {
     pub(super) activity: Option<Activity>,
     pub(super) _active: Option<ActiveCall>,
     pub(super) _stream: Option<OwnedSemaphorePermit>,
-    pub(super) _under_way: TaskTrackerToken,
+    pub(super) _under_way: Option<TaskTrackerToken>,
     pub(super) held: Arc<HeldBytes>,
 }
 
@@ -106,7 +106,7 @@ impl CallBody {
         if made.is_none() && response.body().is_end_stream() {
             return response;
         }
-        // It counts from now on: a connection without room to send does not ask for it.
+        // It counts from now on, before the connection asks for it.
         let made = made.map(|made| made.map(|frame| resources.count(frame)));
         response.map(|inner| {
             Body::new(Self {

@@ -258,7 +258,8 @@ where
             activity,
             _active: active,
             _stream: stream,
-            _under_way: settings.under_way.token(),
+            // A `Watch` ends at a stop and loses nothing, so the stop does not wait for a client that does not read.
+            _under_way: (!rpc.is_watch()).then(|| settings.under_way.token()),
             held: Arc::clone(&held),
         };
         let admitted = Admitted {

@@ -44,7 +44,7 @@ const MAX_SILENCE: Duration = Duration::from_secs(10);
 /// A new connection waits for this long for one of those above. Then it gets a place of the network that has the most.
 const MAX_WAIT: Duration = Duration::from_secs(1);
 
-/// The requests for health and reflection of a connection that may be on their way at a time.
+/// The streams for reflection of a connection, and its requests for health that have not arrived whole.
 pub(super) const MAX_ARRIVING: usize = 4;
 
 /// The calls of a connection that was given up.
@@ -83,7 +83,7 @@ struct State {
     flow: Arc<Flow>,
     /// The free places of lasting streams.
     streams: Arc<Semaphore>,
-    /// Those of requests for health and reflection that have not arrived whole.
+    /// Those of streams for reflection, and of requests for health that have not arrived whole.
     arriving: Arc<Semaphore>,
     /// The turn of a stream for reflection.
     reflecting: Arc<Semaphore>,
@@ -344,7 +344,7 @@ impl Activity {
         Arc::clone(&self.state.streams).try_acquire_owned().ok()
     }
 
-    /// The place of a request for health or reflection that has not arrived whole; None if others have all.
+    /// The place of a stream for reflection, or of a request for health that has not arrived whole; None if others have all.
     pub(super) fn arriving(&self) -> Option<OwnedSemaphorePermit> {
         Arc::clone(&self.state.arriving).try_acquire_owned().ok()
     }

@@ -113,13 +113,9 @@ pub(crate) async fn serve(
         shared.admission.clone(),
     );
     let send_timeout = Duration::from_millis(config.send_timeout_ms);
-    let (watched, stopping) = (Arc::clone(&connections), phases.clone().stopping());
+    let watched = Arc::clone(&connections);
     let _watching = AbortOnDropHandle::new(tokio::spawn(async move {
-        let cut_waiting = async {
-            stopping.await;
-            watched.cut_waiting().await;
-        };
-        tokio::join!(watched.cut_unread(send_timeout), cut_waiting);
+        watched.cut_unread(send_timeout).await;
     }));
     let of_members = (callers == Callers::Members).then(|| MemberFace {
         service: shared.service.clone(),

@@ -151,18 +151,25 @@ pub(crate) fn too_many_streams(max_calls: u32) -> Refusal {
     busy("TOO_MANY_CALLS", message, MAX_CALLS, max_calls as usize)
 }
 
-/// The refusal of a request for health or reflection while `most` of its connection are on their way.
+/// The refusal of a request for health or reflection while `most` of its connection have places.
 pub(crate) fn too_many_arriving(most: usize) -> Refusal {
     let message = format!(
-        "{most} requests for health or reflection of this connection have not arrived whole: wait for them"
+        "this connection has {most} streams for reflection and requests for health that have not arrived whole: end one"
     );
     busy("TOO_MANY_CALLS", message, MAX_ARRIVING, most)
 }
 
-/// The refusal of requests for reflection above `most` bytes that wait for their client to read the answers before.
+/// The refusal of a stream for reflection while the answer of another one of its connection is unread.
+pub(crate) fn reflection_unread() -> Refusal {
+    let message =
+        "another stream for reflection of this connection has an unread answer: read it".into();
+    busy("TOO_MANY_CALLS", message, MAX_ARRIVING, 1)
+}
+
+/// The refusal of requests for reflection above `most` bytes that wait for the answers before them.
 pub(crate) fn too_many_waiting(most: usize) -> Refusal {
     let message = format!(
-        "more than {most} bytes of requests for reflection wait: read the answers before you ask on"
+        "more than {most} bytes of requests for reflection wait, each with 64 more: read the answers before you ask on"
     );
     limit("LIMIT_EXCEEDED", message, WAITING_REFLECTION, most)
 }

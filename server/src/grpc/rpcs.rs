@@ -79,6 +79,11 @@ impl<'a> Rpc<'a> {
         !self.streams_requests && !self.streams_answers
     }
 
+    /// True for a `Watch`, which lasts and has one request.
+    pub(super) fn is_watch(self) -> bool {
+        self.lasts && !self.streams_requests
+    }
+
     /// True if it is a call of `IndexService`.
     pub(super) fn is_of_indices(self) -> bool {
         self.path.starts_with("IndexService/")

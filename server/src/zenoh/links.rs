@@ -1,6 +1,6 @@
 //! The links of the face: their metrics, and their end.
 
-use std::fmt;
+use std::{fmt, sync::mpsc, thread, time::Duration};
 
 use prometheus_client::{
     collector::Collector,
@@ -10,6 +10,10 @@ use prometheus_client::{
 use serde_json::json;
 use tracing::warn;
 use zenoh::{Session, Wait, internal::runtime::Runtime};
+
+/// A drop waits this long until the links are closed. Zenoh tells each peer, and waits for those that do not read, one
+/// message after the other.
+const CLOSE_WAIT: Duration = Duration::from_secs(1);
 
 /// A session and its runtime, which it does not close: dropping this closes both.
 pub(super) struct ZenohRuntime {
@@ -22,10 +26,21 @@ impl Drop for ZenohRuntime {
         if self.runtime.is_closed() {
             return;
         }
-        // An open session panics if the runtime under it closes.
-        let closed = self.session.close().wait();
-        if let Err(error) = closed.and_then(|()| self.runtime.close().wait()) {
-            warn!(%error, "the links of Zenoh did not close well");
+        let (session, runtime) = (self.session.clone(), self.runtime.clone());
+        let (done, closed) = mpsc::channel();
+        let closing = thread::Builder::new().name("wayfold-zenoh".into());
+        let closing = closing.spawn(move || {
+            // An open session panics if the runtime under it closes.
+            let closed = session.close().wait();
+            if let Err(error) = closed.and_then(|()| runtime.close().wait()) {
+                warn!(%error, "the links of Zenoh did not close well");
+            }
+            // The drop may have gone on.
+            let _ = done.send(());
+        });
+        match closing {
+            Ok(_) => drop(closed.recv_timeout(CLOSE_WAIT)),
+            Err(error) => warn!(%error, "the links of Zenoh stay open until the process ends"),
         }
     }
 }

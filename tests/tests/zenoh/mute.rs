@@ -153,8 +153,8 @@ async fn peers_that_read_no_answers_delay_nobody() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn calls_beyond_the_grace_period_are_cut_and_show_in_the_exit_status() {
-    // The process ends after the wait.
-    let (mut server, _robot) = beside_waiting_answers(10_000_000).await;
+    // The wait lasts longer than this test.
+    let (mut server, _robot) = beside_waiting_answers(3_600_000_000).await;
     server.process().signal(Signal::Terminate);
     server.log_until("cutting unfinished calls");
     let ended = task::spawn_blocking(|| server.finish()).await.unwrap();

@@ -2,7 +2,7 @@
 //! that the service does not read would fill the window of HTTP/2, which no budget counts. The service gets one at a time,
 //! and the next one once the client has taken the answer before.
 
-use std::{convert::Infallible, sync::Arc};
+use std::{convert::Infallible, sync::Arc, time::Duration};
 
 use bytes::{Buf, Bytes, BytesMut};
 use futures_util::stream;
@@ -13,6 +13,7 @@ use tokio::sync::{
     OwnedSemaphorePermit, Semaphore,
     mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel},
 };
+use tokio::time::timeout;
 use tokio_util::task::AbortOnDropHandle;
 use tonic::{Code, Status, body::Body};
 use tower::Service;
@@ -45,17 +46,21 @@ struct Conversation<S> {
     /// The answer to the last request, until its end, and whether it had a message.
     answer: Option<(Body, bool)>,
     activity: Option<Activity>,
+    /// The longest wait for a turn.
+    time: Duration,
     /// The turn of the answer, which goes on with it until it is read.
     turn: Option<OwnedSemaphorePermit>,
     /// The place of the stream, until its last answer is taken.
     _place: Option<OwnedSemaphorePermit>,
 }
 
-/// Answers the requests of a stream, which keeps its `place`.
+/// Answers the requests of a stream, which keeps its `place`. The stream ends if an answer of another one of the
+/// connection stays unread for `time`.
 pub(super) fn converse<S>(
     inner: S,
     request: Request<Body>,
     place: Option<OwnedSemaphorePermit>,
+    time: Duration,
 ) -> Response<Body>
 where
     S: Service<Request<Body>, Response = Response<Body>, Error = Infallible> + Send + 'static,
@@ -70,6 +75,7 @@ where
         reading: AbortOnDropHandle::new(tokio::spawn(read(body, sender))),
         answer: None,
         activity: parts.extensions.get().cloned(),
+        time,
         turn: None,
         _place: place,
     };
@@ -115,7 +121,8 @@ where
                     .unwrap_or_else(|| Status::ok("")));
             };
             if let Some(activity) = &self.activity {
-                self.turn = activity.reflect().await;
+                let turn = timeout(self.time, activity.reflect()).await;
+                self.turn = turn.map_err(|_| refusals::reflection_unread())?;
             }
             let mut request = Request::new(Body::new(Full::new(request)));
             *request.method_mut() = Method::POST;

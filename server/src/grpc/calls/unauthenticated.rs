@@ -71,7 +71,7 @@ where
             Err(status) => return Ok(status.into_http()),
         };
         match is_stream {
-            true => Ok(reflection::converse(inner, request, place)),
+            true => Ok(reflection::converse(inner, request, place, time)),
             false => inner.call(request).await,
         }
     }
