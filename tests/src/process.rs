@@ -252,7 +252,7 @@ impl ServerProcess {
         Self::start_with(program, arguments, &[])
     }
 
-    /// The same with settings by environment variables.
+    /// Like [`ServerProcess::start`], with settings by environment variables.
     ///
     /// # Panics
     /// If it does not come up.

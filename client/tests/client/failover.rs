@@ -199,7 +199,7 @@ async fn a_description_waits_for_no_revision_that_was_seen_after_its_first_answe
         None
     });
     assert_eq!(index.info().await.unwrap().revision.number, 9);
-    // Described, waited, and described again.
+    // The client describes the index, waits, and describes it again.
     assert_eq!((second.calls(), second.gets().len()), (3, 1));
 }
 

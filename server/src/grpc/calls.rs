@@ -107,7 +107,7 @@ pub(super) fn check_caller(call: &Call) -> Result<(), Status> {
     })
 }
 
-/// The flow of a call, which the layer leaves there too.
+/// The flow of a call, which the layer leaves in the extensions of the request.
 pub(super) fn flow_of<T>(request: &tonic::Request<T>) -> Option<Arc<Flow>> {
     request.extensions().get::<Arc<Flow>>().cloned()
 }

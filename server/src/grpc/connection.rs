@@ -46,8 +46,8 @@ const SHORT_PAUSE: Duration = Duration::from_millis(1);
 /// that it hands on, so one poll of its task may read several times as many.
 const MAX_READ_BYTES: usize = 8 * 1024;
 
-/// The limit instead while the bytes bring no new call, as in a large request. What such a request takes to arrive is no
-/// delay of the server.
+/// The limit instead while the bytes bring no new call, as in a large request: the arrival of its bytes is no delay of the
+/// server.
 const MAX_BODY_BYTES: usize = 64 * 1024;
 
 /// Bytes that a connection writes before others have their turn.
