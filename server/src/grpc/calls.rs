@@ -4,7 +4,6 @@
 //! they must answer just when the server is busy.
 
 mod admitted;
-mod reflection;
 mod unauthenticated;
 
 use std::{

@@ -47,6 +47,9 @@ const MAX_WAIT: Duration = Duration::from_secs(1);
 /// The streams for reflection of a connection, and its requests for health that have not arrived whole.
 pub(super) const MAX_ARRIVING: usize = 4;
 
+/// The streams for reflection of all connections. HTTP/2 keeps up to a megabyte of the requests of each.
+pub(super) const MAX_REFLECTING: usize = 32;
+
 /// The calls of a connection that was given up.
 const GIVEN_UP: usize = usize::MAX;
 
@@ -62,6 +65,8 @@ pub(super) struct Connections {
     events: AtomicU64,
     /// The most lasting streams of each.
     max_streams: usize,
+    /// The free places of streams for reflection.
+    reflecting: Arc<Semaphore>,
     admission: Admission,
     /// The time since which new connections have found no room.
     full_since: Mutex<Option<Instant>>,
@@ -85,8 +90,6 @@ struct State {
     streams: Arc<Semaphore>,
     /// Those of streams for reflection, and of requests for health that have not arrived whole.
     arriving: Arc<Semaphore>,
-    /// The turn of a stream for reflection.
-    reflecting: Arc<Semaphore>,
     unread: Mutex<UnreadFrames>,
 }
 
@@ -129,6 +132,7 @@ impl Connections {
             open: Mutex::default(),
             events: AtomicU64::new(0),
             max_streams,
+            reflecting: Arc::new(Semaphore::new(MAX_REFLECTING)),
             admission,
             full_since: Mutex::default(),
         })
@@ -155,7 +159,6 @@ impl Connections {
             flow: self.admission.open(),
             streams: Arc::new(Semaphore::new(self.max_streams)),
             arriving: Arc::new(Semaphore::new(MAX_ARRIVING)),
-            reflecting: Arc::new(Semaphore::new(1)),
             unread: Mutex::new(UnreadFrames {
                 frames: 0,
                 since: Instant::now(),
@@ -344,17 +347,18 @@ impl Activity {
         Arc::clone(&self.state.streams).try_acquire_owned().ok()
     }
 
-    /// The place of a stream for reflection, or of a request for health that has not arrived whole; None if others have all.
-    pub(super) fn arriving(&self) -> Option<OwnedSemaphorePermit> {
-        Arc::clone(&self.state.arriving).try_acquire_owned().ok()
-    }
-
-    /// The turn of a stream for reflection: no budget counts its answers, so one of a connection waits for the client.
-    pub(super) async fn reflect(&self) -> Option<OwnedSemaphorePermit> {
-        Arc::clone(&self.state.reflecting)
-            .acquire_owned()
-            .await
-            .ok()
+    /// The place of a request for health that has not arrived whole, or the two of a stream for reflection; None if others
+    /// have all.
+    pub(super) fn arriving(
+        &self,
+        reflects: bool,
+    ) -> Option<(OwnedSemaphorePermit, Option<OwnedSemaphorePermit>)> {
+        let take = |places: &Arc<Semaphore>| Arc::clone(places).try_acquire_owned().ok();
+        let arriving = take(&self.state.arriving)?;
+        match reflects {
+            true => Some((arriving, Some(take(&self.connections.reflecting)?))),
+            false => Some((arriving, None)),
+        }
     }
 
     /// A frame of an answer waits for the client to read it, until the result is dropped.

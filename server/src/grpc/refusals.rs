@@ -8,7 +8,10 @@ use std::{fmt::Display, time::Duration};
 use http::{HeaderMap, Response};
 use tonic::{Code, Status, body::Body};
 
-use super::deadline::{self, MalformedTimeout};
+use super::{
+    connections::{MAX_ARRIVING, MAX_REFLECTING},
+    deadline::{self, MalformedTimeout},
+};
 use crate::{
     request_bounds::{MAX_INDEX_REQUEST_BYTES, SMALL_SPACE},
     service::{Error, Unavailability, Violation},
@@ -17,8 +20,7 @@ use crate::{
 
 const MAX_MESSAGE_BYTES: &str = "grpc.max_message_bytes";
 const MAX_INDEX_REQUEST: &str = "index_request_bytes";
-const MAX_ARRIVING: &str = "arriving_requests";
-const WAITING_REFLECTION: &str = "waiting_reflection_bytes";
+const ARRIVING: &str = "arriving_requests";
 const MAX_CALLS: &str = "grpc.max_calls_per_connection";
 const RECEIVE_TIMEOUT_MS: &str = "grpc.receive_timeout_ms";
 
@@ -151,27 +153,13 @@ pub(crate) fn too_many_streams(max_calls: u32) -> Refusal {
     busy("TOO_MANY_CALLS", message, MAX_CALLS, max_calls as usize)
 }
 
-/// The refusal of a request for health or reflection while `most` of its connection have places.
-pub(crate) fn too_many_arriving(most: usize) -> Refusal {
+/// The refusal of a request for health or reflection while others of its connection, or of all, have the places.
+pub(crate) fn too_many_arriving() -> Refusal {
     let message = format!(
-        "this connection has {most} streams for reflection and requests for health that have not arrived whole: end one"
+        "this connection has {MAX_ARRIVING} streams for reflection and requests for health that have not arrived \
+         whole, or all have {MAX_REFLECTING} streams for reflection: end one, or call again later"
     );
-    busy("TOO_MANY_CALLS", message, MAX_ARRIVING, most)
-}
-
-/// The refusal of a stream for reflection while the answer of another one of its connection is unread.
-pub(crate) fn reflection_unread() -> Refusal {
-    let message =
-        "another stream for reflection of this connection has an unread answer: read it".into();
-    busy("TOO_MANY_CALLS", message, MAX_ARRIVING, 1)
-}
-
-/// The refusal of requests for reflection above `most` bytes that wait for the answers before them.
-pub(crate) fn too_many_waiting(most: usize) -> Refusal {
-    let message = format!(
-        "more than {most} bytes of requests for reflection wait, each with 64 more: read the answers before you ask on"
-    );
-    limit("LIMIT_EXCEEDED", message, WAITING_REFLECTION, most)
+    busy("TOO_MANY_CALLS", message, ARRIVING, MAX_ARRIVING)
 }
 
 /// The answer to a call that made the server panic.

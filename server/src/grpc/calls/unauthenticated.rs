@@ -1,34 +1,30 @@
 //! Health and reflection, which strangers may call and no load closes. No budget counts their requests, so few of those of a
 //! connection may be on their way: a request for health until it is whole, and not for long, and a stream for reflection
-//! for as long as its client likes, and until its answers are read.
+//! for as long as its client likes, and until its answers are read. Few streams for reflection of all connections may be
+//! open: HTTP/2 keeps the requests that the service has not read.
 
 use std::{convert::Infallible, pin::pin, task::Poll};
 
-use bytes::{Buf, BytesMut};
+use bytes::{Buf, Bytes, BytesMut};
 use futures_util::poll;
 use http::{Request, Response};
+use http_body::Frame;
 use http_body_util::{BodyExt, Full};
 use tokio::time::timeout;
 use tonic::{Status, body::Body};
 use tower::Service;
 
-use super::{CallsLayer, reflection};
+use super::CallsLayer;
 use crate::grpc::{
-    MAX_UNAUTHENTICATED_REQUEST_BYTES,
-    connections::{Activity, MAX_ARRIVING},
-    refusals,
+    MAX_UNAUTHENTICATED_REQUEST_BYTES, body::unread, connections::Activity, refusals,
     request_body::HEADER_BYTES,
 };
 
-/// The streams for reflection.
-const STREAMS: [&str; 2] = [
-    "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
-    "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
-];
+const REFLECTION: &str = "/grpc.reflection.";
 
 /// True for the paths of health and reflection.
 pub(super) fn is_unauthenticated(path: &str) -> bool {
-    path.starts_with("/grpc.health.") || path.starts_with("/grpc.reflection.")
+    path.starts_with("/grpc.health.") || path.starts_with(REFLECTION)
 }
 
 /// Answers a request: one for health once it has arrived.
@@ -38,23 +34,22 @@ pub(super) fn answer<S>(
     settings: &CallsLayer,
 ) -> impl Future<Output = Result<Response<Body>, Infallible>> + use<S>
 where
-    S: Service<Request<Body>, Response = Response<Body>, Error = Infallible> + Send + 'static,
-    S::Future: Send + 'static,
+    S: Service<Request<Body>, Response = Response<Body>, Error = Infallible>,
 {
     let (time, admission) = (settings.requests.time, settings.shared.admission.clone());
     let activity = request.extensions().get::<Activity>().cloned();
     async move {
-        let is_stream = STREAMS.contains(&request.uri().path());
+        let is_stream = request.uri().path().starts_with(REFLECTION);
         let mut receiving = pin!(receive(request, is_stream));
         let mut received = poll!(receiving.as_mut());
-        let mut place = None;
+        let mut places = None;
         if is_stream || received.is_pending() {
-            match activity.as_ref().map(Activity::arriving) {
+            match activity.as_ref().map(|it| it.arriving(is_stream)) {
                 Some(None) => {
                     admission.count_excess();
-                    received = Poll::Ready(Err(refusals::too_many_arriving(MAX_ARRIVING).into()));
+                    received = Poll::Ready(Err(refusals::too_many_arriving().into()));
                 }
-                held => place = held.flatten(),
+                held => places = held.flatten(),
             }
         }
         let received = match received {
@@ -70,10 +65,16 @@ where
             Ok(request) => request,
             Err(status) => return Ok(status.into_http()),
         };
-        match is_stream {
-            true => Ok(reflection::converse(inner, request, place, time)),
-            false => inner.call(request).await,
+        let response = inner.call(request).await?;
+        if !is_stream {
+            return Ok(response);
         }
+        // Its places are free once its answers are read.
+        let counted = move |frame: Frame<Bytes>| {
+            let _held = &places;
+            frame.map_data(|bytes| unread(bytes, (), activity.as_ref()))
+        };
+        Ok(response.map(|body| Body::new(body.map_frame(counted))))
     }
 }
 
