@@ -28,9 +28,7 @@ fn wrong_usage_is_status_2() {
         &["list", "--timeout", "5"],
         &["list", "--output", "xml"],
         &["token", "create", "", "--role", "read"],
-        &[
-            "token", "create", "x", "--role", "read", "--index", "a\u{7f}",
-        ],
+        &["token", "create", "x", "--role=read", "--index=\u{7f}"],
         &[
             "token",
             "create",
