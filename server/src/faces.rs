@@ -12,7 +12,7 @@ use crate::{
     service::Service,
 };
 
-/// What every face needs. Clones are cheap and share one state.
+/// The parts of the server that every face needs. Clones are cheap and share one state.
 #[derive(Clone)]
 pub(crate) struct FaceContext {
     pub(crate) service: Service,

@@ -333,7 +333,7 @@ impl HeldBytes {
     }
 
     /// False while the flow holds more than it may, since answers were not read: the call is refused, and counts as that.
-    pub(crate) fn has_room(&self) -> bool {
+    pub(crate) fn check_room(&self) -> bool {
         let Flow { all, own, .. } = &*self.flow;
         let has_room = own.held() <= own.max() && all.held() <= self.flow.most_of_all(own.held());
         if !has_room {

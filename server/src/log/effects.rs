@@ -174,7 +174,7 @@ impl Effects {
         highest.map_or(0, |id| id + 1).max(reserved)
     }
 
-    /// True if it ends writer sessions, each of which may have a million blocks of ids.
+    /// True if it ends writer sessions. A session may have a million blocks of ids.
     pub fn ends_sessions(&self) -> bool {
         self.batch().is_some_and(|batch| !batch.ended.is_empty())
     }

@@ -8,8 +8,8 @@ use tokio::time::{Instant, interval, timeout_at};
 use super::{Hosted, RegistryError, in_flight::notify};
 use crate::log::{Effects, LogError, Receipt, Record, RecordPosition};
 
-/// The time in which a lost receipt is settled, and in which a record arrives that took the place of another, before
-/// the callers are told.
+/// The longest time until a lost receipt is settled, or until the record arrives that took the place of another. After it
+/// the calls fail.
 pub(super) const SETTLE_TIME: Duration = Duration::from_secs(5);
 
 /// The time between two attempts to settle a lost receipt.

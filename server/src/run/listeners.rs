@@ -17,14 +17,14 @@ pub(super) struct Listeners {
     pub(super) clients: FaceListener,
     pub(super) pages: Option<FaceListener>,
     pub(super) members: Option<FaceListener>,
-    /// The address that the other members of a cluster are told.
+    /// The address that this server tells the other members of its cluster.
     pub(super) advertised: Option<String>,
     /// Where the server is reached, without Zenoh's locators.
     pub(super) addresses: Addresses,
 }
 
 impl Listeners {
-    /// Reads the certificates, and binds the listeners that the settings name beside the one for `clients`.
+    /// Reads the certificates and binds the other listeners of the settings; `clients` is bound already.
     pub(super) async fn bind(config: &Config, clients: TcpListener) -> Result<Self, ServerError> {
         let grpc = clients.local_addr()?;
         let tls = Tls::open(&config.tls)?;

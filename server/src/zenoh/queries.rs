@@ -225,7 +225,7 @@ impl Queries {
         );
         let span = record.span().clone();
         let evaluation = async {
-            if !held.has_room() {
+            if !held.check_room() {
                 return Err(status::too_many_bytes(held.flow().max_bytes()));
             }
             self.ask(&query, form, target, arrived, call).await

@@ -90,6 +90,14 @@ async fn a_request_for_health_arrives_in_time() {
     server.stop().await.unwrap().unwrap();
 }
 
+/// The server refuses one more stream for reflection.
+async fn expect_refusal(connection: &mut Connection) {
+    let request = connection.request_of(REFLECTION);
+    let (answer, _body) = connection.begin(request).await.unwrap();
+    let refused = Status::from_header_map(answer.await.unwrap().headers()).unwrap();
+    assert_eq!(reason(&refused, Code::ResourceExhausted), "TOO_MANY_CALLS");
+}
+
 #[tokio::test]
 async fn few_streams_for_reflection_of_a_connection_are_open() {
     let server = TestServer::start(|_| ()).await;
@@ -101,10 +109,7 @@ async fn few_streams_for_reflection_of_a_connection_are_open() {
         // Its headers come before the first request.
         open.push((answer.await.unwrap().into_body(), body));
     }
-    let request = connection.request_of(REFLECTION);
-    let (answer, _body) = connection.begin(request).await.unwrap();
-    let refused = status(answer).await.unwrap();
-    assert_eq!(reason(&refused, Code::ResourceExhausted), "TOO_MANY_CALLS");
+    expect_refusal(&mut connection).await;
     drop(open);
     server.stop().await.unwrap().unwrap();
 }
@@ -120,10 +125,7 @@ async fn an_unread_answer_of_reflection_keeps_its_place() {
         body.send_data(list_services(), true).unwrap();
         open.push(answer.await.unwrap());
     }
-    let request = connection.request_of(REFLECTION);
-    let (answer, _body) = connection.begin(request).await.unwrap();
-    let refused = Status::from_header_map(answer.await.unwrap().headers()).unwrap();
-    assert_eq!(reason(&refused, Code::ResourceExhausted), "TOO_MANY_CALLS");
+    expect_refusal(&mut connection).await;
     drop(open);
     server.stop().await.unwrap().unwrap();
 }
@@ -142,10 +144,7 @@ async fn few_streams_for_reflection_of_all_connections_are_open() {
         }
     }
     let mut connection = Connection::open(server.address).await;
-    let request = connection.request_of(REFLECTION);
-    let (answer, _body) = connection.begin(request).await.unwrap();
-    let refused = Status::from_header_map(answer.await.unwrap().headers()).unwrap();
-    assert_eq!(reason(&refused, Code::ResourceExhausted), "TOO_MANY_CALLS");
+    expect_refusal(&mut connection).await;
     drop(open);
     server.stop().await.unwrap().unwrap();
 }

@@ -146,7 +146,7 @@ where
         mut self,
         mut request: Request<Body>,
     ) -> Result<(Response<Body>, Option<AnswerFrame>), Status> {
-        if !self.held.has_room() {
+        if !self.held.check_room() {
             return Err(status::too_many_bytes(self.held.flow().max_bytes()).into());
         }
         if !self.streams_requests {

@@ -24,7 +24,7 @@ fn nats_uri(cluster: &Cluster) -> String {
     cluster.nats.urls().replace("nats://", "http://")
 }
 
-/// Two servers with their data in memory, of which the second one reaches NATS through a proxy.
+/// Two servers that keep their data in memory. The second one reaches NATS through a proxy.
 struct TwoServers {
     runtime: Runtime,
     way: Proxy,

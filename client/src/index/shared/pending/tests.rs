@@ -107,7 +107,7 @@ fn an_answer_after_a_reload_confirms_its_batch_and_those_before_it() {
     let first = insert(&mut writes, &mut points, 1.0);
     writes.next(1, 0).expect("a batch");
     reload(&mut writes, &mut points, 20, &[]);
-    // Another writer removed the point before the reload, but nobody knows yet.
+    // Another writer removed the point before the reload. The copy does not know it yet.
     assert_eq!(shown(&points, first), Some((0, 1.0)));
     writes.acknowledge(1, 15, 20, &mut points).expect("a batch");
     assert_eq!(shown(&points, first), None);
