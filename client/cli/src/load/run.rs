@@ -43,6 +43,8 @@ pub(super) struct Plan {
     pub(super) timeout: Duration,
     /// The tag of the points that the run stores.
     pub(super) tag: u64,
+    /// Set once the index is open. Before, a run has nothing to remove and no figures.
+    pub(super) is_open: Arc<AtomicBool>,
     /// Set once points may be stored that the run has to remove.
     pub(super) may_leave: Arc<AtomicBool>,
 }
@@ -67,6 +69,7 @@ pub(super) fn run(
     line: &ProgressBar,
 ) -> Result<(Outcome, Result<(), Failure>), Failure> {
     let mut first = target::open(&plan.address, &plan.index, plan.timeout)?;
+    plan.is_open.store(true, Relaxed);
     let space = first.space();
     let before = first.point_count()?;
     let mut outcome = Outcome {

@@ -1,6 +1,6 @@
 //! The verb `load`: its reports, its scenarios, and its end by a signal.
 
-use std::{fs, process::Stdio};
+use std::{fs, net::TcpListener, process::Stdio};
 
 use serde_json::{Value, json};
 
@@ -192,4 +192,18 @@ async fn a_signal_ends_the_run_and_the_result_and_the_report_are_written() {
         );
         fs::remove_file(&file).unwrap();
     }
+}
+
+#[test]
+fn a_signal_ends_a_run_whose_server_does_not_answer() {
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let uri = format!("http://{}", silent.local_addr().unwrap());
+    let child = command(&uri, &["load", "line"]).spawn().unwrap();
+    let connection = silent.accept().unwrap();
+    send("INT", &child);
+    let output = child.wait_with_output().unwrap();
+    drop(connection);
+    // The call itself would end at its deadline, with another error.
+    assert_eq!(output.status.code(), Some(3));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("interrupted"));
 }
