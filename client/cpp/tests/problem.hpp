@@ -8,7 +8,6 @@
 #include <ompl/base/ScopedState.h>
 #include <ompl/base/spaces/SE2StateSpace.h>
 #include <ompl/base/spaces/SE3StateSpace.h>
-#include <ompl/base/terminationconditions/IterationTerminationCondition.h>
 
 namespace ob = ompl::base;
 

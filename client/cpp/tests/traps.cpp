@@ -1,6 +1,7 @@
-// ompl.hpp: spaces behind wrappers, spaces of one's own, and distances that are not ours.
+// The traps of OMPL: spaces behind wrappers, spaces of one's own, distances that are not ours, and checkers that throw.
 #include "check.hpp"
 #include "problem.hpp"
+#include "roadmap.hpp"
 
 #include <clocale>
 #include <cmath>
@@ -11,6 +12,7 @@
 #include <ompl/base/spaces/TimeStateSpace.h>
 #include <ompl/base/spaces/WrapperStateSpace.h>
 #include <ompl/base/objectives/PathLengthOptimizationObjective.h>
+#include <ompl/geometric/planners/prm/LazyPRM.h>
 #include <ompl/geometric/planners/prm/PRM.h>
 #include <ompl/geometric/planners/rrt/BiTRRT.h>
 #include <ompl/geometric/planners/rrt/RRT.h>
@@ -18,7 +20,10 @@
 #include <ompl/geometric/planners/rrt/TRRT.h>
 #include <ompl/geometric/planners/rrt/pRRT.h>
 #include <ompl/util/Console.h>
+#include <set>
+#include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 #include <wayfold/ompl.hpp>
 
@@ -269,6 +274,50 @@ void distances_with_costs() {
     }
 }
 
+// A checker that throws leaves a vertex that is not stored, and its edges. They stay in the graph of this process.
+void a_checker_that_throws() {
+    class Thrower : public discs::Motions {
+    public:
+        using Motions::Motions;
+        bool checkMotion(const ob::State *from, const ob::State *to) const override {
+            return --left_ != 0 ? Motions::checkMotion(from, to) : throw std::runtime_error("the checker's own");
+        }
+        mutable int left_{100};
+    };
+    const auto index = wayfold::Index::in_memory(roadmap::space);
+    roadmap::Planner planner(index);
+    for (int round = 0; round < 20; round++) {
+        planner.si->setMotionValidator(std::make_shared<Thrower>(planner.si));
+        refuses<std::runtime_error>("the checker's own", [&] { planner.grow(100); });
+    }
+    const og::PRM::Graph &graph = planner.prm->getRoadmap();
+    bool has_edges = false;
+    std::set<std::pair<std::uint64_t, std::uint64_t>> edges, stored;
+    for (auto [edge, end] = boost::edges(graph); edge != end; ++edge) {
+        const auto from = planner.prm->id(boost::source(*edge, graph));
+        const auto to = planner.prm->id(boost::target(*edge, graph));
+        has_edges |= !from || !to;
+        if (from && to) {
+            edges.insert(std::minmax(*from, *to));
+        }
+    }
+    for (const auto &point : index.scan()) {
+        for (const std::uint64_t other : wayfold::detail::edges_of(point.id, *index.payload(point.id))) {
+            stored.insert(std::minmax(point.id, other));
+        }
+    }
+    CHECK(has_edges && stored == edges && planner.prm->milestoneCount() == index.size() + 20);
+}
+
+// OMPL forgets the number of neighbours with the structure.
+template <class P> void number_of_neighbors() {
+    const auto problem = se2();
+    P planner(problem.si);
+    planner.setMaxNearestNeighbors(3);
+    wayfold::use(planner);
+    CHECK(wayfold::detail::strategy_k(planner) == 3);
+}
+
 } // namespace
 
 int main() {
@@ -279,5 +328,8 @@ int main() {
     spaces_of_ones_own();
     spaces_that_only_a_sampler_sets();
     distances_with_costs();
+    a_checker_that_throws();
+    number_of_neighbors<og::PRM>();
+    number_of_neighbors<og::LazyPRM>();
     std::cout << "traps: ok\n";
 }

@@ -9,7 +9,9 @@
 #include <wayfold/wayfold.hpp>
 
 #include <ompl/base/Planner.h>
+#include <ompl/base/ProblemDefinition.h>
 #include <ompl/base/SpaceInformation.h>
+#include <ompl/geometric/planners/prm/ConnectionStrategy.h>
 #include <ompl/geometric/planners/prm/LazyPRM.h>
 #include <ompl/geometric/planners/prm/PRM.h>
 #include <ompl/geometric/planners/prm/SPARStwo.h>
@@ -64,6 +66,24 @@ struct TrrtStructure : ompl::geometric::TRRT {
         planner.*(&TrrtStructure::nearestNeighbors_) = std::make_shared<NearestNeighborsWayfold<Motion *>>();
     }
 };
+
+// LazyPRM does not tell its strategy, which a derived class may name.
+struct LazyStrategy : ompl::geometric::LazyPRM {
+    static const ConnectionStrategy &of(const LazyPRM &planner) { return planner.*(&LazyStrategy::connectionStrategy_); }
+};
+
+// The number of neighbours to which a strategy of k nearest ones connects a vertex, or 0.
+template <class P> unsigned int strategy_k([[maybe_unused]] const P &planner) {
+    if constexpr (std::is_base_of_v<ompl::geometric::PRM, P>) {
+        return planner.getMaxNearestNeighbors();
+    } else if constexpr (std::is_base_of_v<ompl::geometric::LazyPRM, P>) {
+        using Strategy = ompl::geometric::KBoundedStrategy<ompl::geometric::LazyPRM::Vertex>;
+        const auto *strategy = LazyStrategy::of(planner).template target<Strategy>();
+        return strategy != nullptr ? strategy->getNumNeighbors() : 0;
+    } else {
+        return 0;
+    }
+}
 
 // Tells a planner that it is not set up. OMPL's setNearestNeighbors sets it up, and it would not read the objective of a
 // problem that it gets later.
@@ -134,10 +154,19 @@ template <class P> void use(P &planner, Context context) {
         read_vertices<og::SPARStwo>(planner, context);
     }
     const Scope scope(context);
+    const unsigned int k = strategy_k(planner);
+    // SST and others read an objective when the swap sets them up.
+    const bool has_problem = planner.getProblemDefinition() != nullptr;
+    if (!has_problem) {
+        planner.setProblemDefinition(std::make_shared<ompl::base::ProblemDefinition>(context.information));
+    }
     if constexpr (std::is_base_of_v<og::TRRT, P>) {
         TrrtStructure::set(planner);
     } else {
         planner.template setNearestNeighbors<NearestNeighborsWayfold>();
+    }
+    if (!has_problem) {
+        planner.setProblemDefinition(ompl::base::ProblemDefinitionPtr());
     }
     if (!was_setup) {
         SetupFlag::clear(planner);
@@ -150,12 +179,19 @@ template <class P> void use(P &planner, Context context) {
             planner.setRange(range);
         }
     }
+    if constexpr (std::is_base_of_v<og::PRM, P> || std::is_base_of_v<og::LazyPRM, P>) {
+        // The swap has set the default strategy.
+        if (k > 0 && k != strategy_k(planner)) {
+            planner.setMaxNearestNeighbors(k);
+        }
+    }
 }
 
 } // namespace detail
 
 // Makes a planner use Wayfold's index. Call it before the planner's setup, with the bounds of its space set: it clears
-// the planner, and refuses a distance that is not ours.
+// the planner, and refuses a distance that is not ours. The number of neighbours of PRM and LazyPRM stays. Set a connection
+// strategy of your own afterwards: it would hold the structure that this call replaces.
 template <class P> void use(P &planner, Merging merging = Merging::background) {
     static_assert(detail::CanSwap<P>::value,
                   "the nearest neighbours of this planner cannot be swapped. Name the planner's own type, as in "

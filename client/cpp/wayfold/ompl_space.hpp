@@ -50,7 +50,8 @@ public:
     explicit OmplSpace(const ompl::base::StateSpacePtr &space) : space_(space) {
         if (!space->isMetricSpace()) {
             throw ompl::Exception("wayfold: the distance of " + space->getName() +
-                                  " is not a metric; keep OMPL's own nearest neighbours for it");
+                                  " is not a metric; keep OMPL's own nearest neighbours for it, or give wayfold::use a "
+                                  "space text");
         }
         root_ = part(space.get(), 1.0);
         std::string sum;

@@ -25,6 +25,8 @@ protected:
     // Records the edges that PRM has added since the last call, each with an own vertex at its end, and returns the ends
     // of those of a vertex that is not stored yet. Edges to start and goal states are of this process alone.
     std::vector<std::uint64_t> take_edges(Vertex fresh) {
+        // A checker that throws leaves a vertex that PRM adds to no neighbours. It is of this process alone too.
+        ids_.resize(boost::num_vertices(g_), no_id);
         std::vector<std::uint64_t> of_fresh;
         // Boost keeps the edges of an undirected graph in the order of their making.
         auto edge = boost::edges(g_).second;

@@ -165,9 +165,9 @@ impl Index {
 
     /// The payloads of the points with these ids, in their order: None if there is no such point.
     fn payloads(&self, py: Python<'_>, ids: Vec<GivenId>) -> PyResult<Vec<Option<Vec<u8>>>> {
-        let points: Vec<u64> = ids.iter().filter_map(GivenId::point).collect();
+        let points: Vec<u64> = ids.iter().filter_map(|id| id.0).collect();
         let mut payloads = self.call(py, |index| index.payloads(&points))?.into_iter();
-        let of = |id: &GivenId| id.point().and_then(|_| payloads.next().flatten());
+        let of = |id: &GivenId| id.0.and_then(|_| payloads.next().flatten());
         Ok(ids.iter().map(of).collect())
     }
 

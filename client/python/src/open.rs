@@ -1,10 +1,10 @@
 //! The two forms of an index that have a server.
 
-use pyo3::{exceptions::PyValueError, prelude::*};
+use pyo3::prelude::*;
 use wayfold::{Credentials, PayloadEncoding};
 
 use crate::{
-    error::OrRaise,
+    error::{OrRaise, invalid},
     index::{Form, Index},
     search::{seconds, unsigned},
     space::of_argument,
@@ -31,9 +31,8 @@ pub(crate) fn shared(
         .timeout(seconds(py, "timeout", timeout)?)
         .max_pending_bytes(max_pending_bytes)
         .credentials(credentials(token, ca_certificate, client_certificate));
-    if let Some(space) = create {
-        let declared = encoding(payload_encoding)?;
-        open = open.create(&of_argument(space)?).payload_encoding(declared);
+    if let Some((space, encoding)) = created(py, create, payload_encoding)? {
+        open = open.create(&space).payload_encoding(encoding);
     }
     let index = py.detach(|| open.open()).or_raise(py)?;
     Index::of(py, index, Form::Shared)
@@ -58,9 +57,8 @@ pub(crate) fn remote(
     let mut open = wayfold::Index::remote(url, name)
         .timeout(seconds(py, "timeout", timeout)?)
         .credentials(credentials(token, ca_certificate, client_certificate));
-    if let Some(space) = create {
-        let declared = encoding(payload_encoding)?;
-        open = open.create(&of_argument(space)?).payload_encoding(declared);
+    if let Some((space, encoding)) = created(py, create, payload_encoding)? {
+        open = open.create(&space).payload_encoding(encoding);
     }
     let index = py.detach(|| open.open()).or_raise(py)?;
     Index::of(py, index, Form::Remote)
@@ -70,16 +68,27 @@ fn max_pending_bytes_of(bytes: &Bound<'_, PyAny>) -> PyResult<usize> {
     unsigned("max_pending_bytes", bytes)
 }
 
-fn encoding(name: Option<&str>) -> PyResult<PayloadEncoding> {
-    match name {
-        None => Ok(PayloadEncoding::Unspecified),
-        Some("edges") => Ok(PayloadEncoding::Edges),
-        Some("weighted-edges") => Ok(PayloadEncoding::WeightedEdges),
+/// The space to create an index of, and the encoding of its payloads.
+fn created(
+    py: Python<'_>,
+    create: Option<&Bound<'_, PyAny>>,
+    payload_encoding: Option<&str>,
+) -> PyResult<Option<(wayfold::Space, PayloadEncoding)>> {
+    let problem = |problem: &str| Err(invalid(py, &format!("payload_encoding: {problem}")));
+    let encoding = match payload_encoding {
+        None => PayloadEncoding::Unspecified,
+        Some("edges") => PayloadEncoding::Edges,
+        Some("weighted-edges") => PayloadEncoding::WeightedEdges,
         Some(other) => {
-            let text =
-                format!("payload_encoding: {other:?} is neither \"edges\" nor \"weighted-edges\"");
-            Err(PyValueError::new_err(text))
+            return problem(&format!(
+                "{other:?} is neither \"edges\" nor \"weighted-edges\""
+            ));
         }
+    };
+    match create {
+        Some(space) => Ok(Some((of_argument(space)?, encoding))),
+        None if payload_encoding.is_some() => problem("only an index to create declares one"),
+        None => Ok(None),
     }
 }
 

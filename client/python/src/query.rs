@@ -270,11 +270,12 @@ fn check_number(py: Python<'_>, field: &str, number: f64) -> PyResult<()> {
     }
 }
 
-/// The number of threads of an argument `workers`.
+/// The number of threads of an argument `workers`, at most one for each processor.
 pub(crate) fn workers_of(workers: &Bound<'_, PyAny>) -> PyResult<usize> {
+    let processors = thread::available_parallelism().map_or(1, NonZero::get);
     match saturated(workers)? {
-        -1 => Ok(thread::available_parallelism().map_or(1, NonZero::get)),
-        number @ 1.. => Ok(usize::try_from(number).unwrap_or(usize::MAX)),
+        -1 => Ok(processors),
+        number @ 1.. => Ok(usize::try_from(number).map_or(processors, |n| n.min(processors))),
         _ => Err(invalid(
             workers.py(),
             &format!("workers: {workers}; it is -1, for all processors, or at least 1"),

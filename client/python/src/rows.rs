@@ -17,15 +17,16 @@ pub(crate) struct Rows {
     pub(crate) shape: Vec<usize>,
 }
 
-/// Copies the states of an argument.
+/// Copies the states of an argument, the first of which errors call `first`.
 pub(crate) fn rows(
+    first: usize,
     states: &Bound<'_, PyAny>,
     space: &Space,
     names: &Bound<'_, PyTuple>,
 ) -> PyResult<Rows> {
     let (py, width) = (states.py(), space.coordinates());
     // The common case is checked first: one state costs little more than its search.
-    if let Ok(array) = states.cast::<PyArray1<f64>>()
+    if let Ok(array) = states.cast_exact::<PyArray1<f64>>()
         && array.len() == width
         && is_aligned(array)
     {
@@ -40,7 +41,8 @@ pub(crate) fn rows(
             shape: Vec::new(),
         });
     }
-    let array = match states.cast::<PyArrayDyn<f64>>() {
+    // Python looks at the mask of a derived array.
+    let array = match states.cast_exact::<PyArrayDyn<f64>>() {
         Ok(array) if is_aligned(array) => array.clone(),
         _ => {
             static TO_ARRAY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
@@ -55,7 +57,7 @@ pub(crate) fn rows(
     };
     if found != width {
         let error = Error::Width {
-            row: 0,
+            row: first,
             expected: width,
             found,
         };
@@ -73,13 +75,14 @@ fn is_aligned<D: Dimension>(array: &Bound<'_, PyArray<f64, D>>) -> bool {
     array.data().is_aligned() && array.strides().iter().all(numbers_apart)
 }
 
-/// Copies one state.
+/// Copies one state, which errors call `row`.
 pub(crate) fn one_state(
+    row: usize,
     state: &Bound<'_, PyAny>,
     space: &Space,
     names: &Bound<'_, PyTuple>,
 ) -> PyResult<Vec<f64>> {
-    let rows = rows(state, space, names)?;
+    let rows = rows(row, state, space, names)?;
     match rows.shape.is_empty() {
         true => Ok(rows.numbers),
         false => {

@@ -35,15 +35,16 @@ impl Space {
         Space { space, text }
     }
 
-    fn canonical(&self, state: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
+    /// The canonical form of the state that errors call `row`.
+    fn canonical(&self, row: usize, state: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
         let py = state.py();
         let names = names(py, &self.space)?;
-        let mut row = one_state(state, &self.space, names.bind(py))?;
-        let canonical = self.space.canonicalize(&mut row);
+        let mut numbers = one_state(row, state, &self.space, names.bind(py))?;
+        let canonical = self.space.canonicalize(&mut numbers);
         canonical
-            .map_err(|error| wayfold::Error::State { row: 0, error })
+            .map_err(|error| wayfold::Error::State { row, error })
             .or_raise(py)?;
-        Ok(row)
+        Ok(numbers)
     }
 }
 
@@ -82,12 +83,12 @@ impl Space {
     fn distance(&self, a: &Bound<'_, PyAny>, b: &Bound<'_, PyAny>) -> PyResult<f64> {
         Ok(self
             .space
-            .distance(&self.canonical(a)?, &self.canonical(b)?))
+            .distance(&self.canonical(0, a)?, &self.canonical(1, b)?))
     }
 
     /// The state in canonical form.
     fn canonicalize<'py>(&self, state: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let row = self.canonical(state)?;
+        let row = self.canonical(0, state)?;
         Ok(PyArray1::from_vec(state.py(), row))
     }
 

@@ -133,6 +133,7 @@ def test_no_point_has_an_id_out_of_range() -> None:
     assert index.payloads(ids)[-2:] == [None, None]
     assert index.payloads(ids)[:-2] == [index.payload(id) for id in ids[:-2]]
     assert index.get(-1) is None and index.payload(-1) is None and index.get(2**70) is None
+    assert index.get(2**127) is None and -(2**127) not in index and index.payloads([2**127]) == [None]
     assert not (index.remove(-1) or index.replace(-1, [0, 0]) or index.set_tag(-1, 1) or index.set_payload(-1, b""))
 
 
@@ -161,6 +162,8 @@ def test_a_number_out_of_range_is_named(wrong: int) -> None:
         wayfold.Search(1, since=wrong)
     with pytest.raises(TypeError):
         index.insert([0, 0], tag="1")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="(?s)'float' object .* integer.*processing 'id'"):
+        index.get(1.0)  # type: ignore[arg-type]
     assert len(index) == 3
 
 

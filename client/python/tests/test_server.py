@@ -194,8 +194,11 @@ def test_errors_have_classes(server: Server) -> None:
     wayfold.shared(server.url, "declared", create="R2", payload_encoding="edges")
     with pytest.raises(wayfold.AlreadyExists, match="PAYLOAD_ENCODING_EDGES, not PAYLOAD_ENCODING_WEIGHTED_EDGES"):
         wayfold.remote(server.url, "declared", create="R2", payload_encoding="weighted-edges")
-    with pytest.raises(ValueError, match="payload_encoding: \"lines\" is neither"):
-        wayfold.remote(server.url, "declared", create="R2", payload_encoding="lines")  # type: ignore[arg-type]
+    for create in ("R2", None):
+        with pytest.raises(ValueError, match="payload_encoding: \"lines\" is neither"):
+            wayfold.remote(server.url, "declared", create=create, payload_encoding="lines")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="payload_encoding: only an index to create"):
+        wayfold.shared(server.url, "declared", payload_encoding="edges")
     with pytest.raises(ValueError, match="not the address of a server"):
         wayfold.remote("no address", "other")
     with pytest.raises(ConnectionError):

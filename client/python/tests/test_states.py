@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -90,6 +92,37 @@ def test_numbers_are_read_wherever_they_lie(dtype: str, packed: bool) -> None:
     assert column.query(table["state"][7, 1:2]) == (0.0, 7)
 
 
+@pytest.mark.parametrize(
+    ("state", "problem"),
+    [
+        (np.ma.array([1.0, 2.0, 3.0], mask=[False, True, False]), "masked"),
+        ([np.ma.array([1.0, 2.0, 3.0], mask=[False, True, False])], "masked"),
+        (np.array([1 + 2j, 2, 3]), "complex128, where real numbers"),
+        ([1 + 2j, 2, 3], "complex128, where real numbers"),
+        (np.array([1, 2, 3], "M8[s]"), "datetime64.*, where real numbers"),
+        (np.array([1, 2, 3], "m8[s]"), "timedelta64.*, where real numbers"),
+        ([10**400, 0, 0], "too large"),
+        (["a", 2, 3], "could not convert"),
+        ((["a"], Rotation.identity()), "could not convert"),
+        ((np.zeros((5, 3)), Rotation.random(4)), "broadcast"),
+        ([([0, 0, 0], Rotation.identity()), [0, 0, 0]], "same shape"),
+    ],
+)
+def test_what_is_no_row_of_numbers_is_refused(state: Any, problem: str) -> None:
+    index = wayfold.Index("R3*SO3" if "Rotation" in repr(state) else "R3")
+    for call in (index.insert, index.insert_many, index.query):
+        with pytest.raises(wayfold.InvalidArgument, match=f"states: .*{problem}"):
+            call(state)
+    assert len(index) == 0
+
+
+def test_an_array_without_masked_numbers_is_a_state() -> None:
+    index = wayfold.Index("R2")
+    index.insert(np.ma.array([1.0, 2.0], mask=[False, False]))
+    assert index.insert_many(np.ma.array([[3.0, 4.0]])).tolist() == [1]
+    assert index.scan().columns()[2].tolist() == [[1, 2], [3, 4]]
+
+
 def test_the_parts_of_a_space_stay_whole() -> None:
     two = spaces.sum(spaces.torus(2), "R3")
     assert two == wayfold.Space("sum((SO2^2), R3)")
@@ -118,3 +151,7 @@ def test_spaces_have_names() -> None:
     assert len({spaces.SE3(), wayfold.Space("R3*RP3:0.15")}) == 1
     with pytest.raises(ValueError, match="space: "):
         wayfold.Index("R3*banana")
+    for wrong, problem in (([0, np.nan], r"\.coords\[1\]: NaN"), ([0], ": 1 numbers, where")):
+        for row, states in enumerate(((wrong, [0, 0]), ([0, 0], wrong))):
+            with pytest.raises(ValueError, match=rf"states\[{row}\]{problem}"):
+                spaces.R(2).distance(*states)

@@ -35,7 +35,7 @@ pub struct WayfoldServer {
     pub timeout_ms: u64,
     /// How the payloads of an index that is created here hold edges, for programs that show them. 0: nothing is declared.
     /// 1: 8 bytes an edge, the id at its other end, little-endian. 2: 16 bytes an edge, the id and the cost as an IEEE 754
-    /// double, both little-endian. An index that declares another encoding is refused.
+    /// double, both little-endian. An index that declares another encoding is refused. Ignored if `space` is null.
     pub payload_encoding: u32,
     /// The most bytes of writes that a shared index has pending: a write that exceeds them waits. 0 for the client's own,
     /// 16 MiB. The remote form has no pending writes.

@@ -15,22 +15,23 @@ _QUATERNION = ("qx", "qy", "qz", "qw")
 
 def to_array(states: Any, names: tuple[str, ...]) -> npt.NDArray[np.float64]:
     """The states as an array of shape (..., m). `names` are the names of the coordinates of the space."""
-    if _has_rotation(states, names):
-        return _compose(states, names)
-    if isinstance(states, (list, tuple)) and any(_has_rotation(state, names) for state in states):
-        return np.stack([to_array(state, names) for state in states])
     try:
-        # Aligned numbers in the byte order of this machine.
-        return np.require(states, dtype=np.float64, requirements=["C", "A"])
-    except (TypeError, ValueError) as error:
+        if _has_rotation(states, names):
+            return _compose(states, names)
+        if isinstance(states, (list, tuple)) and any(_has_rotation(state, names) for state in states):
+            return np.stack([to_array(state, names) for state in states])
+        return _numbers(states)
+    except InvalidArgument:
+        raise
+    except (TypeError, ValueError, OverflowError) as error:
         raise InvalidArgument(f"states: {error}", "INVALID_ARGUMENT") from error
 
 
 def broadcast(values: Any, shape: Sequence[int]) -> list[float]:
     """A number for each of the states of this shape."""
     try:
-        return np.broadcast_to(np.asarray(values, dtype=np.float64), tuple(shape)).ravel().tolist()
-    except ValueError as error:
+        return np.broadcast_to(_numbers(values), tuple(shape)).ravel().tolist()
+    except (TypeError, ValueError, OverflowError) as error:
         raise InvalidArgument(f"r: {error}", "INVALID_ARGUMENT") from error
 
 
@@ -40,6 +41,17 @@ def array_of_lists(lists: list[list[int]], shape: Sequence[int]) -> npt.NDArray[
     for row, ids in enumerate(lists):
         array[row] = ids
     return array.reshape(tuple(shape))
+
+
+def _numbers(values: Any) -> npt.NDArray[np.float64]:
+    """Aligned numbers in the byte order of this machine. numpy would drop masks, imaginary parts and units of time."""
+    parts = values if isinstance(values, (list, tuple)) else [values]
+    if any(isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part) for part in parts):
+        raise ValueError("an array with masked numbers")
+    array = np.asanyarray(values)
+    if array.dtype.kind not in "biufSUO":
+        raise ValueError(f"an array of {array.dtype}, where real numbers belong")
+    return np.require(array, dtype=np.float64, requirements=["C", "A"])
 
 
 def _has_rotation(state: Any, names: tuple[str, ...]) -> bool:
@@ -74,7 +86,7 @@ def _compose(state: Any, names: tuple[str, ...]) -> npt.NDArray[np.float64]:
             parts.append(np.asarray(part.as_quat(), dtype=np.float64))
             kinds += _QUATERNION
         else:
-            parts.append(np.atleast_1d(np.asarray(part, dtype=np.float64)))
+            parts.append(np.atleast_1d(_numbers(part)))
             kinds += ["number"] * parts[-1].shape[-1]
     expected = [name[:2] if name[:2] in _QUATERNION else "number" for name in names]
     if kinds != expected:

@@ -284,8 +284,8 @@ class Index:
         """The distances and the ids of the nearest neighbours, as scipy's `KDTree.query`.
 
         (..., m) in, (..., k) out, squeezed for k = 1. A missing neighbour has the distance inf and the id −1. `k` may
-        be a list of ranks from 1. `workers` threads search, −1 for all processors. An answer that no memory holds is a
-        `MemoryError`.
+        be a list of ranks from 1. `workers` threads search, but at most one for each processor, as with −1. An answer
+        that no memory holds is a `MemoryError`.
         """
     def query_ball_point(
         self,

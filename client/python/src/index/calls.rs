@@ -8,7 +8,10 @@ use std::{
 };
 
 use numpy::PyArray1;
-use pyo3::{exceptions::PyRuntimeWarning, prelude::*};
+use pyo3::{
+    exceptions::{PyOverflowError, PyRuntimeWarning},
+    prelude::*,
+};
 use wayfold::{Error, InsertOptions, Neighbor};
 
 use super::Index;
@@ -33,14 +36,17 @@ pub(crate) enum Form {
 /// The neighbours of one state.
 pub(super) type IdsAndDistances<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
 
-/// An id as an argument. No point has a negative one: [`Index::query`] answers −1 where it finds none.
-#[derive(FromPyObject)]
-pub(super) struct GivenId(i128);
+/// An id as an argument; `None` for one that no point has, as the −1 that [`Index::query`] answers where it finds none.
+pub(super) struct GivenId(pub(super) Option<u64>);
 
-impl GivenId {
-    /// The id that a point may have.
-    pub(super) fn point(&self) -> Option<u64> {
-        u64::try_from(self.0).ok()
+impl FromPyObject<'_, '_> for GivenId {
+    type Error = PyErr;
+
+    fn extract(id: Borrowed<'_, '_, PyAny>) -> PyResult<GivenId> {
+        match id.extract::<u64>() {
+            Err(error) if error.is_instance_of::<PyOverflowError>(id.py()) => Ok(GivenId(None)),
+            extracted => extracted.map(|id| GivenId(Some(id))),
+        }
     }
 }
 
@@ -108,11 +114,11 @@ impl Index {
     }
 
     pub(super) fn one(&self, state: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
-        one_state(state, self.index.space(), self.names.bind(state.py()))
+        one_state(0, state, self.index.space(), self.names.bind(state.py()))
     }
 
     pub(crate) fn rows(&self, states: &Bound<'_, PyAny>) -> PyResult<Rows> {
-        rows(states, self.index.space(), self.names.bind(states.py()))
+        rows(0, states, self.index.space(), self.names.bind(states.py()))
     }
 
     /// Stores a state.
@@ -170,7 +176,7 @@ impl Index {
         id: &GivenId,
         call: impl FnOnce(&wayfold::Index, u64) -> Result<T, Error> + Send,
     ) -> PyResult<T> {
-        match id.point() {
+        match id.0 {
             Some(id) => self.call(py, |index| call(index, id)),
             None => Ok(T::default()),
         }
