@@ -12,7 +12,7 @@ use std::{path::Path, process::ExitCode};
 use clap::Parser;
 use wayfold_examples::{
     planning::{
-        error::PlanningError,
+        error::{PlanningError, exit_code},
         figures,
         report::can_write,
         server::{self, ServerProcess},
@@ -47,13 +47,7 @@ fn main() -> ExitCode {
         }
         (Ok(runtime), None) => runtime.block_on(run(&options)),
     };
-    match ended {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    exit_code(ended)
 }
 
 async fn run(options: &Options) -> Result<(), PlanningError> {

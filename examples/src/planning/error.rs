@@ -1,8 +1,19 @@
 //! The errors of the planners.
 
-use std::{io, path::PathBuf};
+use std::{io, path::PathBuf, process::ExitCode};
 
 use thiserror::Error;
+
+/// The exit status of a program that ended so. Prints its error.
+pub fn exit_code(ended: Result<(), PlanningError>) -> ExitCode {
+    match ended {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
 
 /// The error of a run without a result.
 #[derive(Debug, Error)]

@@ -9,7 +9,7 @@ use clap::Parser;
 
 use super::{
     comparison::{self, Comparison, Open, PlannerOutcome, Trials},
-    error::PlanningError,
+    error::{PlanningError, exit_code},
     figures,
     host::Host,
     options::{Options, ProcessCommand},
@@ -57,13 +57,7 @@ impl<P: Verify> Example<P> {
             Some(ProcessCommand::Grow { job }) => job::grow(&problem, job),
             None => self.start(&problem, &options),
         };
-        match ended {
-            Ok(()) => ExitCode::SUCCESS,
-            Err(error) => {
-                eprintln!("error: {error}");
-                ExitCode::FAILURE
-            }
-        }
+        exit_code(ended)
     }
 
     fn start(&self, problem: &P, options: &Options) -> Result<(), PlanningError> {

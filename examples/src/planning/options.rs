@@ -1,9 +1,10 @@
 //! The command line of a planner.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, time::Duration};
 
 use clap::{Parser, Subcommand, ValueEnum};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use wayfold::Index;
 
 use super::{error::PlanningError, shared_trees::job::Job};
 
@@ -28,7 +29,7 @@ pub struct Options {
     /// Leaves the trees of several workers on that server, to look at them
     #[arg(long, requires = "server", requires = "workers")]
     pub keep: bool,
-    /// Builds the same two trees with this many processes instead, on one server
+    /// Builds two common trees by this many processes, on one server
     #[arg(long, value_parser = at_least_one, group = "several")]
     pub workers: Option<usize>,
     /// Compares 1, 2, 4 and 8 such workers, and one planner in memory, instead; no picture
@@ -56,6 +57,9 @@ pub enum ProcessCommand {
         job: Job,
     },
 }
+
+/// The longest wait of a worker for the server: another one may be starting in its place.
+pub const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// The source of a planner's neighbours, or all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
@@ -99,6 +103,14 @@ impl Source {
                 source_name: self.name(),
             }),
             false => Ok(sources),
+        }
+    }
+
+    /// Opens an index of a server: by a copy, if the source is not remote.
+    pub fn open(self, uri: &str, name: &str) -> Result<Index, wayfold::Error> {
+        match self {
+            Source::Remote => Index::remote(uri, name).timeout(TIMEOUT).open(),
+            _ => Index::shared(uri, name).timeout(TIMEOUT).open(),
         }
     }
 

@@ -13,7 +13,6 @@ use std::{
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use wayfold::{Scaling, States};
-use wayfold_index::Search;
 
 use super::{
     account::{Account, Growth, Record},
@@ -26,11 +25,13 @@ use super::{
 };
 
 /// k(n): the paper's 2e · ln n, above its bound e(1 + 1/d) · ln n in every dimension above 1.
-pub const SCALING: Scaling = Scaling {
-    k_factor: Some(Scaling::K_FACTOR),
-    radius_factor: None,
-    radius_max: None,
-};
+pub fn k(milestones: usize) -> usize {
+    let scaling = Scaling {
+        k_factor: Some(Scaling::K_FACTOR),
+        ..Scaling::default()
+    };
+    scaling.k(milestones).unwrap_or(usize::MAX)
+}
 
 /// The maximum number of states drawn for each milestone, so that sampling ends if no state is free.
 const MAX_DRAWS: usize = 100;
@@ -161,10 +162,8 @@ impl<'a, P: Problem> Planner<'a, P> {
     /// Makes a free state a milestone with all its edges, and returns its number.
     fn add(&mut self, state: &[f64]) -> Result<usize, PlanningError> {
         let milestone = self.roadmap.len();
-        let mut search = Search::nearest_k(1);
         // k(n) is evaluated here, because no other client inserts. So all sources answer the same plain search.
-        SCALING.apply(&mut search, milestone, self.problem.space().dimension());
-        let found = self.index.search(state, &search)?;
+        let found = self.index.nearest_k(state, k(milestone))?;
         let start = Instant::now();
         let near = found.iter().map(|near| self.milestones[&near.id]);
         let (problem, checks) = (self.problem, &mut self.checks);

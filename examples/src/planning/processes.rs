@@ -6,7 +6,7 @@ use std::{
     io::{self, BufRead, BufReader, Write},
     ops::Add,
     process::{Child, ChildStdin, Command, Stdio},
-    sync::mpsc::{self, Receiver},
+    sync::mpsc,
     thread,
     time::{Duration, Instant},
 };
@@ -39,7 +39,7 @@ pub trait Account: Copy + Default + Serialize + DeserializeOwned + Send + 'stati
 /// The account of a worker's time.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Times {
-    /// The total time, without the wait for acknowledgements at the end.
+    /// The total time; of two trees, without the wait for acknowledgements at the end.
     pub total: Duration,
     /// The time of searches for neighbours.
     pub searching: Duration,
@@ -68,6 +68,9 @@ impl Add for Times {
         }
     }
 }
+
+/// The compared numbers of workers.
+pub const WORKERS: [usize; 4] = [1, 2, 4, 8];
 
 /// The interval of a worker's progress reports, for a picture.
 pub const PROGRESS_MS: u64 = 20;
@@ -178,7 +181,7 @@ pub struct WorkersReport<A> {
 }
 
 impl<A: Account> WorkersReport<A> {
-    /// The time at which the last worker knew that the run was over; it waited for acknowledgements after that.
+    /// The time at which the last worker's account ends.
     pub fn end(&self) -> Duration {
         let ends = self.accounts.iter().map(|account| account.times().total);
         ends.max().unwrap_or_default()
@@ -220,20 +223,7 @@ pub fn run<J: Job>(
     mut incident: Incident<'_>,
 ) -> Result<WorkersReport<J::Account>, PlanningError> {
     let (events, lines) = mpsc::channel();
-    let mut processes = Vec::with_capacity(jobs.len());
-    for job in jobs {
-        let events = events.clone();
-        processes.push(Process::start(job, move |heard| {
-            events.send(heard).is_ok()
-        })?);
-    }
-    drop(events);
-    for _ in jobs {
-        match next(&lines)? {
-            (_, Some(Line::Ready), _) => {}
-            (number, ..) => return Err(lost(number, "it ended before it was ready")),
-        }
-    }
+    let mut processes = start(jobs, move |event| events.send(event).is_ok())?;
     let (started, before) = (Instant::now(), Ticks::now());
     for process in &mut processes {
         process.begin()?;
@@ -249,7 +239,8 @@ pub fn run<J: Job>(
     let mut done = vec![false; jobs.len()];
     let mut working = jobs.len();
     while working > 0 {
-        let (number, line, when) = next(&lines)?;
+        let none = |_| lost(0, "all workers have ended early; what they said is above");
+        let (number, line, when) = lines.recv().map_err(none)?;
         let at = when.saturating_duration_since(started);
         let was_killed = workers_report
             .killed
@@ -326,9 +317,18 @@ impl Ticks {
 /// A line of a worker, or its end, and the time of its arrival.
 pub type WorkerEvent<A> = (usize, Option<Line<A>>, Instant);
 
-fn next<A>(lines: &Receiver<WorkerEvent<A>>) -> Result<WorkerEvent<A>, PlanningError> {
-    let line = lines.recv();
-    line.map_err(|_| lost(0, "all workers have ended early; what they said is above"))
+/// Starts a worker for each job, and returns once all are ready. Forwards their messages as long as `events` accepts
+/// them.
+pub fn start<J: Job>(
+    jobs: &[J],
+    events: impl Fn(WorkerEvent<J::Account>) -> bool + Clone + Send + 'static,
+) -> Result<Vec<Process>, PlanningError> {
+    let processes = jobs.iter().map(Process::start);
+    let mut processes = processes.collect::<Result<Vec<_>, _>>()?;
+    for process in &mut processes {
+        process.listen(events.clone())?;
+    }
+    Ok(processes)
 }
 
 /// A worker; killed when it is dropped.
@@ -339,11 +339,7 @@ pub struct Process {
 }
 
 impl Process {
-    /// Starts a worker, and forwards its messages as long as `events` accepts them.
-    pub fn start<J: Job>(
-        job: &J,
-        events: impl Fn(WorkerEvent<J::Account>) -> bool + Send + 'static,
-    ) -> Result<Process, PlanningError> {
+    fn start<J: Job>(job: &J) -> Result<Process, PlanningError> {
         let number = job.number();
         let failed = |problem: io::Error| lost(number, problem);
         let program = env::current_exe().map_err(failed)?;
@@ -354,24 +350,31 @@ impl Process {
             .stdout(Stdio::piped())
             .spawn()
             .map_err(failed)?;
-        let input = child.stdin.take();
-        let output = child.stdout.take();
-        thread::spawn(move || {
-            let lines = output.map(BufReader::new).into_iter();
-            for line in lines.flat_map(BufRead::lines).map_while(Result::ok) {
-                let line = serde_json::from_str(&line).ok();
-                if line.is_some() && !events((number, line, Instant::now())) {
-                    return;
-                }
-            }
-            // The receiver is gone once the run is over.
-            let _ = events((number, None, Instant::now()));
-        });
         Ok(Process {
             number,
+            input: child.stdin.take(),
             child,
-            input,
         })
+    }
+
+    /// Waits until it is ready, and then forwards its messages and its end.
+    fn listen<A: Account>(
+        &mut self,
+        events: impl Fn(WorkerEvent<A>) -> bool + Send + 'static,
+    ) -> Result<(), PlanningError> {
+        let number = self.number;
+        let output = self.child.stdout.take().map(BufReader::new).into_iter();
+        let lines = output.flat_map(BufRead::lines).map_while(Result::ok);
+        let mut lines = lines.filter_map(|line| serde_json::from_str::<Line<A>>(&line).ok());
+        let Some(Line::Ready) = lines.next() else {
+            return Err(lost(number, "it ended before it was ready"));
+        };
+        thread::spawn(move || {
+            // The receiver is gone once the run is over.
+            let mut lines = lines.map(Some).chain([None]);
+            lines.all(|line| events((number, line, Instant::now())))
+        });
+        Ok(())
     }
 
     /// Starts its work.

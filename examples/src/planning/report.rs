@@ -12,6 +12,7 @@ use super::{
     comparison::{Comparison, PlannerOutcome, Run},
     error::PlanningError,
     options::Source,
+    processes::Times,
     rrt_star::{Progress, Star},
 };
 
@@ -92,6 +93,12 @@ pub fn median(numbers: impl IntoIterator<Item = f64>) -> f64 {
         count if count % 2 == 1 => numbers[middle],
         _ => f64::midpoint(numbers[middle - 1], numbers[middle]),
     }
+}
+
+/// Of the times of workers, the median shares of searches, checks and inserts, in percent.
+pub fn shares(times: impl Iterator<Item = Times> + Clone) -> [f64; 3] {
+    let parts: [fn(Times) -> Duration; 3] = [|of| of.searching, |of| of.checking, |of| of.waiting];
+    parts.map(|part| median(times.clone().map(|of| of.percent(part(of)))))
 }
 
 /// The table. `paper` is the speedup of the paper's planner by the trees of the paper's library, if the paper gives it.

@@ -12,24 +12,17 @@ use std::{
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use wayfold::{Scaling, States};
-use wayfold_index::Search;
+use wayfold::States;
 
 use super::{
     account::Account,
     error::PlanningError,
     figures::{RunRecord, RunTimes},
     options::Source,
+    prm_star::k,
     problem::Problem,
     sampling,
     source::{TimedIndex, Usage},
-};
-
-/// k(n): the paper's 2e · ln n, above its bound e(1 + 1/d) · ln n in every dimension above 1.
-const SCALING: Scaling = Scaling {
-    k_factor: Some(Scaling::K_FACTOR),
-    radius_factor: None,
-    radius_max: None,
 };
 
 /// The maximum length of an extension in resolutions: η.
@@ -299,9 +292,7 @@ impl<'a, P: Problem> Planner<'a, P> {
             return Ok(None);
         }
         // k(n) is evaluated here, because no other client inserts. So all sources answer the same plain search.
-        let mut search = Search::nearest_k(1);
-        SCALING.apply(&mut search, self.tree.len(), problem.space().dimension());
-        let found = self.index.search(state, &search)?;
+        let found = self.index.nearest_k(state, k(self.tree.len()))?;
         let near = found.iter().map(|near| {
             let node = self.tree.nodes[&near.id];
             NearNode {

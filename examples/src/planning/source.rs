@@ -68,14 +68,10 @@ impl TimedIndex {
         ids
     }
 
-    /// The neighbours that match `search`, in the order (distance, id).
-    pub fn search(
-        &mut self,
-        state: &[f64],
-        search: &Search<'_>,
-    ) -> Result<Vec<Neighbor>, PlanningError> {
+    /// The `k` nearest states, in the order (distance, id).
+    pub fn nearest_k(&mut self, state: &[f64], k: usize) -> Result<Vec<Neighbor>, PlanningError> {
         let start = Instant::now();
-        let found = self.form.search(state, search);
+        let found = self.form.nearest_k(state, k);
         self.usage.searching += start.elapsed();
         self.usage.searches += 1;
         found
@@ -83,8 +79,7 @@ impl TimedIndex {
 
     /// The nearest state; None if there are none.
     pub fn nearest(&mut self, state: &[f64]) -> Result<Option<Neighbor>, PlanningError> {
-        let found = self.search(state, &Search::nearest_k(1))?;
-        Ok(found.first().copied())
+        Ok(self.nearest_k(state, 1)?.first().copied())
     }
 
     /// Waits until the server of a shared index has acknowledged every insert; returns the time it took.
@@ -106,68 +101,53 @@ impl Form {
     fn insert(&mut self, states: &States) -> Result<Vec<u64>, PlanningError> {
         let first = match self {
             Form::Index(index) => return Ok(index.insert_many(states)?),
-            Form::Scan(forest) => forest.len() as u64,
-            Form::Brute(_, stored) => stored.len() as u64,
-        };
-        let ids = first..first + states.len() as u64;
-        match self {
             Form::Scan(forest) => {
-                let revision = forest.revision() + 1;
+                let (first, revision) = (forest.len(), forest.revision() + 1);
                 let mut points = Points::with_capacity(states.width(), states.len());
-                for (id, state) in ids.clone().zip(states) {
+                for (id, state) in (first as u64..).zip(states) {
                     points.push(id, 0, revision, state);
                 }
                 forest
                     .apply(revision, &points, &[])
                     .expect("canonical states");
+                first
             }
             Form::Brute(_, stored) => {
+                let first = stored.len();
                 for state in states {
                     stored.push(state)?;
                 }
+                first
             }
-            Form::Index(_) => {}
-        }
-        Ok(ids.collect())
+        };
+        Ok((first as u64..(first + states.len()) as u64).collect())
     }
 
-    fn search(&self, state: &[f64], search: &Search<'_>) -> Result<Vec<Neighbor>, PlanningError> {
-        match self {
-            Form::Index(index) => {
-                let search_k = match u32::try_from(search.k) {
-                    Ok(k) => wayfold::Search::k(k).radius(search.radius),
-                    Err(_) => wayfold::Search::within(search.radius),
-                };
-                Ok(index.search(state, &search_k)?.neighbors)
-            }
+    fn nearest_k(&self, state: &[f64], k: usize) -> Result<Vec<Neighbor>, PlanningError> {
+        Ok(match self {
+            Form::Index(index) => index.nearest_k(state, u32::try_from(k).unwrap_or(u32::MAX))?,
             Form::Scan(forest) => {
-                let answer = forest.search(state, search).expect("canonical states");
-                Ok(answer.neighbors)
+                let answer = forest.search(state, &Search::nearest_k(k));
+                answer.expect("canonical states").neighbors
             }
-            Form::Brute(space, stored) => Ok(brute_force(space, stored, state, search)),
-        }
+            Form::Brute(space, stored) => brute_force(space, stored, state, k),
+        })
     }
 }
 
-fn brute_force(
-    space: &Space,
-    stored: &States,
-    state: &[f64],
-    search: &Search<'_>,
-) -> Vec<Neighbor> {
+fn brute_force(space: &Space, stored: &States, state: &[f64], k: usize) -> Vec<Neighbor> {
     let measured = (0..).zip(stored).map(|(id, stored)| Neighbor {
         distance: space.distance(state, stored),
         id,
     });
-    let within = measured.filter(|neighbor| neighbor.distance <= search.radius);
-    if search.k == 1 {
-        return within.min().into_iter().collect();
+    if k == 1 {
+        return measured.min().into_iter().collect();
     }
-    let mut found: Vec<Neighbor> = within.collect();
-    if search.k < found.len() {
+    let mut found: Vec<Neighbor> = measured.collect();
+    if k < found.len() {
         // The others are not sorted: sorting would take longer than computing their distances.
-        found.select_nth_unstable(search.k);
-        found.truncate(search.k);
+        found.select_nth_unstable(k);
+        found.truncate(k);
     }
     found.sort_unstable();
     found

@@ -16,7 +16,7 @@ use crate::planning::{
     options::seeds,
     path,
     problem::Problem,
-    processes::{self, Incident, PROGRESS_MS, WorkersReport},
+    processes::{self, Incident, WORKERS, WorkersReport},
     server::ServerProcess,
 };
 
@@ -65,17 +65,26 @@ pub async fn build(
     options: &Options,
     seed: u64,
 ) -> Result<Built, PlanningError> {
+    let work = async |index: &IndexHandle| build_in(scene, uri, server, index, options, seed).await;
+    in_new_index(scene, uri, options.keep, work).await
+}
+
+/// The result of `work` in an index of its own, which it leaves on the server only with `keep`.
+pub async fn in_new_index<T>(
+    scene: &Rooms,
+    uri: &str,
+    keep: bool,
+    work: impl AsyncFnOnce(&IndexHandle) -> Result<T, PlanningError>,
+) -> Result<T, PlanningError> {
     let client = Client::connect(uri).await?;
     let name = format!("rigid-{}", uuid::Uuid::new_v4());
-    let index = client
-        .create_index_with(&name, scene.space(), PayloadEncoding::Edges)
-        .await?;
-    let built = build_in(scene, uri, server, &index, options, seed).await;
-    if !options.keep {
+    let index = client.create_index_with(&name, scene.space(), PayloadEncoding::Edges);
+    let done = work(&index.await?).await;
+    if !keep {
         // If the server is gone, its indices are gone too.
         let _ = client.delete_index(&name).await;
     }
-    built
+    done
 }
 
 async fn build_in(
@@ -94,16 +103,8 @@ async fn build_in(
     let half = (options.kill || options.restart)
         .then_some(options.milestones / options.workers as u64 / 2);
     let job = |number| Job {
-        server: uri.to_owned(),
-        index: index.name().to_owned(),
-        number,
-        seed,
-        milestones: options.milestones,
-        source: options.source,
-        max_pending: options.max_pending,
-        min_separation: options.min_separation,
-        progress_ms: PROGRESS_MS,
         halt_at: half.filter(|_| number == 0),
+        ..options.job(uri, index.name(), number, seed)
     };
     let jobs: Vec<Job> = (0..options.workers).map(job).collect();
     let workers_report = processes::run(&jobs, incident)?;
@@ -170,9 +171,6 @@ pub fn answer(
         states,
     })
 }
-
-/// The compared numbers of workers.
-pub const WORKERS: [usize; 4] = [1, 2, 4, 8];
 
 /// Builds roadmaps with all numbers of workers and both sources. The contestants take turns, so that other load on the
 /// machine affects all of them.

@@ -2,14 +2,17 @@
 
 use std::path::PathBuf;
 
-use clap::{ArgGroup, Args, Parser, Subcommand};
+use clap::{
+    ArgGroup, Args, Parser, Subcommand, ValueEnum,
+    builder::{PossibleValuesParser, TypedValueParser},
+};
 use serde::{Deserialize, Serialize};
 
 use super::account::Account;
 pub use crate::planning::options::Source;
 use crate::planning::{
     options::{at_least_one, from_json},
-    processes,
+    processes::{self, PROGRESS_MS},
 };
 
 /// The names of the options that apply only to several processes.
@@ -37,10 +40,11 @@ pub struct Options {
     /// The number of milestones of the roadmap
     #[arg(long, default_value_t = 4000)]
     pub milestones: u64,
-    /// The source of a state's neighbours: shared or remote
-    #[arg(long, value_enum, default_value_t = Source::Shared)]
+    /// The source of a state's neighbours; --scaling without --until-solved compares both
+    #[arg(long, default_value = Source::Shared.name(), value_parser = server_source())]
     pub source: Source,
-    /// The number of own milestones without a known place in the index's order at which a worker waits for one
+    /// The number of own milestones without a known place in the index's order at which a worker waits for one; a
+    /// remote index, and one with --min-separation, tells each place at once
     #[arg(long, default_value_t = 32, value_parser = at_least_one)]
     pub max_pending: usize,
     /// Leaves out states that are nearer to a milestone than this
@@ -104,6 +108,30 @@ pub struct Audit {
     /// The index that holds the roadmap
     #[arg(long)]
     pub index: String,
+}
+
+/// Only these sources can be shared by several processes.
+fn server_source() -> impl TypedValueParser<Value = Source> {
+    let names = [Source::Shared, Source::Remote].map(Source::name);
+    PossibleValuesParser::new(names).try_map(|name| Source::from_str(&name, false))
+}
+
+impl Options {
+    /// The job of worker `number` on the roadmap in this index.
+    pub fn job(&self, server: &str, index: &str, number: usize, seed: u64) -> Job {
+        Job {
+            server: server.to_owned(),
+            index: index.to_owned(),
+            number,
+            seed,
+            milestones: self.milestones,
+            source: self.source,
+            max_pending: self.max_pending,
+            min_separation: self.min_separation,
+            progress_ms: PROGRESS_MS,
+            halt_at: None,
+        }
+    }
 }
 
 /// The parameters of a worker.

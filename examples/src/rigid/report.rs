@@ -4,15 +4,15 @@ use std::{fmt::Write, time::Duration};
 
 use super::{
     account::Account,
-    build::{Answer, Built, WORKERS},
+    build::{Answer, Built},
     options::Source,
 };
 use crate::planning::{
     comparison::PlannerOutcome,
     figures::{RunRecord, RunTimes},
     prm_star::AnsweredRoadmap,
-    processes::Times,
-    report::median,
+    processes::WORKERS,
+    report::{median, shares},
 };
 
 impl Built {
@@ -160,10 +160,8 @@ pub fn comparison(all: &[Built]) -> String {
     );
     for source in [Source::Shared, Source::Remote] {
         for workers in WORKERS {
-            let share = |part: fn(Times) -> Duration| {
-                let times = of(source, workers).map(|one| one.sum().times);
-                median(times.map(|times| times.percent(part(times))))
-            };
+            let times = of(source, workers).map(|one| one.sum().times);
+            let [search, check, wait] = shares(times);
             // The ratios are taken seed by seed: runs of one seed are close in time, and with one worker they draw the
             // same states.
             let ratio = |other_source, other_workers| {
@@ -172,14 +170,11 @@ pub fn comparison(all: &[Built]) -> String {
             };
             let _ = writeln!(
                 text,
-                "{:<10} {workers:>8} {:>10.0} {:>8.2} {:>10.0} {:>9.1} {:>8.1} {:>8.1} {:>13.2} {:>10.2}",
+                "{:<10} {workers:>8} {:>10.0} {:>8.2} {:>10.0} {search:>9.1} {check:>8.1} {wait:>8.1} {:>13.2} {:>10.2}",
                 source.name(),
                 median(of(source, workers).map(|one| one.sum().milestones as f64)),
                 median(of(source, workers).map(|one| one.workers_report.wall.as_secs_f64())),
                 median(of(source, workers).map(Built::rate)),
-                share(|times| times.searching),
-                share(|times| times.checking),
-                share(|times| times.waiting),
                 ratio(source, 1),
                 ratio(Source::Remote, workers),
             );

@@ -12,11 +12,11 @@ use std::{
 
 use petgraph::unionfind::UnionFind;
 use tokio::sync::mpsc::{self, UnboundedReceiver};
-use wayfold::{Client, Include, IndexHandle, PayloadEncoding, Watch, WatchEvent};
+use wayfold::{Include, IndexHandle, Watch, WatchEvent};
 
 use super::{
     account::Account,
-    build::WORKERS,
+    build::in_new_index,
     milestone::{self, PENDING},
     options::{Job, Options, Source},
     roadmap::Roadmap,
@@ -31,7 +31,7 @@ use crate::planning::{
     path,
     prm_star::AnsweredRoadmap,
     problem::Problem,
-    processes::{Line, Process, WorkerEvent, lost},
+    processes::{self, Line, WORKERS, WorkerEvent, lost},
     report::median,
 };
 
@@ -57,8 +57,12 @@ pub async fn run(scene: &Rooms, uri: &str, options: &Options) -> Result<(), Plan
         true => &WORKERS[..],
         false => &[options.workers],
     };
+    let solve_anew = async |options: &Options, seed| {
+        let work = async |index: &IndexHandle| solve(scene, uri, index, options, seed).await;
+        in_new_index(scene, uri, false, work).await
+    };
     // This run does not count: the first calls of a new server take longer.
-    solve_anew(scene, uri, options, options.seed).await?;
+    solve_anew(options, options.seed).await?;
     let mut all = Vec::new();
     // The contestants take turns, so that other load on the machine affects all of them.
     for seed in seeds(options.seed, options.runs) {
@@ -67,29 +71,11 @@ pub async fn run(scene: &Rooms, uri: &str, options: &Options) -> Result<(), Plan
                 workers,
                 ..options.clone()
             };
-            all.push(solve_anew(scene, uri, &options, seed).await?);
+            all.push(solve_anew(&options, seed).await?);
         }
     }
     print!("{}", table(&all, workers));
     figures::write(all.iter().map(SolvedRoadmap::row), options.json.as_deref())
-}
-
-/// Solves them in a separate index.
-async fn solve_anew(
-    scene: &Rooms,
-    uri: &str,
-    options: &Options,
-    seed: u64,
-) -> Result<SolvedRoadmap, PlanningError> {
-    let client = Client::connect(uri).await?;
-    let name = format!("rigid-{}", uuid::Uuid::new_v4());
-    let index = client
-        .create_index_with(&name, scene.space(), PayloadEncoding::Edges)
-        .await?;
-    let solved = solve(scene, uri, &index, options, seed).await;
-    // If the server is gone, its indices are gone too.
-    let _ = client.delete_index(&name).await;
-    solved
 }
 
 async fn solve(
@@ -102,36 +88,13 @@ async fn solve(
     let watch = index.watch().after(index.revision_at(0));
     let mut watch = watch.include(Include::all()).await?;
     let (events, mut lines) = mpsc::unbounded_channel();
-    let mut workers_report = Vec::new();
-    for number in 0..options.workers {
-        let job = Job {
-            server: uri.to_owned(),
-            index: index.name().to_owned(),
-            number,
-            seed,
-            milestones: options.milestones,
-            source: options.source,
-            max_pending: options.max_pending,
-            min_separation: options.min_separation,
-            // Each worker reports every milestone, so that the cost of a solution is exact.
-            progress_ms: 0,
-            halt_at: None,
-        };
-        let events = events.clone();
-        workers_report.push(Process::start(&job, move |heard| {
-            events.send(heard).is_ok()
-        })?);
-    }
-    drop(events);
-    for _ in 0..options.workers {
-        match lines.recv().await {
-            Some((_, Some(Line::Ready), _)) => {}
-            heard => {
-                let number = heard.map_or(0, |(number, ..)| number);
-                return Err(lost(number, "it ended before it was ready"));
-            }
-        }
-    }
+    let job = |number| Job {
+        // Each worker reports every milestone, so that the cost of a solution is exact.
+        progress_ms: 0,
+        ..options.job(uri, index.name(), number, seed)
+    };
+    let jobs: Vec<Job> = (0..options.workers).map(job).collect();
+    let mut workers = processes::start(&jobs, move |event| events.send(event).is_ok())?;
 
     let at = (uri, index.name());
     let mut asker = Worker::open(scene, at, Source::Shared, options.workers, seed).await?;
@@ -144,13 +107,13 @@ async fn solve(
             _ => return Err(unconnected(task.name, ends.len())),
         }
     }
-    for process in &mut workers_report {
-        process.begin()?;
+    for worker in &mut workers {
+        worker.begin()?;
     }
     let mut accounts = vec![Account::default(); options.workers];
     let joined = follow(&mut watch, &mut lines, &mut accounts, &ends).await;
     // The workers end here, even after an error.
-    drop(workers_report);
+    drop(workers);
     joined?;
     let roadmap = Roadmap::read(index).await?;
     let mut paths = Vec::new();

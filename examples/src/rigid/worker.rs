@@ -13,7 +13,7 @@ mod completion;
 
 use std::{
     collections::{BTreeMap, HashMap},
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use rand::SeedableRng;
@@ -29,11 +29,8 @@ use super::{
     scene::Rooms,
 };
 use crate::planning::{
-    error::PlanningError, options::Source, prm_star::SCALING, problem::Problem, sampling,
+    error::PlanningError, options::Source, prm_star::k, problem::Problem, sampling,
 };
-
-/// The longest wait for the server: another one may be starting in its place.
-const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// A worker that samples, checks and inserts.
 pub struct Worker<'a> {
@@ -82,11 +79,6 @@ impl CheckedState {
     }
 }
 
-/// k(n).
-fn k(milestones: usize) -> usize {
-    SCALING.k(milestones).unwrap_or(usize::MAX)
-}
-
 impl<'a> Worker<'a> {
     /// Opens the index of this name on a server, for worker `number` of those that extend it. Each draws its own states
     /// from the same seed.
@@ -100,19 +92,11 @@ impl<'a> Worker<'a> {
         // The worker waits for a server that is being restarted.
         let client = Client::builder().retry(RetryPolicy::until_deadline());
         let server = client.connect(uri).await?.index(name).await?;
-        let index = match source {
-            Source::Shared => Index::shared(uri, name).timeout(TIMEOUT).open()?,
-            Source::Remote => Index::remote(uri, name).timeout(TIMEOUT).open()?,
-            other => {
-                let source_name = other.name();
-                return Err(PlanningError::Unshared { source_name });
-            }
-        };
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(number as u64);
         Ok(Worker {
             scene,
-            index,
+            index: source.open(uri, name)?,
             is_shared: source == Source::Shared,
             server,
             number,

@@ -21,7 +21,6 @@ use wayfold_examples::{
         source::TimedIndex,
     },
 };
-use wayfold_index::Search;
 
 use crate::server::Server;
 
@@ -282,18 +281,14 @@ fn all_sources_answer_all_searches_alike() {
         states.push(draw()).unwrap();
     }
     let queries: Vec<Vec<f64>> = (0..20).map(|_| draw()).collect();
-    let both = Search {
-        radius: 1.5,
-        ..Search::nearest_k(9)
-    };
     let answers = |source| -> Vec<Vec<Neighbor>> {
         let mut source = TimedIndex::new(source, problem.space(), Some(&host)).unwrap();
         assert_eq!(source.nearest(&queries[0]).unwrap(), None);
         source.insert(&states).unwrap();
-        let searches = [Search::nearest_k(1), Search::nearest_k(7), both];
-        let searches = searches.into_iter().chain([Search::nearest_r(1.0)]);
-        let each = searches.flat_map(|search| queries.iter().map(move |state| (state, search)));
-        each.map(|(state, search)| source.search(state, &search).unwrap())
+        // More than all too.
+        let each = [1, 7, 400].into_iter();
+        let each = each.flat_map(|k| queries.iter().map(move |state| (state, k)));
+        each.map(|(state, k)| source.nearest_k(state, k).unwrap())
             .collect()
     };
     let expected = answers(Source::Brute);

@@ -1,7 +1,7 @@
 //! Two trees that several workers grow together are trees, and each search found the nearest vertex of a revision and
 //! of the worker's own before it, by a comparison with brute force.
 
-use std::{collections::BTreeSet, sync::LazyLock, thread, time::Duration};
+use std::{collections::BTreeSet, sync::LazyLock, thread};
 
 use wayfold::Neighbor;
 use wayfold_examples::{
@@ -142,10 +142,7 @@ async fn the_first_announced_meeting_of_the_trees_counts() {
         unsolved,
         Err(PlanningError::Unsolved { nodes: 2 })
     ));
-    let meeting = || {
-        let timeout = Duration::from_secs(60);
-        Meeting::open(&server.uri, "trees", MAZE.space(), timeout).unwrap()
-    };
+    let meeting = || Meeting::open(&server.uri, "trees", MAZE.space()).unwrap();
     let listeners: Vec<_> = (0..3).map(|_| meeting()).collect();
     assert!(!listeners[2].has_happened().unwrap());
     listeners[0].announce(MAZE.start(), [7, 8]).unwrap();

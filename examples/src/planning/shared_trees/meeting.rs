@@ -4,25 +4,21 @@
 //! look whether it has a point costs no call, and the point arrives at once. If several workers connect the trees, the
 //! first insert in the index's order counts.
 
-use std::time::Duration;
-
 use wayfold::{Include, Index, IndexHandle, InsertOptions, Space};
 
-use super::{super::error::PlanningError, vertex};
+use super::{
+    super::{error::PlanningError, options::TIMEOUT},
+    vertex,
+};
 
 /// The possible meeting of two trees, for a worker.
 pub struct Meeting(Index);
 
 impl Meeting {
     /// The meeting of the trees of this name, which others may have opened before.
-    pub fn open(
-        uri: &str,
-        trees: &str,
-        space: &Space,
-        timeout: Duration,
-    ) -> Result<Meeting, PlanningError> {
+    pub fn open(uri: &str, trees: &str, space: &Space) -> Result<Meeting, PlanningError> {
         let index = Index::shared(uri, &name(trees));
-        Ok(Meeting(index.create(space).timeout(timeout).open()?))
+        Ok(Meeting(index.create(space).timeout(TIMEOUT).open()?))
     }
 
     /// Records that the trees meet in this state, at these stored vertices.

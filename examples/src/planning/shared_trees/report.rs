@@ -3,9 +3,14 @@
 use std::{fmt::Write, time::Duration};
 
 use super::{
-    super::{comparison::Run, options::Source, processes::Times, report::median},
+    super::{
+        comparison::Run,
+        options::Source,
+        processes::WORKERS,
+        report::{median, shares},
+    },
     account::Account,
-    solve::{SharedSolution, WORKERS},
+    solve::SharedSolution,
 };
 
 /// The account of one solution, worker by worker.
@@ -86,21 +91,16 @@ pub fn comparison(alone: &[Run], all: &[SharedSolution]) -> String {
                 "{:.2} ({least:.2}..{most:.2})",
                 median(walls.iter().copied())
             );
-            let share = |part: fn(Times) -> Duration| {
-                let times = of(source, workers).map(|one| one.sum().times);
-                median(times.map(|times| times.percent(part(times))))
-            };
+            let times = of(source, workers).map(|one| one.sum().times);
+            let [search, check, wait] = shares(times);
             // The ratios are taken seed by seed, because the runs of one seed are close in time.
             let pairs = || of(source, workers).zip(of(source, 1));
             let _ = writeln!(
                 text,
-                "{:<8} {workers:>8} {:>9.0} {span:>26} {:>11.0} {:>9.1} {:>8.1} {:>8.1} {:>12.2}× {:>9.2}× {:>9.2}×",
+                "{:<8} {workers:>8} {:>9.0} {span:>26} {:>11.0} {search:>9.1} {check:>8.1} {wait:>8.1} {:>12.2}× {:>9.2}× {:>9.2}×",
                 source.name(),
                 median(of(source, workers).map(|one| one.sum().vertices as f64)),
                 median(of(source, workers).map(SharedSolution::rate)),
-                share(|times| times.searching),
-                share(|times| times.checking),
-                share(|times| times.waiting),
                 median(pairs().map(|(many, one)| wall(one) / wall(many))),
                 median(pairs().map(|(many, one)| many.rate() / one.rate())),
                 median(

@@ -10,7 +10,7 @@ use super::{
         options::{Options, Source, seeds},
         path::{self, Verify},
         problem::Problem,
-        processes::{self, Incident, PROGRESS_MS, WorkersReport},
+        processes::{self, Incident, PROGRESS_MS, WORKERS, WorkersReport},
         rrt::{self, Solution},
     },
     account::Account,
@@ -132,9 +132,6 @@ pub async fn read(store: &Store) -> Result<(SharedTrees, Vec<Vec<f64>>), Plannin
     let path = rrt::path(&shared.trees, [start, goal]);
     Ok((shared, path))
 }
-
-/// The compared numbers of workers.
-pub const WORKERS: [usize; 4] = [1, 2, 4, 8];
 
 /// Solves the problem with all numbers of workers and each source that they can share, and by one planner with indices
 /// in memory, a run for each seed. The contestants take turns, so that other load on the machine affects all of them.

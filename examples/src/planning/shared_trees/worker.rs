@@ -4,7 +4,7 @@
 //! connection, as the planner of one process does (`rrt`). Each vertex is inserted with its parent. A shared index
 //! shows it at once and sends it in the background; the vertices of other workers appear in searches as they arrive.
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -16,9 +16,6 @@ use super::{
     meeting::Meeting,
     store,
 };
-
-/// The longest wait for the server: another one may be starting in its place.
-const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// A worker that samples, checks and inserts.
 pub struct Worker<'a, P> {
@@ -65,17 +62,13 @@ impl<'a, P: Problem> Worker<'a, P> {
         number: usize,
         seed: u64,
     ) -> Result<Worker<'a, P>, PlanningError> {
-        let open = |name: String| match source {
-            Source::Remote => Index::remote(uri, &name).timeout(TIMEOUT).open(),
-            _ => Index::shared(uri, &name).timeout(TIMEOUT).open(),
-        };
         let [start, goal] = store::names(trees);
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(number as u64);
         Ok(Worker {
             problem,
-            indices: [open(start)?, open(goal)?],
-            meeting: Meeting::open(uri, trees, problem.space(), TIMEOUT)?,
+            indices: [source.open(uri, &start)?, source.open(uri, &goal)?],
+            meeting: Meeting::open(uri, trees, problem.space())?,
             number,
             rng,
             account: Account::default(),

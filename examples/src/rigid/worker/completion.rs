@@ -4,9 +4,11 @@ use std::time::Instant;
 
 use wayfold::Neighbor;
 
-use super::{CheckedState, TIMEOUT, Worker, k};
+use super::{CheckedState, Worker};
 use crate::{
-    planning::{error::PlanningError, problem::Problem, processes::lost},
+    planning::{
+        error::PlanningError, options::TIMEOUT, prm_star::k, problem::Problem, processes::lost,
+    },
     rigid::{
         milestone::{self, PENDING},
         replay,
