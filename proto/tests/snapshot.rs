@@ -306,12 +306,20 @@ fn columns_and_counts_that_do_not_fit_are_refused() {
         read_changed(same, |p| columns(p).tags.truncate(2)),
         read_changed(same, |p| columns(p).revisions.push(1)),
         read_changed(same, |p| columns(p).payloads.truncate(2)),
+        read_changed(same, |p| {
+            columns(p).payloads = vec![Default::default(); 100]
+        }),
         read_changed(same, |p| p.modified_revisions.clear()),
         read_changed(|h| h.space = "R3".parse().unwrap(), |_| {}),
         read_changed(|h| h.point_count = 2, |_| {}),
         read_changed(|h| h.point_count = 4, |_| {}),
         read_changed(|h| h.next_id = (1 << 63) + 1, |_| {}),
     ];
+    assert!(
+        errors[7].to_string().contains("100 entries in "),
+        "{}",
+        errors[7]
+    );
     for error in errors {
         assert_eq!(error.reason(), "SNAPSHOT_INVALID", "{error}");
         assert!(error.to_string().contains("part "), "{error}");

@@ -114,7 +114,7 @@ fn refusal_of(change: impl FnOnce(&mut v1::SnapshotSessions)) -> SnapshotError {
 #[test]
 fn sessions_that_no_index_holds_are_refused_with_their_place() {
     type Change = fn(&mut v1::SnapshotSessions);
-    let cases: [(Change, &str); 12] = [
+    let cases: [(Change, &str); 14] = [
         (
             |it| it.sessions[1].session = 1,
             "part 3, session 1: it follows session 1",
@@ -131,6 +131,15 @@ fn sessions_that_no_index_holds_are_refused_with_their_place() {
         (
             |it| it.sessions[1].response = vec![0xff],
             "session 90: its response is not a WriteResponse",
+        ),
+        (
+            // An unknown field of 300 bytes.
+            |it| it.sessions[1].response = [&[0x7a, 172, 2][..], &[0; 300]].concat(),
+            "session 90: its response is not a WriteResponse",
+        ),
+        (
+            |it| it.sessions = vec![v1::SnapshotSession::default(); 100],
+            "103 entries in ",
         ),
         (
             |it| it.blocks[1].id_count = 0,

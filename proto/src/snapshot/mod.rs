@@ -4,6 +4,7 @@
 //! The format is documented in `wayfold/v1/snapshot.proto`. Each program that takes, keeps or restores a snapshot
 //! checks all of it here, and does not rely on the checks of the program before it.
 
+mod entries;
 mod error;
 mod file;
 mod reader;

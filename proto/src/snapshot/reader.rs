@@ -5,7 +5,7 @@ use wayfold_index::Space;
 
 use super::{
     Digest, FORMAT_VERSION, Header, MAX_CONTENT_BYTES, MAX_PAYLOAD_BYTES, OLDEST_FORMAT_VERSION,
-    PointPosition, PointProblem, SnapshotError, digest, sessions::CheckedSessions,
+    PointPosition, PointProblem, SnapshotError, digest, entries, sessions::CheckedSessions,
 };
 use crate::{
     END_OF_IDS, space,
@@ -72,6 +72,7 @@ impl Reader {
         }
         let number = self.parts + 1;
         self.authenticate(number, part)?;
+        entries::check(number, &part.content)?;
         let content = v1::SnapshotContent::decode(part.content.clone())
             .map_err(|error| SnapshotError::malformed(number, error))?;
         let content = match (content.kind, &self.header) {

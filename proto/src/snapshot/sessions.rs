@@ -5,6 +5,9 @@ use prost::Message;
 use super::{BlockProblem, Header, SessionProblem, SnapshotError};
 use crate::v1;
 
+/// The most bytes of an encoded WriteResponse: it holds four numbers and a uid.
+const MAX_RESPONSE_BYTES: usize = 256;
+
 /// The checked sessions and blocks of one snapshot so far.
 #[derive(Debug, Default)]
 pub(super) struct CheckedSessions {
@@ -81,7 +84,11 @@ impl CheckedSessions {
         if bytes != 32 {
             return Err(SessionProblem::Fingerprint { bytes });
         }
-        v1::WriteResponse::decode(&session.response[..]).map_err(|_| SessionProblem::Response)?;
+        // Fields that are not known decode too, whatever their size.
+        let decoded = v1::WriteResponse::decode(&session.response[..]);
+        if decoded.is_err() || session.response.len() > MAX_RESPONSE_BYTES {
+            return Err(SessionProblem::Response);
+        }
         self.sessions.push(id);
         Ok(())
     }
