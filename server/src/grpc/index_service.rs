@@ -1,5 +1,7 @@
 //! `wayfold.v1.IndexService`, translated to calls of the service and back.
 
+use std::mem;
+
 use tonic::{Request, Streaming};
 use wayfold_proto::v1::{self, index_service_server::IndexService};
 
@@ -84,7 +86,7 @@ impl IndexService for IndexFace {
         let limit = MessageLimit::of_setting(self.max_message_bytes);
         let restate =
             |status| refusals::unless_left(refusals::restate(status, limit, refusals::RAISE));
-        let mut checks = caller_checks();
+        let (mut checks, mut is_observed) = (caller_checks(), false);
         loop {
             let message = tokio::select! {
                 biased;
@@ -95,7 +97,9 @@ impl IndexService for IndexFace {
                 }
             };
             let Some(message) = message else { break };
-            observe::request(&message);
+            if !mem::replace(&mut is_observed, true) {
+                observe::request(&message);
+            }
             let added = restoring.add(message).await;
             added.map_err(|error| from_error(&error))?;
         }

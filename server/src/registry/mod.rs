@@ -113,6 +113,8 @@ struct Host {
     merges: Semaphore,
     run: RunId,
     labels: Labels,
+    /// The names of the indices that are being restored: they count towards the limits.
+    restoring: Mutex<Vec<String>>,
 }
 
 impl Registry {
@@ -146,6 +148,7 @@ impl Registry {
                 merges,
                 run: *Uid::unique().as_bytes(),
                 labels: Labels::default(),
+                restoring: Mutex::default(),
             }),
             indexes: RwLock::default(),
             change_lock: Mutex::new(()),
@@ -287,9 +290,7 @@ impl Registry {
             space,
             payload_encoding,
         };
-        for limit in limits {
-            limit.check(self.indexes.read().keys())?;
-        }
+        self.check_limits(limits)?;
         self.host.watermarks.admit(0)?;
         match self.host.log.catalogue.create(entry.clone()) {
             Err(LogError::NameTaken { .. }) => {

@@ -50,6 +50,7 @@ impl Registry {
             stored,
             loader,
             limits: _,
+            counted: _,
         } = restore;
         let points = loader.len;
         let loaded = loader.finish(origin.revision).map_err(unloaded)?;

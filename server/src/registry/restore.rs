@@ -21,6 +21,33 @@ pub struct Restore {
     pub(super) limits: Vec<IndexLimit>,
     pub(super) stored: Box<dyn Restoring>,
     pub(super) loader: Loader,
+    /// None if it takes the place of an index, which counts already.
+    pub(super) counted: Option<Counted>,
+}
+
+/// The name of an index that is being restored counts towards the limits until this is dropped.
+pub(super) struct Counted {
+    host: Arc<Host>,
+    name: String,
+}
+
+impl Counted {
+    fn new(host: &Arc<Host>, name: &str) -> Self {
+        host.restoring.lock().push(name.into());
+        Self {
+            host: Arc::clone(host),
+            name: name.into(),
+        }
+    }
+}
+
+impl Drop for Counted {
+    fn drop(&mut self) {
+        let mut restoring = self.host.restoring.lock();
+        if let Some(at) = restoring.iter().position(|name| *name == self.name) {
+            restoring.swap_remove(at);
+        }
+    }
 }
 
 impl Registry {
@@ -42,7 +69,9 @@ impl Registry {
             space,
             payload_encoding,
         };
-        Restore::begin(&self.host, entry, origin, limits, false)
+        let counted = Some(Counted::new(&self.host, name));
+        let restore = Restore::begin(&self.host, entry, origin, limits, false)?;
+        Ok(Restore { counted, ..restore })
     }
 
     /// Hosts a restored index that has all its points, with these writer sessions. Blocks on the log and on building
@@ -55,10 +84,12 @@ impl Registry {
             limits,
             stored,
             loader,
+            counted,
         } = restore;
         let points = loader.len;
         let loaded = loader.finish(origin.revision).map_err(unloaded)?;
         let mut change = self.change_lock.lock();
+        drop(counted);
         self.room_for(&entry.name, &limits)?;
         // A copy has another uid, so no call to the original is repeated here.
         stored.finish(sessions, Vec::new())?;
@@ -84,13 +115,18 @@ impl Registry {
     }
 
     fn room_for(&self, name: &str, limits: &[IndexLimit]) -> Result<(), RegistryError> {
-        let indexes = self.indexes.read();
-        if indexes.contains_key(name) {
+        if self.indexes.read().contains_key(name) {
             return Err(RegistryError::Taken);
         }
-        limits
-            .iter()
-            .try_for_each(|limit| limit.check(indexes.keys()))
+        self.check_limits(limits)
+    }
+
+    /// Fails if the indices, those that are being restored included, leave no room for another one.
+    pub(super) fn check_limits(&self, limits: &[IndexLimit]) -> Result<(), RegistryError> {
+        let indexes = self.indexes.read();
+        let restoring = self.host.restoring.lock();
+        let check = |limit: &IndexLimit| limit.check(indexes.keys().chain(restoring.iter()));
+        limits.iter().try_for_each(check)
     }
 }
 
@@ -145,6 +181,7 @@ impl Restore {
             entry,
             origin,
             limits,
+            counted: None,
         })
     }
 

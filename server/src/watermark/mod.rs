@@ -315,6 +315,24 @@ mod tests {
     const ANSWERS: Duration = Duration::from_secs(10);
 
     #[test]
+    fn merges_leave_the_bytes_of_calls() {
+        let of = |used| {
+            let probe = move || {
+                Ok(Usage {
+                    used,
+                    high: 70,
+                    low: 60,
+                    limit: 160,
+                })
+            };
+            Watermark::new(Resource::Memory, probe)
+                .reserving(40)
+                .remaining()
+        };
+        assert_eq!([of(50), of(115), of(155)], [Some(70), Some(10), Some(5)]);
+    }
+
+    #[test]
     fn a_disk_that_does_not_answer_stops_one_thread() {
         let (starts, started) = mpsc::channel();
         let (answers, answered) = mpsc::channel::<u64>();

@@ -28,6 +28,7 @@ mod replaced_in_nats;
 mod restored_in_nats;
 mod shared_files;
 mod suite;
+mod swept;
 mod tables;
 mod test_log;
 mod version_3;

@@ -23,6 +23,9 @@
 //!   `views_are_never_torn`, service `idle_index`.
 //! - A database that is dropped has ended its threads and writes nothing more. Relied on in `fjall/journal.rs`,
 //!   `fjall/manifest_copy.rs`, checked by `a_start_rewrites_the_journal_unless_the_shutdown_was_clean`, e2e `power_loss`.
+//! - `drop_range` drops the tables whose keys are all in a range, under the lock of the compactions, and a snapshot still
+//!   reads them. The next rotation of the memtable lets go of their files. Relied on in `fjall/sweeper.rs`, checked by
+//!   `a_deleted_index_gives_its_disk_back`.
 //! - All keys in one keyspace reach the tables in the order of the journal. Relied on in `fjall/layout.rs`, checked by
 //!   `the_log_on_disk_is_the_sum_of_its_records`, e2e `crash` and `power_loss`.
 

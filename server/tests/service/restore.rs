@@ -243,12 +243,23 @@ async fn the_limit_of_indices_is_kept() {
         max_indexes: 1,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
+    let service = service_with(Arc::new(MemoryLog::new()), limits.clone());
     lived_in(&service, "R1", 2).await;
     let parts = snapshot(&service, "arm").await;
     let refused = refusal(restore(&service, "leg", &parts).await);
     let expected = (Code::ResourceExhausted, "LIMIT_EXCEEDED");
     assert_eq!((refused.0, refused.1), expected);
+
+    // An index that is being restored counts.
+    let service = service_with(Arc::new(MemoryLog::new()), limits);
+    let mut begun = service.restore_index(&CALL).unwrap();
+    let (name, part) = ("arm".into(), Some(parts[0].clone()));
+    let message = v1::RestoreIndexRequest { name, part };
+    begun.add(message).await.unwrap();
+    let refused = refusal(restore(&service, "leg", &parts).await);
+    assert_eq!((refused.0, refused.1), expected);
+    drop(begun);
+    restore(&service, "leg", &parts).await.unwrap();
 }
 
 /// Asserts that a failed restore left no index and, once its remains are swept, no trace in the log.

@@ -157,12 +157,14 @@ impl Directory {
         file.sync_all()
     }
 
-    /// Fails if the disk cannot be written, if it has no room for `bytes` and some more, or if `name` is missing.
-    pub(super) fn probe(&self, name: &str, bytes: u64) -> io::Result<()> {
+    /// Fails if the disk cannot be written, if it would have no room for `bytes` and some more once `freed` bytes were
+    /// given back, or if `name` is missing.
+    pub(super) fn probe(&self, name: &str, bytes: u64, freed: u64) -> io::Result<()> {
         fs::metadata(self.join(name))?;
         let path = self.join(PROBE);
         let written = File::create(&path).and_then(|mut file| {
-            io::copy(&mut io::repeat(0).take(PROBE_BYTES + bytes), &mut file)?;
+            let bytes = (PROBE_BYTES + bytes).saturating_sub(freed);
+            io::copy(&mut io::repeat(0).take(bytes), &mut file)?;
             file.sync_all()
         });
         let removed = fs::remove_file(&path);

@@ -146,13 +146,16 @@ impl FjallLog {
             },
             None => shut(error),
         };
-        // Opening begins by moving these bytes to the tables, and fails at once if it cannot.
-        let unflushed_bytes = failed.map_or(0, |failed| {
-            let handles = failed.store.handles();
-            handles.map_or(0, |handles| handles.unflushed_bytes())
+        let handles = failed.and_then(|failed| failed.store.handles().ok());
+        // Opening begins by moving the unflushed bytes to the tables, and fails at once if it cannot. Closing gives back
+        // what a merge had written when the disk was full: the probe would fail until then.
+        let (unflushed, freed) = handles.map_or((0, 0), |handles| {
+            let written = usage::disk(self.directory.path()).tables;
+            let freed = written.saturating_sub(handles.keyspace.disk_space());
+            (handles.unflushed_bytes(), freed)
         });
         self.directory
-            .probe(STORE, unflushed_bytes)
+            .probe(STORE, unflushed, freed)
             .map_err(disk_error)
     }
 

@@ -11,7 +11,7 @@ use std::{
     thread::JoinHandle,
 };
 
-use fjall::OwnedWriteBatch;
+use fjall::{AbstractTree, OwnedWriteBatch};
 use parking_lot::Mutex;
 use tracing::warn;
 
@@ -96,6 +96,7 @@ fn sweep(
     marks: &mut Marks,
     stop: &AtomicBool,
 ) -> Result<(), String> {
+    let has_dropped = drop_tables(store, number).map_err(text)?;
     for key in [point_key, record_key, operation_key, session_key, block_key] {
         let mut after = Bound::Included(key(number, 0));
         let last = Bound::Included(key(number, u64::MAX));
@@ -113,7 +114,33 @@ fn sweep(
     let mut batch = handles.database.batch();
     batch.remove(&handles.keyspace, entry_key(number));
     batch.remove(&handles.keyspace, head_key(number));
-    commit(batch, failure).map_err(text)
+    commit(batch, failure).map_err(text)?;
+    if has_dropped {
+        // The dropped files stay until the store lets go of its former lists of tables, which an idle one never does.
+        handles.keyspace.rotate_memtable().map_err(text)?;
+    }
+    Ok(())
+}
+
+/// Drops the tables that hold nothing but points or records of the index, and returns whether there were any. Removed
+/// keys alone give no disk back before the store merges their tables, for which it needs more disk. Comes before the
+/// removal of keys, whose marks might be in a dropped table while the values are in another.
+fn drop_tables(store: &Store, number: Number) -> Result<bool, LogError> {
+    let handles = store.handles()?;
+    let tree = &handles.keyspace.tree;
+    let mut has_dropped = false;
+    for key in [point_key, record_key] {
+        let (first, last) = (key(number, 0), key(number, u64::MAX));
+        // Without any, the call would write a list of tables all the same.
+        let version = tree.current_version();
+        let mut ranges = version.iter_tables().map(|table| &table.metadata.key_range);
+        if ranges.any(|it| first[..] <= **it.min() && **it.max() <= last[..]) {
+            let dropped = tree.drop_range(first..=last);
+            dropped.map_err(|error| storage(error.into()))?;
+            has_dropped = true;
+        }
+    }
+    Ok(has_dropped)
 }
 
 /// Commits a batch. A failure here stops all writers, so the cause is noted for them too.
