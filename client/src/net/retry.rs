@@ -138,6 +138,43 @@ mod tests {
         );
     }
 
+    fn busy(seconds: u64) -> Error {
+        let details = ErrorDetails::with_retry_info(Some(Duration::from_secs(seconds)));
+        let busy = tonic::Code::ResourceExhausted;
+        let status = tonic::Status::with_error_details(busy, "busy", details);
+        Error::Refused(Box::new(Refusal::from_status(&status)))
+    }
+
+    #[tokio::test]
+    async fn a_call_is_repeated_after_the_time_that_the_server_asks_for() {
+        let began = Instant::now();
+        let mut tries = 0;
+        let attempt = || {
+            tries += 1;
+            std::future::ready(match tries {
+                1 => Err(busy(1)),
+                _ => Ok(()),
+            })
+        };
+        POLICY
+            .run(began + Duration::from_secs(60), attempt)
+            .await
+            .unwrap();
+        assert!(began.elapsed() >= Duration::from_secs(1));
+    }
+
+    #[test]
+    fn endless_tries_wait_as_long() {
+        assert!(POLICY.endless_pause(1, Some(&busy(20))) >= Duration::from_secs(20));
+    }
+
+    #[test]
+    fn they_are_spread() {
+        let pauses = (0..20).map(|_| requested_pause(Some(&busy(20))));
+        let pauses: std::collections::BTreeSet<_> = pauses.collect();
+        assert!(pauses.len() > 1);
+    }
+
     #[test]
     fn chance_shortens_a_pause_by_half_at_most() {
         assert_eq!(POLICY.pause(1, 0.0), Some(Duration::from_millis(50)));

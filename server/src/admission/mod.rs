@@ -356,45 +356,4 @@ impl Drop for HeldBytes {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::pin::pin;
-
-    use futures_util::poll;
-
-    use super::*;
-    use crate::config::Config;
-
-    #[test]
-    fn refusals_of_calls_of_administration_count() {
-        let admission = Admission::new(&Config::default().admission, 1, 0);
-        let flow = admission.open();
-        assert!(!flow.hold().take(usize::MAX));
-        assert!(!flow.admin().hold().take(usize::MAX));
-        assert_eq!(admission.refused(0)[1], ("TOO_MANY_BYTES", 2));
-    }
-
-    #[tokio::test]
-    async fn calls_of_administration_wait_as_long_as_they_must() {
-        let config = AdmissionConfig {
-            queue_target_ms: 0,
-            burst_ms: 0,
-            ..Config::default().admission
-        };
-        let admission = Admission::new(&config, 1, 0);
-        let flow = admission.open();
-        let mut busy = flow.turns();
-        busy.request().unwrap();
-        let admin = flow.admin();
-        let (mut other, mut list, mut create) = (flow.turns(), admin.turns(), admin.turns());
-        let mut other = pin!(other.run(async {}));
-        let (mut list, mut create) = (pin!(list.run(async {})), pin!(create.run(async {})));
-        assert!(poll!(other.as_mut()).is_pending());
-        assert!(poll!(list.as_mut()).is_pending() && poll!(create.as_mut()).is_pending());
-        drop(busy);
-        assert!(other.await.is_err());
-        // The first that came goes first.
-        assert!(poll!(create.as_mut()).is_pending());
-        list.await.unwrap();
-        create.await.unwrap();
-    }
-}
+mod tests;

@@ -304,3 +304,11 @@ fn a_full_server_says_when_to_come_back_and_names_its_watermark() {
         assert_eq!(metadata["used"], "90");
     }
 }
+
+#[test]
+fn an_identity_with_too_many_calls_is_told_when_to_come_back() {
+    let why = Denial::Unknown(IdentificationError::TooManyCalls(2));
+    let status = from_error(&Error::Denied { why });
+    let retry: pb::RetryInfo = decoded(&status, "RetryInfo");
+    assert!(retry.retry_delay.is_some());
+}

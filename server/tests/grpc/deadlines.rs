@@ -108,3 +108,30 @@ async fn a_deadline_that_cannot_be_read_is_refused() {
     assert_eq!(reason(&status, Code::InvalidArgument), "MALFORMED_TIMEOUT");
     server.stop().await.unwrap().unwrap();
 }
+
+#[tokio::test]
+async fn a_stream_has_no_default_deadline() {
+    let server = TestServer::start(|config| config.grpc.default_timeout_ms = 200).await;
+    let index = server.create_line("line").await;
+    let request = v1::ScanRequest {
+        index_name: "line".into(),
+        min_revision: index
+            .revision
+            .map(|empty| v1::Revision { number: 1, ..empty }),
+        ..Default::default()
+    };
+    let mut points = server.points();
+    let scanning = tokio::spawn(async move { points.scan(request).await.map(|_| ()) });
+    tokio::time::sleep(Duration::from_millis(600)).await;
+    let row = v1::InsertRequest {
+        index_name: "line".into(),
+        states: Some(v1::States {
+            row_count: 1,
+            coordinates: vec![0.5],
+        }),
+        ..Default::default()
+    };
+    server.points().insert(row).await.unwrap();
+    scanning.await.unwrap().unwrap();
+    server.stop().await.unwrap().unwrap();
+}

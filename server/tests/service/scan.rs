@@ -155,3 +155,23 @@ async fn a_scan_that_holds_its_snapshot_too_long_ends_and_another_goes_on() {
     }
     assert_eq!(ids, (0..9000).collect::<Vec<_>>());
 }
+
+#[tokio::test]
+async fn a_scan_waits_for_the_revision_it_asks_after() {
+    use futures_util::FutureExt;
+    let (service, uid) = arm("R1").await;
+    let request = v1::ScanRequest {
+        filter: Some(v1::Filter {
+            since_revision: revision(&uid, 1),
+            ..Default::default()
+        }),
+        ..scanning()
+    };
+    let mut scanning = std::pin::pin!(service.scan(&CALL, request));
+    assert!((&mut scanning).now_or_never().is_none());
+    service
+        .insert(&CALL, insertion(&[[1.0]], &[]))
+        .await
+        .unwrap();
+    scanning.await.unwrap();
+}

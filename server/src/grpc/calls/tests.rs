@@ -134,3 +134,24 @@ async fn an_answer_is_counted_from_the_time_it_is_made() {
     drop(answer);
     assert!(has_room());
 }
+
+#[tokio::test]
+async fn a_call_that_waits_needs_room_at_its_turn() {
+    let (shared, under_way) = (shared(), TaskTracker::new());
+    let flow = shared.admission.open();
+    let busy = [(); 2].map(|()| {
+        let mut turns = flow.turns();
+        turns.request().unwrap();
+        turns
+    });
+    let mut answer = std::pin::pin!(call(&shared, &under_way, || Response::new(Body::empty())));
+    assert!(futures_util::poll!(answer.as_mut()).is_pending());
+    let unread = shared.admission.open().hold();
+    unread.force_take(shared.admission.bytes().1 as usize);
+    drop(busy);
+    let status = Status::from_header_map(answer.await.headers()).unwrap();
+    assert_eq!(
+        status.get_details_error_info().unwrap().reason,
+        "TOO_MANY_BYTES"
+    );
+}

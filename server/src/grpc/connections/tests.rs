@@ -121,3 +121,46 @@ async fn many_that_are_refused_do_not_keep_others_out() {
     advance(MAX_WAIT).await;
     assert!(poll!(pin!(open_one("192.0.2.1:4"))).is_pending());
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_network_with_one_connection_makes_no_room() {
+    let admission = Admission::new(&Config::default().admission, 1, 0);
+    let connections = Connections::new(2, 1, admission);
+    let mut open = Vec::new();
+    for peer in ["192.0.2.1:1", "192.0.2.2:1"] {
+        let cut = CancellationToken::new();
+        let place = connections
+            .open(peer.parse().ok(), cut.clone())
+            .await
+            .unwrap();
+        let call = place.activity().begin();
+        open.push((place, call, cut));
+    }
+    let mut newcomer = pin!(connections.open("192.0.2.3:1".parse().ok(), CancellationToken::new()));
+    for _ in 0..20 {
+        assert!(poll!(newcomer.as_mut()).is_pending());
+        assert!(open.iter().all(|(.., cut)| !cut.is_cancelled()));
+        for (place, ..) in &open {
+            place.activity().note_arrival();
+        }
+        advance(MIN_IDLE).await;
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_connection_that_does_not_read_its_answer_makes_room_only_after_its_time() {
+    let admission = Admission::new(&Config::default().admission, 1, 0);
+    let connections = Connections::new(1, 1, admission);
+    let cut = CancellationToken::new();
+    let first = connections.open(None, cut.clone()).await.unwrap();
+    first.activity().set_stalled(true);
+    let mut second = pin!(connections.open(None, CancellationToken::new()));
+    for _ in 0..8 {
+        assert!(poll!(second.as_mut()).is_pending());
+        assert!(!cut.is_cancelled());
+        advance(MAX_SILENCE / 10).await;
+    }
+    advance(MAX_SILENCE / 2).await;
+    assert!(poll!(second.as_mut()).is_pending());
+    assert!(cut.is_cancelled());
+}

@@ -179,3 +179,18 @@ async fn a_connection_ends_after_its_time_while_its_client_reads_nothing() {
     advance(MAX_STALL).await;
     assert_ends(&mut bounded, io::ErrorKind::TimedOut).await;
 }
+
+#[tokio::test(start_paused = true)]
+async fn the_longest_silence_makes_room_if_all_have_calls() {
+    let (listener, slots) = (listen().await, ConnectionSlots::new(2));
+    let (_live, mut live) = connect(&listener, &slots).await;
+    let (_silent, mut silent) = connect(&listener, &slots).await;
+    let _calls = [live.slot.calls.token(), silent.slot.calls.token()];
+    advance(MIN_SILENCE).await;
+    live.write_all(b"an answer").await.unwrap();
+    let ended = tokio::spawn(async move { silent.read_u8().await.unwrap_err().kind() });
+    let began = Instant::now();
+    let _third = connect(&listener, &slots).await;
+    assert!(began.elapsed() < MAX_STALL);
+    assert_eq!(ended.await.unwrap(), io::ErrorKind::ConnectionAborted);
+}

@@ -188,3 +188,17 @@ async fn bad_removals() {
     assert_elsewhere(remove(other).await, remove(unknown).await);
     assert_eq!(everything(&service).await, before);
 }
+
+#[tokio::test]
+async fn bad_operation_of_a_removal() {
+    let (service, _) = three_points().await;
+    let long = v1::RemoveRequest {
+        operation_id: "x".repeat(65),
+        ..removal(&[1])
+    };
+    assert_invalid(
+        service.remove(&CALL, long).await,
+        "TOO_LONG",
+        "operation_id",
+    );
+}

@@ -259,3 +259,56 @@ fn very_many_points_of_others_make_a_superset() {
     assert!(first.is_superset);
     assert!(neighbor_ids(&first).contains(&1));
 }
+
+#[test]
+fn a_point_that_takes_the_place_of_a_moved_neighbor_is_answered() {
+    let (mut writes, mut points) = pending_writes();
+    foreign(&mut writes, &mut points, 1, 0, 1.0);
+    insert_near_1(&mut writes, &mut points, &Search::nearest_k(1));
+    foreign(&mut writes, &mut points, 1, 0, 10.0);
+    foreign(&mut writes, &mut points, 2, 0, 2.0);
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 1);
+    assert_eq!(neighbor_ids(&answers[0]), [2]);
+}
+
+#[test]
+fn searches_of_refused_writes_are_closed() {
+    let (mut writes, mut points) = pending_writes();
+    insert_near_1(&mut writes, &mut points, &Search::nearest_k(1));
+    writes
+        .refuse(Arc::new(crate::Error::Closed), &mut points)
+        .expect("ids");
+    assert_eq!(writes.open_searches.take().open, 0);
+}
+
+#[test]
+fn answers_that_are_taken_leave_their_room() {
+    let (mut writes, _) = pending_writes();
+    for _ in 0..2 {
+        for id in 0..200_000 {
+            let neighbors = Vec::new();
+            writes.open_searches.add(Meanwhile {
+                id,
+                points_before: 0,
+                neighbors,
+                is_superset: false,
+            });
+        }
+        assert!(!writes.open_searches.take().has_dropped);
+    }
+}
+
+#[test]
+fn a_point_that_gets_a_tag_of_the_search_is_answered() {
+    let mut search = Search::nearest_k(2);
+    (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
+    let (mut writes, mut points) = pending_writes();
+    foreign(&mut writes, &mut points, 1, 1, 1.0);
+    foreign(&mut writes, &mut points, 2, 0, 3.0);
+    insert_near_1(&mut writes, &mut points, &search);
+    foreign_tag(&mut writes, &mut points, 2, 1);
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 1);
+    assert_eq!(neighbor_ids(&answers[0]), [2]);
+}
