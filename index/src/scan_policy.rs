@@ -15,18 +15,21 @@
 
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering::Relaxed};
 
-/// The number of consecutive searches that a scan must have been cheaper for: a single query may lie far outside.
+/// The number of consecutive searches that a scan must have been cheaper for: a single query may lie far outside. As
+/// many searches then scan, before the next one descends. If a scan would have been cheaper again, twice as many scan.
 const MIN_CHEAPER_SCANS: u32 = 4;
 
-/// The number of searches that then scan, before the next one descends.
-const SCANS: u32 = 64;
+/// The greatest number of scans between two descents.
+const MAX_SCANS: u32 = 64;
 
-/// The policy of one tree.
+/// The policy of one tree. A race between threads may lose a step, which does no harm.
 #[derive(Debug, Default)]
 pub(crate) struct ScanPolicy {
-    /// Up to `MIN_CHEAPER_SCANS`, the searches in a row that a scan was cheaper for; above it, `MIN_CHEAPER_SCANS` plus
-    /// the scans to come. A race between threads may lose a step, which does no harm.
-    state: AtomicU32,
+    /// Below `MIN_CHEAPER_SCANS`, the searches in a row that a scan was cheaper for; from there on, the scans that the
+    /// last descent led to.
+    run: AtomicU32,
+    /// The scans to come.
+    remaining: AtomicU32,
     /// The number of scans so far, for tests.
     scans: AtomicUsize,
 }
@@ -34,12 +37,12 @@ pub(crate) struct ScanPolicy {
 impl ScanPolicy {
     /// True if the next search scans.
     pub(crate) fn next_scans(&self) -> bool {
-        let state = self.state.load(Relaxed);
-        if state > MIN_CHEAPER_SCANS {
-            self.state.store(state - 1, Relaxed);
+        let remaining = self.remaining.load(Relaxed);
+        if remaining > 0 {
+            self.remaining.store(remaining - 1, Relaxed);
             self.scans.fetch_add(1, Relaxed);
         }
-        state > MIN_CHEAPER_SCANS
+        remaining > 0
     }
 
     /// The number of scans so far.
@@ -49,17 +52,17 @@ impl ScanPolicy {
 
     /// Records a search that descended; `scan_is_cheaper` is true if a scan would have cost less.
     pub(crate) fn observe(&self, scan_is_cheaper: bool) {
-        let state = self.state.load(Relaxed);
-        if scan_is_cheaper {
-            let next = if state + 1 < MIN_CHEAPER_SCANS {
-                state + 1
-            } else {
-                MIN_CHEAPER_SCANS + SCANS
-            };
-            self.state.store(next, Relaxed);
-        } else if state > 0 {
-            self.state.store(0, Relaxed);
-        }
+        let run = self.run.load(Relaxed);
+        let next = match scan_is_cheaper {
+            true if run < MIN_CHEAPER_SCANS => run + 1,
+            true => MAX_SCANS.min(2 * run),
+            // Threads share the policy of a tree that none of them scans, so it is only read.
+            false if run == 0 => return,
+            false => 0,
+        };
+        self.run.store(next, Relaxed);
+        let scans = if next < MIN_CHEAPER_SCANS { 0 } else { next };
+        self.remaining.store(scans, Relaxed);
     }
 }
 
@@ -74,22 +77,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_tree_is_scanned_after_searches_visited_most_of_it_and_descended_again_later() {
+    fn each_descent_that_confirms_the_scans_before_it_doubles_those_after_it() {
         let policy = ScanPolicy::default();
-        for _ in 1..MIN_CHEAPER_SCANS {
-            policy.observe(true);
-            assert!(!policy.next_scans());
+        let scans_after = |scan_is_cheaper| {
+            policy.observe(scan_is_cheaper);
+            std::iter::repeat_with(|| policy.next_scans())
+                .take_while(|&scans| scans)
+                .count()
+        };
+        for _ in 0..2 {
+            let scans = [(); 10].map(|()| scans_after(true));
+            assert_eq!(scans, [0, 0, 0, 4, 8, 16, 32, 64, 64, 64]);
+            assert_eq!(scans_after(false), 0);
         }
-        for _ in 0..3 {
-            policy.observe(true);
-            for _ in 0..SCANS {
-                assert!(policy.next_scans());
-            }
-            assert!(!policy.next_scans());
-        }
-        assert_eq!(policy.scans(), 3 * SCANS as usize);
-        policy.observe(false);
-        policy.observe(true);
-        assert!(!policy.next_scans());
+        assert_eq!(policy.scans(), 2 * 252);
     }
 }

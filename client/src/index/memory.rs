@@ -224,6 +224,7 @@ impl NearestNeighbors for Memory {
             _ if is_stored => drop(state.payloads.insert(id, payload.to_vec())),
             _ => {}
         }
+        self.after_change(&mut state.points);
         Ok(is_stored)
     }
 
@@ -278,8 +279,17 @@ mod tests {
             let row = [15_199, 10_187, 18_003, 5_806].map(|factor| f64::from(n * factor % 24_593));
             insert(&index, &row, &[]);
         }
-        // 16,384 points, 8,192, and the growing level.
-        assert_eq!(index.read().unwrap().points.forest.snapshot().levels(), 3);
+        // 16,384 points, 8,192, and the growing tree.
+        assert_eq!(index.read().unwrap().points.forest.snapshot().trees(), 3);
+    }
+
+    #[test]
+    fn the_levels_of_an_index_at_rest_are_packed_after_a_payload_changes_too() {
+        let index = Memory::new(&"R1".parse().unwrap(), Merges::Background);
+        insert(&index, &[0.5], &[]);
+        index.with_points(&mut |points| points.is_watched = false);
+        index.set_payload(0, b"edges").unwrap();
+        index.with_points(&mut |points| assert!(points.is_watched));
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! An index as a planner holds it: see [`Index`].
 //!
 //! One type, three forms behind the trait [`NearestNeighbors`]: `memory`, `shared` and `remote`. `local` holds points
-//! in this process, for the first two; `history` knows the newest changes, and `merger` is the thread that merges.
+//! in this process, for the first two; `history` knows the newest changes, and `merger` has the two threads that merge.
 
 mod history;
 mod local;

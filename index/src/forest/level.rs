@@ -2,7 +2,7 @@
 
 use std::{sync::Arc, time::Instant};
 
-use super::{growing::Growing, packed::Packed};
+use super::{growing::GrowingTree, static_level::StaticLevel};
 use crate::{Point, Points, TreeReport, lanes::Isa, traversal::Traversal};
 
 /// Points by ascending id.
@@ -12,16 +12,16 @@ pub(super) type PointsById<'a> = Box<dyn Iterator<Item = Point> + Send + 'a>;
 #[derive(Debug)]
 pub(super) enum Level {
     /// The result of a merge, or the points of a large mutation, and the time when the level was made.
-    Packed(Box<Packed>, Instant),
+    Static(Box<StaticLevel>, Instant),
     /// A growing tree that was full, and the time when it was.
-    Grown(Arc<Growing>, Instant),
+    Grown(Arc<GrowingTree>, Instant),
 }
 
 /// The same expression for either kind.
 macro_rules! for_either {
     ($level:expr, $held:ident => $result:expr) => {
         match $level {
-            Level::Packed($held, _) => $result,
+            Level::Static($held, _) => $result,
             Level::Grown($held, _) => $result,
         }
     };
@@ -39,17 +39,17 @@ impl Level {
     }
 
     /// True if a merge has built its tree.
-    pub(super) fn is_built(&self) -> bool {
+    pub(super) fn is_packed(&self) -> bool {
         match self {
-            Level::Packed(packed, _) => packed.is_built(),
+            Level::Static(level, _) => level.is_packed(),
             Level::Grown(..) => false,
         }
     }
 
-    /// The time since which its points wait for a merge; None if it is built.
-    pub(super) fn unmerged_since(&self) -> Option<Instant> {
-        let (Level::Packed(_, made) | Level::Grown(_, made)) = self;
-        (!self.is_built()).then_some(*made)
+    /// The time since which its points wait for a merge; None if it is packed.
+    pub(super) fn unpacked_since(&self) -> Option<Instant> {
+        let (Level::Static(_, made) | Level::Grown(_, made)) = self;
+        (!self.is_packed()).then_some(*made)
     }
 
     pub(super) fn get(&self, slot: usize) -> Point {

@@ -2,7 +2,7 @@
 
 use std::{sync::Arc, time::Instant};
 
-use super::{level::Level, packed::Packed};
+use super::{level::Level, static_level::StaticLevel};
 use crate::{Points, Space};
 
 /// A merge to run: it copies levels into one, without their dead points.
@@ -53,8 +53,8 @@ impl Merge {
             }
         }
         let level = (!points.is_empty()).then(|| {
-            let packed = Packed::built(self.space, &points, self.leaf_rows);
-            Level::Packed(Box::new(packed), Instant::now())
+            let level = StaticLevel::packed(self.space, &points, self.leaf_rows);
+            Level::Static(Box::new(level), Instant::now())
         });
         Merged {
             token: self.token,

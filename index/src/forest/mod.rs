@@ -1,12 +1,12 @@
 //! The dynamic structure: a forest of static trees, by the logarithmic method.
 //!
-//! The smallest *level* is a tree that grows by single points ([`growing`]). Once it is full, another one grows. Merges
+//! One tree grows by single points ([`growing`]). Once it is full, it becomes a *level*, and another one grows. Merges
 //! pack levels into ones of doubling size, and into a few when writes pause ([`policy`]); they drop dead points.
 //! Removing a point marks it with a *tombstone*; replacing one removes it and stores the new one.
 //!
 //! One owner writes, and any number of [`ForestSnapshot`]s read, each at its own revision; neither waits for the other.
 //! Levels are immutable and shared by count, a tombstone hides a point from its revision on, and the parts of the
-//! growing level that a snapshot holds are copied before they change. The owner chooses the thread of a merge:
+//! growing tree that a snapshot holds are copied before they change. The owner chooses the thread of a merge:
 //! [`Forest::begin_merge`] returns the next one, [`Merge::run`] does the work, and [`Forest::finish_merge`] swaps the
 //! result in, while mutations and searches continue. No method of the forest except [`Forest::settle`] and
 //! [`Forest::settle_up_to`] runs merges itself.
@@ -14,10 +14,10 @@
 mod growing;
 mod level;
 mod merge;
-mod packed;
 mod policy;
 mod retired;
 mod snapshot;
+mod static_level;
 mod tombstones;
 mod validate;
 
@@ -30,22 +30,22 @@ use std::{
 };
 
 use crate::{
-    Answer, ApplyError, Point, Points, PointsError, Search, SearchError, Space, kernel::KeyScale,
+    Answer, ApplyError, Point, Points, PointsError, Search, SearchError, Space, kernel::KeyMap,
 };
-use growing::Growing;
+use growing::GrowingTree;
 use level::Level;
 use merge::Running;
 pub use merge::{Merge, Merged, ReplacedLevels};
-use packed::Packed;
 use retired::Retired;
 pub use snapshot::ForestSnapshot;
+use static_level::StaticLevel;
 use tombstones::LATEST;
 pub use validate::ForestReport;
 
 /// The sizes a forest is built with; [`ForestOptions::for_space`] has those that measure best.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ForestOptions {
-    /// The greatest number of points in the level that grows by single points, from 1 to
+    /// The greatest number of points in the tree that grows by single points, from 1 to
     /// [`ForestOptions::MAX_GROWING_ROWS`]; a number outside that range counts as its nearer end.
     pub growing_rows: usize,
     /// The greatest number of points in a leaf; 0 counts as 1.
@@ -53,10 +53,10 @@ pub struct ForestOptions {
 }
 
 impl ForestOptions {
-    /// The largest `growing_rows`: tombstones have room for that many points of a level that grows.
+    /// The largest `growing_rows`: tombstones have room for that many points of a growing tree.
     pub const MAX_GROWING_ROWS: usize = 1 << 20;
 
-    /// Leaves of 16 points, and a growing level of 65,536 points in a space of up to three dimensions or 8,192 in any
+    /// Leaves of 16 points, and a growing tree of 65,536 points in a space of up to three dimensions or 8,192 in any
     /// other, where a search gains more from the full leaves of packed levels than it loses to their number.
     pub fn for_space(space: &Space) -> Self {
         Self {
@@ -96,8 +96,8 @@ pub struct Forest {
     options: ForestOptions,
     /// The newest revision; a snapshot is a clone of it.
     head: ForestSnapshot,
-    /// The growing levels that snapshots share.
-    retired: Retired<Growing>,
+    /// The growing trees that snapshots share.
+    retired: Retired<GrowingTree>,
     running: Vec<Running>,
     /// The revision at which writes pause: a whole merge ran at it, or the owner called [`Forest::pause`].
     paused_at: Option<u64>,
@@ -113,9 +113,9 @@ impl Forest {
                 .clamp(1, ForestOptions::MAX_GROWING_ROWS),
             leaf_rows: options.leaf_rows.max(1),
         };
-        let growing = Growing::new(&space, options.leaf_rows, options.growing_rows);
+        let growing = GrowingTree::new(&space, options.leaf_rows, options.growing_rows);
         let head = ForestSnapshot {
-            scale: KeyScale::new(&space),
+            key_map: KeyMap::new(&space),
             space,
             revision: 0,
             live: 0,
@@ -265,8 +265,8 @@ impl Forest {
         self.head.live += rows.len();
         if rows.len() > (self.options.growing_rows / LARGE_MUTATION_DIVISOR).max(1) {
             let space = Arc::clone(&self.head.space);
-            let packed = Packed::unbuilt(space, rows);
-            self.add_level(Level::Packed(Box::new(packed), Instant::now()));
+            let level = StaticLevel::unpacked(space, rows);
+            self.add_level(Level::Static(Box::new(level), Instant::now()));
             return;
         }
         for point in rows.iter() {
@@ -325,7 +325,7 @@ impl Forest {
         let shape = |level: &Arc<Level>| policy::Shape {
             rows: level.rows(),
             dead: level.dead(),
-            built: level.is_built(),
+            packed: level.is_packed(),
             busy: self.running.iter().any(|running| running.has(level)),
         };
         self.head.levels.iter().map(shape).collect()

@@ -2,7 +2,7 @@
 //!
 //! The logarithmic method (Bentley and Saxe): levels double in size, and two of a size carry into a larger one like
 //! digits. A level is in the tier ⌊log₂(live rows / [`MIN_ROWS`])⌋, and at rest each tier holds at most one level. A
-//! carry includes levels up to [`MAX_CARRY_RATIO`] times as large as itself, because a full growing level is large
+//! carry includes levels up to [`MAX_CARRY_RATIO`] times as large as itself, because a full growing tree is large
 //! already. With 8,192 points in a new level, a point is rebuilt 8 times in a million and 12 times in ten million, and
 //! a search visits 2.2 and 3.0 levels on average. With a ratio of three these would be 6 and 9 times, and 2.5 and 3.6
 //! levels.
@@ -17,8 +17,8 @@ pub(super) struct Shape {
     pub(super) rows: usize,
     /// Points dead at the head.
     pub(super) dead: usize,
-    /// True if the level has its tree.
-    pub(super) built: bool,
+    /// True if a merge has built its tree.
+    pub(super) packed: bool,
     /// True if a running merge has the level.
     pub(super) busy: bool,
 }
@@ -34,8 +34,8 @@ impl Shape {
 }
 
 /// The next merge, as indices into `shapes`, or None if no merge is due. In this order: the lowest tier that holds two
-/// levels, with its carry; a level without its tree; a level that is more than half dead. No merge makes a level of
-/// more than `max_rows`.
+/// levels, with its carry; an unpacked level; a level that is more than half dead. No merge makes a level of more than
+/// `max_rows`.
 pub(super) fn next_merge(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>> {
     let idle = idle(shapes);
     carry(shapes, &idle, max_rows).or_else(|| {
@@ -43,7 +43,7 @@ pub(super) fn next_merge(shapes: &[Shape], max_rows: usize) -> Option<Vec<usize>
             let fits = |shape: &Shape| predicate(shape) && shape.live() <= max_rows;
             idle.iter().copied().find(|&i| fits(&shapes[i]))
         };
-        alone(|shape| !shape.built)
+        alone(|shape| !shape.packed)
             .or_else(|| alone(|shape| shape.dead * 2 > shape.rows))
             .map(|i| vec![i])
     })
@@ -112,7 +112,7 @@ mod tests {
         Shape {
             rows,
             dead: 0,
-            built: true,
+            packed: true,
             busy: false,
         }
     }
@@ -150,13 +150,13 @@ mod tests {
     }
 
     #[test]
-    fn a_level_without_its_tree_is_built_once_nothing_carries() {
-        let unbuilt = Shape {
-            built: false,
+    fn an_unpacked_level_is_packed_once_nothing_carries() {
+        let unpacked = Shape {
+            packed: false,
             ..level(10_000)
         };
-        assert_eq!(pick(&[unbuilt, level(100)]), Some(vec![0]));
-        assert_eq!(pick(&[unbuilt, level(100), level(100)]), Some(vec![1, 2]));
+        assert_eq!(pick(&[unpacked, level(100)]), Some(vec![0]));
+        assert_eq!(pick(&[unpacked, level(100), level(100)]), Some(vec![1, 2]));
     }
 
     #[test]
@@ -174,12 +174,12 @@ mod tests {
         assert_eq!(next_merge(&[level(600), level(600)], 1000), None);
         let shapes = [level(600), level(300), level(300)];
         assert_eq!(next_merge(&shapes, 1000), Some(vec![1, 2]));
-        let unbuilt = Shape {
-            built: false,
+        let unpacked = Shape {
+            packed: false,
             ..level(600)
         };
-        assert_eq!(next_merge(&[unbuilt], 600), Some(vec![0]));
-        assert_eq!(next_merge(&[unbuilt], 599), None);
+        assert_eq!(next_merge(&[unpacked], 600), Some(vec![0]));
+        assert_eq!(next_merge(&[unpacked], 599), None);
     }
 
     #[test]

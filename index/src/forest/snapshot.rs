@@ -2,10 +2,10 @@
 
 use std::{iter::Peekable, sync::Arc, time::Instant};
 
-use super::{growing::Growing, level::Level};
+use super::{growing::GrowingTree, level::Level};
 use crate::{
     Answer, Kernels, Point, Search, SearchError, Space,
-    kernel::KeyScale,
+    kernel::KeyMap,
     lanes::{Isa, Task},
     traversal::Traversal,
 };
@@ -13,19 +13,19 @@ use crate::{
 /// A forest as of one revision.
 ///
 /// A snapshot shares the levels of the forest, so holding one costs nothing until merges replace those levels; from
-/// then on it keeps up to a whole copy of its revision alive. In the growing level the writer copies the parts that it
+/// then on it keeps up to a whole copy of its revision alive. In the growing tree the writer copies the parts that it
 /// changes under a snapshot, and frees them at some write after the snapshot is dropped. Any number of threads may call
 /// its methods.
 #[derive(Clone, Debug)]
 pub struct ForestSnapshot {
     pub(super) space: Arc<Space>,
-    pub(super) scale: KeyScale,
+    pub(super) key_map: KeyMap,
     pub(super) revision: u64,
     pub(super) live: usize,
     /// The largest first: its answers tighten the search in the others.
     pub(super) levels: Arc<Vec<Arc<Level>>>,
     /// The newest points.
-    pub(super) growing: Arc<Growing>,
+    pub(super) growing: Arc<GrowingTree>,
 }
 
 impl ForestSnapshot {
@@ -121,19 +121,19 @@ impl ForestSnapshot {
     }
 
     /// The number of its trees, the growing one included.
-    pub fn levels(&self) -> usize {
+    pub fn trees(&self) -> usize {
         self.levels.len() + 1
     }
 
-    /// The number of points in trees that wait to be packed by a merge, or are being packed.
-    pub fn unmerged(&self) -> usize {
-        let unbuilt = self.levels.iter().filter(|level| !level.is_built());
-        unbuilt.map(|level| level.rows() - level.dead()).sum()
+    /// The number of points in levels that wait to be packed by a merge, or are being packed.
+    pub fn unpacked(&self) -> usize {
+        let unpacked = self.levels.iter().filter(|level| !level.is_packed());
+        unpacked.map(|level| level.rows() - level.dead()).sum()
     }
 
     /// The time since which the first of these points wait for their merge; None if there are none.
-    pub fn unmerged_since(&self) -> Option<Instant> {
-        let waiting = self.levels.iter().filter_map(|it| it.unmerged_since());
+    pub fn unpacked_since(&self) -> Option<Instant> {
+        let waiting = self.levels.iter().filter_map(|it| it.unpacked_since());
         waiting.min()
     }
 
@@ -144,7 +144,7 @@ impl ForestSnapshot {
     }
 }
 
-/// A search of all levels, the growing one last.
+/// A search of all levels, and of the growing tree last.
 struct SearchSnapshot<'a> {
     snapshot: &'a ForestSnapshot,
     state: &'a [f64],
@@ -152,16 +152,16 @@ struct SearchSnapshot<'a> {
 }
 
 impl<'a> SearchSnapshot<'a> {
-    /// Searches all levels, then has `finish` read the result from the traversal.
+    /// Searches all trees, then has `finish` read the result from the traversal.
     #[inline(always)]
     fn traverse<I: Isa, T>(
         self,
         finish: impl FnOnce(&mut Traversal<'a>) -> Result<T, SearchError>,
     ) -> Result<T, SearchError> {
         let snapshot = self.snapshot;
-        let (space, scale) = (&snapshot.space, &snapshot.scale);
+        let (space, key_map) = (&snapshot.space, &snapshot.key_map);
         self.search.check(space, self.state)?;
-        let mut traversal = Traversal::new(space, scale, self.state, self.search);
+        let mut traversal = Traversal::new(space, key_map, self.state, self.search);
         for level in snapshot.levels.iter() {
             level.search::<I>(&mut traversal, snapshot.revision);
         }
@@ -193,7 +193,7 @@ impl Task for CountLeaves<'_> {
     }
 }
 
-/// Merges the points of several levels in the order of their ids.
+/// Merges the points of several trees in the order of their ids.
 struct Ascending<I: Iterator> {
     parts: Vec<Peekable<I>>,
 }

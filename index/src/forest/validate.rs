@@ -8,14 +8,14 @@ use crate::TreeReport;
 /// The result of [`Forest::validate`], tree by tree.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ForestReport {
-    /// The level that grows by single points.
+    /// The tree that grows by single points.
     pub growing: TreeReport,
-    /// The other levels, the largest first.
+    /// The levels, the largest first.
     pub levels: Vec<TreeReport>,
 }
 
 impl Forest {
-    /// Checks every level and tree, that each id is alive at most once, that the counts agree, and that running merges
+    /// Checks every tree, that each id is alive at most once, that the counts agree, and that running merges
     /// hold levels of the forest.
     ///
     /// # Errors
@@ -23,7 +23,7 @@ impl Forest {
     pub fn validate(&self) -> Result<ForestReport, String> {
         let head = &self.head;
         if head.growing.is_full() {
-            return Err("the growing level is full".into());
+            return Err("the growing tree is full".into());
         }
         let growing = head.growing.validate()?;
         let mut levels = Vec::with_capacity(head.levels.len());
@@ -31,7 +31,7 @@ impl Forest {
         for point in head.growing.points_after(None, head.revision) {
             if !alive.insert(point.id) {
                 return Err(format!(
-                    "id {} is alive twice in the growing level",
+                    "id {} is alive twice in the growing tree",
                     point.id
                 ));
             }

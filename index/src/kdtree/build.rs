@@ -11,7 +11,7 @@ use crate::{
     Points, Space,
     blocks::Blocks,
     boxes::{Boxes, around_rows},
-    kernel::KeyScale,
+    kernel::KeyMap,
     lanes::{BLOCK_ROWS, MAX_CHILDREN},
     quantize::QuantizedRows,
     scan_policy::ScanPolicy,
@@ -31,7 +31,7 @@ impl KdTree {
         let mut build = Build {
             points,
             leaf_rows,
-            scales: space.scales(),
+            unit_lengths: space.unit_lengths(),
             slots: (0..points.len() as u32).collect(),
             keys: Vec::new(),
             nodes: Vec::new(),
@@ -59,7 +59,7 @@ impl KdTree {
             quantized,
             blocks,
             newest: points.newest(),
-            scale: KeyScale::new(&space),
+            key_map: KeyMap::new(&space),
             space,
             leaf_rows,
             height,
@@ -105,7 +105,7 @@ fn blocks(points: &Points, slots: &[u32], leaf_rows: usize) -> Blocks {
 struct Build<'a> {
     points: &'a Points,
     leaf_rows: usize,
-    scales: Vec<f64>,
+    unit_lengths: Vec<f64>,
     /// The slots of the points, reordered as the tree grows.
     slots: Vec<u32>,
     /// The numbers that a cut compares, with their slots.
@@ -143,7 +143,7 @@ impl Build<'_> {
                 let node = first + child;
                 self.node(node, start..end, height - 1);
                 let count = self.nodes[node].count as usize;
-                let axes = 0..self.scales.len();
+                let axes = 0..self.unit_lengths.len();
                 let ends: Vec<_> = axes
                     .map(|axis| self.boxes.around_children(node, count, axis))
                     .collect();
@@ -201,7 +201,7 @@ impl Build<'_> {
     fn widest(&self, rows: Range<usize>) -> usize {
         let step = (rows.len() / SAMPLE).max(1);
         let (lo, hi) = self.around(rows, step);
-        let spread = |axis: usize| self.scales[axis] * (hi[axis] - lo[axis]);
+        let spread = |axis: usize| self.unit_lengths[axis] * (hi[axis] - lo[axis]);
         (0..lo.len())
             .max_by(|&a, &b| spread(a).total_cmp(&spread(b)))
             .unwrap_or(0)
@@ -211,6 +211,6 @@ impl Build<'_> {
     fn around(&self, rows: Range<usize>, step: usize) -> (Vec<f64>, Vec<f64>) {
         let slots = self.slots[rows].iter().step_by(step);
         let rows = slots.map(|&slot| self.points.row(slot as usize));
-        around_rows(self.scales.len(), rows)
+        around_rows(self.unit_lengths.len(), rows)
     }
 }

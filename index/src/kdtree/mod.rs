@@ -25,7 +25,7 @@ use crate::{
     Answer, Kernels, Point, Points, PointsError, Search, SearchError, Space,
     blocks::Blocks,
     boxes::Boxes,
-    kernel::KeyScale,
+    kernel::KeyMap,
     lanes::{BLOCK_ROWS, Isa, Task},
     quantize::QuantizedRows,
     scan_policy::ScanPolicy,
@@ -58,7 +58,7 @@ struct Node {
 #[derive(Clone, Debug)]
 pub struct KdTree {
     space: Arc<Space>,
-    scale: KeyScale,
+    key_map: KeyMap,
     /// Ids, tags and revisions in the order of the leaves, without rows.
     labels: Points,
     /// The number of points in every leaf but the last.
@@ -182,7 +182,7 @@ impl Task for SearchTree<'_> {
     fn run<I: Isa>(self) -> Self::Output {
         let tree = self.tree;
         self.search.check(&tree.space, self.state)?;
-        let mut traversal = Traversal::new(&tree.space, &tree.scale, self.state, self.search);
+        let mut traversal = Traversal::new(&tree.space, &tree.key_map, self.state, self.search);
         traversal.search::<I, _>(&mut TreeSearch::new(tree, |_| true));
         traversal.finish()
     }

@@ -7,7 +7,7 @@ use crate::{
     lanes::{BLOCK_ROWS, Isa, prefetch},
     quantize::{QuantizedQuery, ROW_BLOCKS},
     scan_policy::ScanPolicy,
-    traversal::{Frontier, Traversal, Tree},
+    traversal::{Frontier, LEAVES_PER_CLOCK_READ, Traversal, Tree},
 };
 
 /// A node or, at height 0, a leaf.
@@ -49,7 +49,11 @@ impl<'a, V: Fn(usize) -> bool> TreeSearch<'a, V> {
         if !traversal.enter_leaf() {
             return;
         }
-        for block in self.tree.leaf_blocks(leaf) {
+        for (nth, block) in self.tree.leaf_blocks(leaf).enumerate() {
+            // All points of a large mutation are one leaf until a merge packs them.
+            if (nth + 1).is_multiple_of(LEAVES_PER_CLOCK_READ) && !traversal.is_in_time() {
+                return;
+            }
             if let Some(rows) = &self.tree.quantized {
                 let (codes, first) = rows.codes(block);
                 let near = traversal.filter_codes::<I>(rows.quantizer(), &mut self.query, codes);
@@ -79,8 +83,8 @@ impl<'a, V: Fn(usize) -> bool> TreeSearch<'a, V> {
 
 impl<'a, V: Fn(usize) -> bool> Tree<'a> for TreeSearch<'a, V> {
     type Cell = Cell;
-    /// The first child.
-    type Node = Cell;
+    /// The first of them.
+    type Children = Cell;
 
     fn newest(&self) -> u64 {
         self.tree.newest

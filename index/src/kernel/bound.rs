@@ -13,11 +13,11 @@ use crate::{
     space::{Part, real_vector, so2, so3},
 };
 
-/// Lower bounds of the squared distances in one factor, to `N` boxes or points. (These are traits, because a closure
+/// Lower bounds of the squared distances in one factor, to `N` boxes or points. (This is a trait, because a closure
 /// called from two places would be compiled separately, for the oldest processor.)
 pub(crate) trait Terms<T: Number, const N: usize> {
-    /// The bounds in the factor at `place` among the parts of the space.
-    fn term<I: Isa + Operations<T>>(&self, place: usize, part: &Part) -> Lanes<I, T, N>;
+    /// The bounds in one of the parts of the space.
+    fn term<I: Isa + Operations<T>>(&self, part_index: usize, part: &Part) -> Lanes<I, T, N>;
 
     /// The weight of such a squared distance.
     #[inline(always)]
@@ -26,28 +26,6 @@ pub(crate) trait Terms<T: Number, const N: usize> {
     }
 
     /// The weight of the root of a group's sum, where there are several groups.
-    #[inline(always)]
-    fn group_weight(&self, space: &Space, group: usize) -> T {
-        T::near(space.groups()[group].weight)
-    }
-}
-
-/// A block of `N` points, coordinate by coordinate, and the query in the same numbers.
-pub(crate) trait Block<T: Number, const N: usize>: Rows<T, N> {
-    /// The query's numbers.
-    fn query(&self) -> &[T];
-    /// The points' numbers: `N` for each coordinate.
-    fn columns(&self) -> &[Self::Stored];
-    /// A period in the unit of the numbers.
-    fn period(period: f64) -> T;
-    /// The part of the cosines in the factor at `place` that is the same for all points.
-    fn cosine_of_lows(&self, place: usize) -> T;
-    /// See [`Terms::weight`].
-    #[inline(always)]
-    fn weight(&self, _: usize, part: &Part) -> T {
-        T::near(part.weight)
-    }
-    /// See [`Terms::group_weight`].
     #[inline(always)]
     fn group_weight(&self, space: &Space, group: usize) -> T {
         T::near(space.groups()[group].weight)
@@ -71,14 +49,14 @@ pub(super) struct MeasuredRows<'a>(pub(super) PointRows<'a>);
 
 impl Terms<f64, BLOCK_ROWS> for MeasuredRows<'_> {
     #[inline(always)]
-    fn term<I: Isa>(&self, place: usize, part: &Part) -> Lanes<I, f64, BLOCK_ROWS> {
+    fn term<I: Isa>(&self, part_index: usize, part: &Part) -> Lanes<I, f64, BLOCK_ROWS> {
         let (PointRows { state, columns }, axes) = (&self.0, part.axes());
         match part.factor {
             Factor::SO3 => {
                 let columns = &columns[axes.start * BLOCK_ROWS..axes.end * BLOCK_ROWS];
                 so3::distances_2(&state[axes], columns)
             }
-            _ => self.0.term(place, part),
+            _ => self.0.term(part_index, part),
         }
     }
 }
@@ -97,31 +75,36 @@ impl Terms<f64, MAX_CHILDREN> for BoxTerms<'_> {
     }
 }
 
-impl<T: Number, const N: usize, R: Block<T, N>> Terms<T, N> for R {
+impl Terms<f64, BLOCK_ROWS> for PointRows<'_> {
     #[inline(always)]
-    fn term<I: Isa + Operations<T>>(&self, place: usize, part: &Part) -> Lanes<I, T, N> {
-        let axes = part.axes();
-        let columns = &self.columns()[axes.start * N..axes.end * N];
-        let query = &self.query()[axes];
-        match part.factor {
-            Factor::RealVector(_) => real_vector::to_points_2::<I, T, N, R>(query, columns),
-            Factor::SO2 { period } => {
-                so2::to_points_2::<I, T, N, R>(query[0], R::period(period), columns)
-            }
-            Factor::SO3 => {
-                so3::to_points_2::<I, T, N, R>(query, self.cosine_of_lows(place), columns)
-            }
+    fn term<I: Isa>(&self, part_index: usize, part: &Part) -> Lanes<I, f64, BLOCK_ROWS> {
+        point_term(self, part_index, part)
+    }
+}
+
+/// The bounds of a block of points in one factor.
+#[inline(always)]
+pub(crate) fn point_term<I, T, const N: usize, R>(
+    rows: &R,
+    part_index: usize,
+    part: &Part,
+) -> Lanes<I, T, N>
+where
+    I: Isa + Operations<T>,
+    T: Number,
+    R: Rows<T, N>,
+{
+    let axes = part.axes();
+    let columns = &rows.columns()[axes.start * N..axes.end * N];
+    let query = &rows.query()[axes];
+    match part.factor {
+        Factor::RealVector(_) => real_vector::to_points_2::<I, T, N, R>(query, columns),
+        Factor::SO2 { period } => {
+            so2::to_points_2::<I, T, N, R>(query[0], R::period(period), columns)
         }
-    }
-
-    #[inline(always)]
-    fn weight(&self, place: usize, part: &Part) -> T {
-        Block::weight(self, place, part)
-    }
-
-    #[inline(always)]
-    fn group_weight(&self, space: &Space, group: usize) -> T {
-        Block::group_weight(self, space, group)
+        Factor::SO3 => {
+            so3::to_points_2::<I, T, N, R>(query, rows.cosine_of_lows(part_index), columns)
+        }
     }
 }
 
@@ -137,9 +120,7 @@ impl Rows<f64, BLOCK_ROWS> for PointRows<'_> {
     fn load<I: Isa>(column: &[f64]) -> Lanes<I, f64, BLOCK_ROWS> {
         Lanes::load(column)
     }
-}
 
-impl Block<f64, BLOCK_ROWS> for PointRows<'_> {
     #[inline(always)]
     fn query(&self) -> &[f64] {
         self.state
@@ -174,8 +155,8 @@ where
     let one_group = space.groups().len() == 1;
     let zero = Lanes::splat(T::near(0.0));
     let (mut total, mut sum_2) = (zero, zero);
-    for (place, part) in space.parts().iter().enumerate() {
-        sum_2 = sum_2 + Lanes::splat(of.weight(place, part)) * of.term(place, part);
+    for (part_index, part) in space.parts().iter().enumerate() {
+        sum_2 = sum_2 + Lanes::splat(of.weight(part_index, part)) * of.term(part_index, part);
         if !one_group && part.ends_group {
             let weight = of.group_weight(space, part.group);
             total = total + Lanes::splat(weight) * sum_2.sqrt();

@@ -6,18 +6,23 @@ use crate::{Factor, Space};
 /// squares Σ_i μ_i·d_i², which is ordered as the distances are; in a sum of several groups it is the distance Σ_g
 /// w_g·√(Σ_i μ_i·d_i²) itself.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct KeyScale {
-    /// 1/w of a single group.
-    per_weight: Option<f64>,
+pub(crate) struct KeyMap {
+    /// None in a sum of several groups.
+    single_group: Option<SingleGroup>,
     /// Added to a distance: the most that it may have lost where errors are not relative.
     slack: f64,
-    /// The weight of a single group, if the keys of points are exact.
-    weight: Option<f64>,
     /// True if keys determine distances, because no rotation has a weight.
     exact: bool,
     shortfall: Shortfall,
     /// From this key on, a distance may be out of range.
     overflow: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct SingleGroup {
+    weight: f64,
+    /// 1/w.
+    per_weight: f64,
 }
 
 /// The relative rounding of a key. The bound of a rotation may be too high by 1e-14 of it, and the limit has roundings
@@ -32,7 +37,7 @@ struct Shortfall {
     /// The rest is at most the key, times this, times the eighth power of the largest angle at that key.
     rest: f64,
     /// The largest angle is the key times this; in a space of one group, its square is.
-    per_weight: f64,
+    angle_per_key: f64,
     /// The rest is at most this share of the key.
     max_share: f64,
     /// The slack of the cosine, and the losses that are not relative.
@@ -53,7 +58,7 @@ const COSINE_SHORTFALL: f64 = 4e-14;
 /// The margin of an upper bound: the roundings of a distance, and three margins.
 const BOUND_MARGIN: f64 = 1.0 + 1e-12;
 
-impl KeyScale {
+impl KeyMap {
     pub(crate) fn new(space: &Space) -> Self {
         let groups = space.groups();
         let exact = (0..groups.len()).all(|group| rotations(space, group).next().is_none());
@@ -67,16 +72,18 @@ impl KeyScale {
             };
             for weight in rotations(space, 0) {
                 shortfall.rest += REST;
-                shortfall.per_weight = shortfall.per_weight.max(1.0 / weight);
+                shortfall.angle_per_key = shortfall.angle_per_key.max(1.0 / weight);
                 shortfall.max_share = MAX_REST_SHARE;
                 shortfall.slack += weight * COSINE_SHORTFALL;
             }
             let farthest = f64::MAX * per_weight;
             return Self {
                 overflow: farthest * farthest * 0.99,
-                per_weight: Some(per_weight),
+                single_group: Some(SingleGroup {
+                    weight: group.weight,
+                    per_weight,
+                }),
                 slack: f64::MIN_POSITIVE,
-                weight: Some(group.weight),
                 exact,
                 shortfall,
             };
@@ -93,18 +100,17 @@ impl KeyScale {
             // √(r² + x) − r is less than √x, and less than x/2r.
             let mut slack_2 = 0.0;
             for weight in rotations(space, at) {
-                let per_weight = 1.0 / group.weight / weight.sqrt();
+                let angle_per_key = 1.0 / group.weight / weight.sqrt();
                 shortfall.rest += REST / 2.0;
-                shortfall.per_weight = shortfall.per_weight.max(per_weight);
+                shortfall.angle_per_key = shortfall.angle_per_key.max(angle_per_key);
                 shortfall.max_share = MAX_REST_SHARE / 2.0;
                 slack_2 += weight * COSINE_SHORTFALL;
             }
             shortfall.slack += group.weight * slack_2.sqrt();
         }
         Self {
-            per_weight: None,
+            single_group: None,
             slack,
-            weight: None,
             exact,
             shortfall,
             overflow: f64::INFINITY,
@@ -117,8 +123,8 @@ impl KeyScale {
             return f64::NEG_INFINITY;
         }
         let raised = (distance + self.slack) * MARGIN;
-        match self.per_weight {
-            Some(per_weight) => {
+        match self.single_group {
+            Some(SingleGroup { per_weight, .. }) => {
                 let root = raised * per_weight;
                 root * root * MARGIN + f64::MIN_POSITIVE
             }
@@ -137,10 +143,10 @@ impl KeyScale {
             return (key + self.shortfall.slack) * BOUND_MARGIN;
         }
         // Weights first: the powers of a key alone may be out of range.
-        let share = key * self.shortfall.per_weight;
+        let share = key * self.shortfall.angle_per_key;
         let square = share * share;
         let fourth = square * square;
-        let power = match self.per_weight {
+        let power = match self.single_group {
             Some(_) => fourth,
             None => fourth * fourth,
         };
@@ -152,9 +158,9 @@ impl KeyScale {
     /// point with a key up to `limit` exceeds it after the move.
     #[inline]
     pub(crate) fn expanded(&self, limit: f64, error: f64) -> f64 {
-        match self.per_weight {
+        match self.single_group {
             // (A limit of −∞ makes a NaN, which no key is up to.)
-            Some(per_weight) => {
+            Some(SingleGroup { per_weight, .. }) => {
                 let root = limit.sqrt() + error * per_weight;
                 root * root * MARGIN + f64::MIN_POSITIVE
             }
@@ -165,7 +171,7 @@ impl KeyScale {
     /// The share of a limit up to which a search for `epsilon` visits cells.
     pub(crate) fn epsilon_factor(&self, epsilon: f64) -> f64 {
         let share = 1.0 / (1.0 + epsilon);
-        match self.per_weight {
+        match self.single_group {
             // Not 0: an infinite limit stays one.
             Some(_) => (share * share).max(f64::MIN_POSITIVE),
             None => share,
@@ -176,8 +182,8 @@ impl KeyScale {
     /// all other terms are those of the distance, computed by the same operations in the same order.
     #[inline]
     pub(crate) fn distance(&self, key: f64) -> Option<f64> {
-        self.exact.then(|| match self.weight {
-            Some(weight) => weight * key.sqrt(),
+        self.exact.then(|| match self.single_group {
+            Some(SingleGroup { weight, .. }) => weight * key.sqrt(),
             None => key,
         })
     }

@@ -13,8 +13,8 @@ use crate::{
     Space,
     lanes::{BLOCK_ROWS, Isa, Lanes, MAX_CHILDREN, Task},
 };
-pub(crate) use bound::{Block, keys};
-pub(crate) use key::KeyScale;
+pub(crate) use bound::{Terms, keys, point_term};
+pub(crate) use key::KeyMap;
 
 /// The keys of the boxes of a node (see [`Boxes`](crate::boxes::Boxes)), and a bit for each key up to `limit`.
 #[inline(always)]

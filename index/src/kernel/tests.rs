@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{BLOCK_ROWS, Isa, KeyScale, MAX_CHILDREN, Measurement, Task};
+use super::{BLOCK_ROWS, Isa, KeyMap, MAX_CHILDREN, Measurement, Task};
 use crate::{Factor, Group, Kernels, Space, Term, space::tests::cases};
 
 const WEIGHTS: [f64; 6] = [1.0, 0.15, 15.0, 1e-3, 0.0, 2.0];
@@ -113,7 +113,7 @@ proptest! {
     fn no_point_is_beyond_its_distance(seed: u64) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let space = space(&mut rng);
-        let scale = KeyScale::new(&space);
+        let key_map = KeyMap::new(&space);
         let (query, rows) = scene(&space, BLOCK_ROWS, &mut rng);
         let columns = columns(&rows);
         let mut portable = None;
@@ -125,16 +125,16 @@ proptest! {
             for (lane, row) in rows.iter().enumerate() {
                 let distance = space.distance(&query, row);
                 prop_assert_eq!(measured[lane].to_bits(), distance.to_bits(), "{}", space);
-                prop_assert!(keys[lane] <= scale.limit(distance), "{} {} {}", space, keys[lane], distance);
+                prop_assert!(keys[lane] <= key_map.limit(distance), "{} {} {}", space, keys[lane], distance);
                 // A bound is low by no more than the slack of a rotation and the end of its series.
-                let low = scale.limit(0.99 * distance - 1e-5);
+                let low = key_map.limit(0.99 * distance - 1e-5);
                 prop_assert!(keys[lane] >= low, "{} {} {}", space, keys[lane], distance);
                 // No point as near has a key above the upper bound, which is not much greater than it has to be.
-                let bound = scale.upper_bound(keys[lane]);
-                prop_assert!(bound >= scale.limit(distance), "{} {} {}", space, bound, distance);
-                let far = scale.limit(1.01 * distance + 1e-4);
+                let bound = key_map.upper_bound(keys[lane]);
+                prop_assert!(bound >= key_map.limit(distance), "{} {} {}", space, bound, distance);
+                let far = key_map.limit(1.01 * distance + 1e-4);
                 prop_assert!(bound <= far, "{} {} {}", space, bound, distance);
-                if let Some(exact) = scale.distance(keys[lane]) {
+                if let Some(exact) = key_map.distance(keys[lane]) {
                     prop_assert_eq!(exact.to_bits(), distance.to_bits());
                 }
             }
@@ -150,7 +150,7 @@ proptest! {
     fn no_box_is_beyond_its_points(seed: u64, points in 1..5usize) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let space = space(&mut rng);
-        let scale = KeyScale::new(&space);
+        let key_map = KeyMap::new(&space);
         let (query, rows) = scene(&space, MAX_CHILDREN * points, &mut rng);
         let children: Vec<&[Vec<f64>]> = rows.chunks(points).collect();
         let end = |axis: usize, start: f64, pick: fn(f64, f64) -> f64| {
@@ -170,9 +170,9 @@ proptest! {
             for (child, rows) in children.iter().enumerate() {
                 for row in *rows {
                     let distance = space.distance(&query, row);
-                    prop_assert!(keys[child] <= scale.limit(distance), "{} {} {}", space, keys[child], distance);
+                    prop_assert!(keys[child] <= key_map.limit(distance), "{} {} {}", space, keys[child], distance);
                     if points == 1 {
-                        let low = scale.limit(0.99 * distance - 1e-12);
+                        let low = key_map.limit(0.99 * distance - 1e-12);
                         prop_assert!(keys[child] >= low, "{} {} {}", space, keys[child], distance);
                     }
                 }
@@ -203,14 +203,14 @@ proptest! {
         prop_assume!(chord_2 > 0.0 && chord_2 < 1e-3);
         let weight = (f64::from(units) + 0.5) * 2f64.powi(-537) / chord_2 * 2f64.powi(-537);
         let space = space_of(f64::from_bits(weight.to_bits().saturating_add_signed(nudge)));
-        let scale = KeyScale::new(&space);
-        let limit = scale.limit(space.distance(&a, &b));
+        let key_map = KeyMap::new(&space);
+        let limit = key_map.limit(space.distance(&a, &b));
         let kernels = Kernels::default();
         let ends: Vec<f64> = b.iter().flat_map(|&x| [x; 2 * MAX_CHILDREN]).collect();
         prop_assert_eq!(kernels.run(OfBoxes(&space, &a, &ends, limit)).1, (1 << MAX_CHILDREN) - 1);
         let columns: Vec<f64> = b.iter().flat_map(|&x| [x; BLOCK_ROWS]).collect();
         let (keys, within) = kernels.run(OfPoints(&space, &a, &columns, limit));
         prop_assert_eq!(within, (1 << BLOCK_ROWS) - 1);
-        prop_assert!(scale.upper_bound(keys[0]) >= limit);
+        prop_assert!(key_map.upper_bound(keys[0]) >= limit);
     }
 }

@@ -9,7 +9,7 @@ pub(crate) const MAX_CHILDREN: usize = 16;
 /// The number of points in a block: the lanes of a point kernel.
 pub(crate) const BLOCK_ROWS: usize = 16;
 
-/// The rows of a block of `N` points.
+/// A block of `N` points, coordinate by coordinate, and the query in the same numbers.
 pub(crate) trait Rows<T: Number, const N: usize> {
     /// A number of a column.
     type Stored;
@@ -17,6 +17,14 @@ pub(crate) trait Rows<T: Number, const N: usize> {
     /// Twice the maximum amount by which the cosine of two equal rotations is below 1.
     const CHORD_SLACK: f64;
 
+    /// The query's numbers.
+    fn query(&self) -> &[T];
+    /// The points' numbers: `N` for each coordinate.
+    fn columns(&self) -> &[Self::Stored];
     /// The numbers of one column.
     fn load<I: Isa + Operations<T>>(column: &[Self::Stored]) -> Lanes<I, T, N>;
+    /// A period in the unit of the numbers.
+    fn period(period: f64) -> T;
+    /// The part of the cosines in a factor of the space that is the same for all points.
+    fn cosine_of_lows(&self, part_index: usize) -> T;
 }

@@ -22,7 +22,7 @@ mod validate;
 
 use crate::{
     Answer, Factor, Points, PointsError, Search, SearchError, Space, boxes::around_rows,
-    kernel::KeyScale,
+    kernel::KeyMap,
 };
 
 /// Sides count as equally long when they differ by this share of the longest (the tolerance that ANN uses).
@@ -39,7 +39,7 @@ struct Axis {
     weight: f64,
     group: usize,
     /// The length of a unit of this coordinate in the metric: w_g · √μ_K.
-    scale: f64,
+    unit_length: f64,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -76,7 +76,7 @@ enum Node {
 #[derive(Clone, Debug)]
 pub struct Mpnn {
     space: Space,
-    scale: KeyScale,
+    key_map: KeyMap,
     /// By coordinate.
     axes: Vec<Axis>,
     leaf_rows: usize,
@@ -144,7 +144,7 @@ impl Mpnn {
             ordered.push_point(points.get(slot as usize));
         }
         Ok(Self {
-            scale: KeyScale::new(&space),
+            key_map: KeyMap::new(&space),
             space,
             axes,
             leaf_rows,
@@ -177,10 +177,10 @@ impl Mpnn {
 
 fn axes(space: &Space) -> Vec<Axis> {
     let mut axes = Vec::with_capacity(space.coordinates());
-    let mut scales = space.scales().into_iter().enumerate();
+    let mut unit_lengths = space.unit_lengths().into_iter().enumerate();
     for part in space.parts() {
-        let own = scales.by_ref().take(part.factor.coordinates());
-        axes.extend(own.map(|(axis, scale)| Axis {
+        let own = unit_lengths.by_ref().take(part.factor.coordinates());
+        axes.extend(own.map(|(axis, unit_length)| Axis {
             factor: part.factor,
             first: match part.factor {
                 Factor::SO3 => part.offset,
@@ -188,7 +188,7 @@ fn axes(space: &Space) -> Vec<Axis> {
             },
             weight: part.weight,
             group: part.group,
-            scale,
+            unit_length,
         }));
     }
     axes
@@ -210,9 +210,9 @@ fn sliding_midpoint(
     hi: &[f64],
 ) -> Option<(usize, f64, usize)> {
     let (least, greatest) = enclosing_box(points, slots);
-    let side = |axis: usize| axes[axis].scale * (hi[axis] - lo[axis]);
-    let spread = |axis: usize| axes[axis].scale * (greatest[axis] - least[axis]);
-    let can_split = |axis: &usize| axes[*axis].scale > 0.0 && least[*axis] < greatest[*axis];
+    let side = |axis: usize| axes[axis].unit_length * (hi[axis] - lo[axis]);
+    let spread = |axis: usize| axes[axis].unit_length * (greatest[axis] - least[axis]);
+    let can_split = |axis: &usize| axes[*axis].unit_length > 0.0 && least[*axis] < greatest[*axis];
     let candidates = || (0..axes.len()).filter(can_split);
     let longest = candidates().map(side).fold(0.0, f64::max) * (1.0 - SIDE_TOLERANCE);
     let axis = candidates()

@@ -2,7 +2,7 @@
 //!
 //! **Rounding.** A coordinate's distance to an interval uses the operations of the distance to a point, which are
 //! monotone. Increments are at least 0 and telescope, and [`sum_down`] rounds each sum down, so a bound exceeds the
-//! exact sum by no more than the margin that [`KeyScale::limit`](crate::kernel::KeyScale::limit) leaves. A cell whose
+//! exact sum by no more than the margin that [`KeyMap::limit`](crate::kernel::KeyMap::limit) leaves. A cell whose
 //! bound equals the worst distance is visited: one of its points may have a smaller id.
 
 use std::{array::from_fn, collections::BinaryHeap, ops::Range, time::Instant};
@@ -29,11 +29,10 @@ pub(super) fn search(
     })
 }
 
-/// A side of a cell, and the bounds that follow from it. A step down or up the tree changes these.
+/// A step down or up the tree: one side of a cell, and the bounds that follow from it.
 #[derive(Clone, Copy, Debug)]
-struct Side {
-    /// The node to visit, or none after both children of the cell.
-    node: Option<u32>,
+struct Step {
+    to: Move,
     axis: u32,
     lo: f64,
     hi: f64,
@@ -42,6 +41,14 @@ struct Side {
     /// Σ μ·d² of the group.
     group_2: f64,
     key: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Move {
+    /// To the node with this index.
+    Enter(u32),
+    /// To the parent, after both children.
+    Return,
 }
 
 /// A search under way in the cell R.
@@ -56,14 +63,14 @@ struct Query<'a> {
     factors_2: Vec<f64>,
     /// Σ_K μ_K·d²_K(R), by group.
     groups_2: Vec<f64>,
-    /// The bound of R, as a key of [`KeyScale`]: the group's sum where there is one group, else the distance.
+    /// The bound of R, as a key of [`KeyMap`]: the group's sum where there is one group, else the distance.
     key: f64,
     nearest: BinaryHeap<Neighbor>,
     /// A greater key is farther than the worst neighbour.
     limit: f64,
     /// A greater key is given up for `epsilon`.
-    relaxed_limit: f64,
-    relaxed: f64,
+    epsilon_limit: f64,
+    epsilon_factor: f64,
     leaves_visited: usize,
 }
 
@@ -81,39 +88,39 @@ impl<'a> Query<'a> {
             key: 0.0,
             nearest: BinaryHeap::new(),
             limit: 0.0,
-            relaxed_limit: 0.0,
-            relaxed: tree.scale.epsilon_factor(search.epsilon),
+            epsilon_limit: 0.0,
+            epsilon_factor: tree.key_map.epsilon_factor(search.epsilon),
             leaves_visited: 0,
         };
         query.tighten();
         for (axis, factor) in tree.axes.iter().enumerate() {
             if factor.first == axis {
-                query.enter(query.side(None, axis, tree.lo[axis], tree.hi[axis]));
+                query.take(query.step(Move::Enter(0), axis, tree.lo[axis], tree.hi[axis]));
             }
         }
         query
     }
 
     fn run(&mut self) -> Result<(), SearchError> {
-        let root = self.side(Some(0), 0, self.lo[0], self.hi[0]);
+        let root = self.step(Move::Enter(0), 0, self.lo[0], self.hi[0]);
         let mut open = vec![root];
-        while let Some(side) = open.pop() {
-            let Some(node) = side.node else {
-                self.enter(side);
+        while let Some(step) = open.pop() {
+            let Move::Enter(node) = step.to else {
+                self.take(step);
                 continue;
             };
-            if side.key > self.limit || side.key > self.relaxed_limit {
+            if step.key > self.limit || step.key > self.epsilon_limit {
                 continue;
             }
-            self.enter(side);
+            self.take(step);
             match self.tree.nodes[node as usize] {
                 Node::Leaf { start, end } => self.scan(start as usize..end as usize)?,
                 Node::Split { axis, high, cut } => {
                     let at = axis as usize;
                     let (lo, hi) = (self.lo[at], self.hi[at]);
                     let (low, high) = (
-                        self.side(Some(node + 1), at, lo, cut),
-                        self.side(Some(high), at, cut, hi),
+                        self.step(Move::Enter(node + 1), at, lo, cut),
+                        self.step(Move::Enter(high), at, cut, hi),
                     );
                     let low_is_near =
                         low.key < high.key || low.key == high.key && self.state[at] < cut;
@@ -122,7 +129,7 @@ impl<'a> Query<'a> {
                     } else {
                         (high, low)
                     };
-                    open.push(self.own_side(at));
+                    open.push(self.step_back(at));
                     open.extend([far, near].iter().filter(|child| child.key <= self.limit));
                 }
             }
@@ -130,11 +137,11 @@ impl<'a> Query<'a> {
         Ok(())
     }
 
-    /// The side of the current cell, to come back to.
-    fn own_side(&self, axis: usize) -> Side {
+    /// The step that comes back to the current cell from either side of a cut.
+    fn step_back(&self, axis: usize) -> Step {
         let of = &self.tree.axes[axis];
-        Side {
-            node: None,
+        Step {
+            to: Move::Return,
             axis: axis as u32,
             lo: self.lo[axis],
             hi: self.hi[axis],
@@ -144,37 +151,37 @@ impl<'a> Query<'a> {
         }
     }
 
-    /// The current cell cut down to one side, with its incremental bound.
-    fn side(&self, node: Option<u32>, axis: usize, lo: f64, hi: f64) -> Side {
+    /// The step to one side of the current cell, with its incremental bound.
+    fn step(&self, to: Move, axis: usize, lo: f64, hi: f64) -> Step {
         let of = &self.tree.axes[axis];
-        let mut side = Side {
-            node,
+        let mut step = Step {
+            to,
             lo,
             hi,
-            ..self.own_side(axis)
+            ..self.step_back(axis)
         };
-        let (factor_2, group_2) = (self.factor_2(axis, lo, hi), side.group_2);
-        if factor_2 > side.factor_2 {
-            side.group_2 = sum_down(group_2, of.weight * (factor_2 - side.factor_2));
-            side.factor_2 = factor_2;
-            side.key = match self.tree.space.groups() {
-                [_] => side.group_2,
+        let (factor_2, group_2) = (self.factor_2(axis, lo, hi), step.group_2);
+        if factor_2 > step.factor_2 {
+            step.group_2 = sum_down(group_2, of.weight * (factor_2 - step.factor_2));
+            step.factor_2 = factor_2;
+            step.key = match self.tree.space.groups() {
+                [_] => step.group_2,
                 groups => {
-                    let grown = side.group_2.sqrt() - group_2.sqrt();
-                    sum_down(side.key, groups[of.group].weight * grown)
+                    let grown = step.group_2.sqrt() - group_2.sqrt();
+                    sum_down(step.key, groups[of.group].weight * grown)
                 }
             };
         }
-        side
+        step
     }
 
-    fn enter(&mut self, side: Side) {
-        let axis = side.axis as usize;
+    fn take(&mut self, step: Step) {
+        let axis = step.axis as usize;
         let of = &self.tree.axes[axis];
-        (self.lo[axis], self.hi[axis]) = (side.lo, side.hi);
-        self.factors_2[of.first] = side.factor_2;
-        self.groups_2[of.group] = side.group_2;
-        self.key = side.key;
+        (self.lo[axis], self.hi[axis]) = (step.lo, step.hi);
+        self.factors_2[of.first] = step.factor_2;
+        self.groups_2[of.group] = step.group_2;
+        self.key = step.key;
     }
 
     /// d²_K to the current cell cut down to one side, a lower bound of the factor's squared distance to every point in
@@ -243,8 +250,8 @@ impl<'a> Query<'a> {
             let worst = self.nearest.peek();
             worst.map_or(f64::NEG_INFINITY, |worst| worst.distance)
         };
-        self.limit = self.tree.scale.limit(worst);
-        self.relaxed_limit = self.limit * self.relaxed;
+        self.limit = self.tree.key_map.limit(worst);
+        self.epsilon_limit = self.limit * self.epsilon_factor;
     }
 }
 

@@ -25,14 +25,15 @@ impl Mpnn {
             if let Some(axis) = (0..lo.len()).find(|&axis| is_outside(axis)) {
                 return Err(format!("node {index} leaves its cell in axis {axis}"));
             }
-            let scale = |axis: usize| self.axes[axis].scale;
-            let can_split = |axis: &usize| scale(*axis) > 0.0 && least[*axis] < greatest[*axis];
+            let unit_length = |axis: usize| self.axes[axis].unit_length;
+            let can_split =
+                |axis: &usize| unit_length(*axis) > 0.0 && least[*axis] < greatest[*axis];
             let mut separable = (0..lo.len()).filter(can_split);
             match self.nodes.get(index) {
                 Some(&Node::Split { axis, high, cut }) => {
                     let (axis, high) = (axis as usize, high as usize);
-                    let side = |axis: usize| scale(axis) * (hi[axis] - lo[axis]);
-                    let spread = |axis: usize| scale(axis) * (greatest[axis] - least[axis]);
+                    let side = |axis: usize| unit_length(axis) * (hi[axis] - lo[axis]);
+                    let spread = |axis: usize| unit_length(axis) * (greatest[axis] - least[axis]);
                     let longest = separable.clone().map(side).fold(0.0, f64::max);
                     let is_long = |axis: usize| side(axis) >= longest * (1.0 - SIDE_TOLERANCE);
                     let is_wider = |other| is_long(other) && spread(other) > spread(axis);

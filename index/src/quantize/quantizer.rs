@@ -59,7 +59,7 @@ impl Quantizer {
     /// that count are equal.
     pub(crate) fn of(space: &Space, points: &Points) -> Option<Self> {
         let spans = spans(points);
-        let length = |part: &Part| part.scale * step(part, &spans);
+        let length = |part: &Part| part.unit_length * step(part, &spans);
         let longest = space.parts().iter().map(length).fold(0.0, f64::max);
         let min_length = MIN_STEP_SHARE * longest;
         let (mut lows, mut steps, mut query_range) = (Vec::new(), Vec::new(), Vec::new());
@@ -68,8 +68,8 @@ impl Quantizer {
             let mut step = step(part, &spans);
             match part.factor.span() {
                 None => {
-                    if part.scale > 0.0 {
-                        step = step.max(min_length / part.scale);
+                    if part.unit_length > 0.0 {
+                        step = step.max(min_length / part.unit_length);
                     }
                     lows.extend(spans[part.axes()].iter().map(|span| span.low));
                     query_range.extend(spans[part.axes()].iter().map(Span::query_range));
@@ -87,7 +87,7 @@ impl Quantizer {
             } else {
                 step
             };
-            squares.push((part.scale * unit).powi(2));
+            squares.push((part.unit_length * unit).powi(2));
         }
         let heaviest = squares.iter().copied().fold(0.0, f64::max);
         let share = |square: &f64| match square / heaviest {
@@ -187,8 +187,8 @@ fn step(part: &Part, spans: &[Span]) -> f64 {
 /// squares that are out of range.
 fn error(space: &Space, steps: &[f64], weights: &[f32]) -> f64 {
     let (mut total, mut sum_2) = (0.0, 0.0);
-    for (place, part) in space.parts().iter().enumerate() {
-        if weights[place] > 0.0 && part.factor != Factor::SO3 {
+    for (part_index, part) in space.parts().iter().enumerate() {
+        if weights[part_index] > 0.0 && part.factor != Factor::SO3 {
             let moved = MAX_MOVED * steps[part.offset] + f64::MIN_POSITIVE.sqrt();
             sum_2 += part.weight * moved * moved * part.factor.coordinates() as f64;
         }

@@ -10,7 +10,7 @@
 use super::quantizer::{MAX_CODE, Quantizer};
 use crate::{
     Factor, Space,
-    kernel::Block,
+    kernel::{Terms, point_term},
     lanes::{Isa, Lanes, Rows},
     space::Part,
 };
@@ -89,9 +89,7 @@ impl Rows<f32, CODE_ROWS> for Codes<'_> {
             column.expect("a column has a code for each lane"),
         ))
     }
-}
 
-impl Block<f32, CODE_ROWS> for Codes<'_> {
     #[inline(always)]
     fn query(&self) -> &[f32] {
         &self.query.numbers
@@ -108,13 +106,20 @@ impl Block<f32, CODE_ROWS> for Codes<'_> {
     }
 
     #[inline(always)]
-    fn cosine_of_lows(&self, place: usize) -> f32 {
-        self.query.products[place]
+    fn cosine_of_lows(&self, part_index: usize) -> f32 {
+        self.query.products[part_index]
+    }
+}
+
+impl Terms<f32, CODE_ROWS> for Codes<'_> {
+    #[inline(always)]
+    fn term<I: Isa>(&self, part_index: usize, part: &Part) -> Lanes<I, f32, CODE_ROWS> {
+        point_term(self, part_index, part)
     }
 
     #[inline(always)]
-    fn weight(&self, place: usize, _: &Part) -> f32 {
-        self.query.quantizer.weights[place]
+    fn weight(&self, part_index: usize, _: &Part) -> f32 {
+        self.query.quantizer.weights[part_index]
     }
 
     /// The weights of the factors include it.
@@ -134,7 +139,7 @@ mod tests {
     use crate::{
         Kernels, Points,
         kernel::{
-            KeyScale,
+            KeyMap,
             tests::{scene, space},
         },
         lanes::{Isa, Task},
@@ -160,7 +165,7 @@ mod tests {
             .parts()
             .iter()
             .filter(|part| part.factor == Factor::SO3);
-        1e-2 * rotations.map(|part| part.scale).sum::<f64>()
+        1e-2 * rotations.map(|part| part.unit_length).sum::<f64>()
     }
 
     proptest! {
@@ -200,9 +205,9 @@ mod tests {
                 .flat_map(|axis| rows.iter().map(move |row| (axis, row[axis])))
                 .map(|(axis, x)| quantizer.code(axis, x))
                 .collect();
-            let (scale, prepared) = (KeyScale::new(&space), QuantizedQuery::new(&quantizer, &space, &query));
+            let (key_map, prepared) = (KeyMap::new(&space), QuantizedQuery::new(&quantizer, &space, &query));
             let within = |distance: f64, kernels: &Kernels| {
-                let limit = scale.expanded(scale.limit(distance), prepared.error());
+                let limit = key_map.expanded(key_map.limit(distance), prepared.error());
                 kernels.run(Within(&space, &prepared, &codes, limit))
             };
             for (lane, row) in rows.iter().enumerate() {

@@ -141,7 +141,7 @@ pub(crate) struct Part {
     /// μ; 0 also in a group of weight 0, so that an overflowing μ·d² cannot meet that 0 and make a NaN.
     pub(crate) weight: f64,
     /// The length of a unit of its coordinates in the metric: w · √μ.
-    pub(crate) scale: f64,
+    pub(crate) unit_length: f64,
     /// The index of its group.
     pub(crate) group: usize,
     /// True if it is the last of its group.

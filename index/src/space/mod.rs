@@ -141,7 +141,7 @@ impl Space {
                     factor: term.factor,
                     offset,
                     weight,
-                    scale: group.weight * weight.sqrt(),
+                    unit_length: group.weight * weight.sqrt(),
                     group: g,
                     ends_group: t == last,
                 });
@@ -287,10 +287,10 @@ impl Space {
     }
 
     /// The length of a unit of each coordinate in the metric.
-    pub(crate) fn scales(&self) -> Vec<f64> {
+    pub(crate) fn unit_lengths(&self) -> Vec<f64> {
         let parts = self.parts.iter();
         parts
-            .flat_map(|part| part.axes().map(|_| part.scale))
+            .flat_map(|part| part.axes().map(|_| part.unit_length))
             .collect()
     }
 }

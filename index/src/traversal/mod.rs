@@ -9,7 +9,7 @@ use arrayvec::ArrayVec;
 use crate::{
     Answer, Filter, Neighbor, Search, SearchError, Space,
     candidates::{BoundedCandidates, Candidate, MAX_BOUNDED, MeasuredCandidates},
-    kernel::{self, KeyScale},
+    kernel::{self, KeyMap},
     lanes::{BLOCK_ROWS, Isa},
     quantize::{self, QuantizedQuery, Quantizer},
     scan_policy::ScanPolicy,
@@ -38,7 +38,7 @@ pub(crate) struct Traversal<'a> {
     bounded: BoundedCandidates<'a>,
     /// Takes the place of `bounded` where many neighbours are asked for.
     measured: Option<MeasuredCandidates>,
-    scale: &'a KeyScale,
+    key_map: &'a KeyMap,
     /// A point with a greater key is farther than the candidates held.
     limit: f64,
     /// Greater keys are given up for `epsilon`: the limit times `epsilon_factor`.
@@ -52,28 +52,28 @@ pub(crate) struct Traversal<'a> {
 }
 
 impl<'a> Traversal<'a> {
-    /// A search around a canonical state of `space`, with the scale of its keys.
+    /// A search around a canonical state of `space`, with the map of its keys.
     #[inline(always)]
     pub(crate) fn new(
         space: &'a Space,
-        scale: &'a KeyScale,
+        key_map: &'a KeyMap,
         state: &'a [f64],
         search: &'a Search<'a>,
     ) -> Self {
         let limit = match search.k {
             0 => f64::NEG_INFINITY,
-            _ => scale.limit(search.radius),
+            _ => key_map.limit(search.radius),
         };
         let measured =
             (search.k > MAX_BOUNDED).then(|| MeasuredCandidates::new(search.k, search.radius));
-        let epsilon_factor = scale.epsilon_factor(search.epsilon);
+        let epsilon_factor = key_map.epsilon_factor(search.epsilon);
         Self {
             space,
             state,
             search,
             bounded: BoundedCandidates::new(if measured.is_some() { 0 } else { search.k }, limit),
             measured,
-            scale,
+            key_map,
             limit,
             epsilon_limit: limit * epsilon_factor,
             epsilon_factor,
@@ -100,7 +100,7 @@ impl<'a> Traversal<'a> {
         while let Some(cell) = next {
             tree.visit::<I>(cell, self, &mut frontier);
             let next_child = self.next::<I, _>(&mut frontier);
-            next = next_child.map(|(node, child)| tree.child(node, child));
+            next = next_child.map(|(children, child)| tree.child(children, child));
             tree.prefetch(&frontier);
         }
         if let Some(policy) = policy
@@ -142,7 +142,7 @@ impl<'a> Traversal<'a> {
         }
         let query =
             query.get_or_insert_with(|| QuantizedQuery::new(quantizer, self.space, self.state));
-        let limit = self.scale.expanded(limit, query.error());
+        let limit = self.key_map.expanded(limit, query.error());
         quantize::codes::<I>(self.space, query, codes, limit)
     }
 
@@ -221,7 +221,7 @@ impl<'a> Traversal<'a> {
             let measured = self.measured.as_mut();
             let lower = measured.and_then(|measured| measured.offer(Neighbor { distance, id }));
             if let Some(farthest) = lower {
-                self.lower_limit(self.scale.limit(farthest));
+                self.lower_limit(self.key_map.limit(farthest));
                 remaining &= I::at_most(keys, self.limit);
             }
         }
@@ -237,19 +237,19 @@ impl<'a> Traversal<'a> {
 
     /// Adds a node to the frontier, with its children among `lanes` that are near enough.
     #[inline(always)]
-    pub(crate) fn expand<I: Isa, N: Copy>(
+    pub(crate) fn expand<I: Isa, C: Copy>(
         &self,
-        frontier: &mut Frontier<N>,
+        frontier: &mut Frontier<C>,
         boxes: &[f64],
         lanes: u32,
-        node: N,
+        children: C,
     ) {
         let (keys, within) = kernel::boxes::<I>(self.space, self.state, boxes, self.limit);
         let remaining = within & lanes;
         if remaining != 0 {
             let nearest = I::lowest(&keys, remaining);
             frontier.0.push(OpenNode {
-                node,
+                children,
                 keys,
                 remaining,
                 nearest,
@@ -257,11 +257,11 @@ impl<'a> Traversal<'a> {
         }
     }
 
-    /// The next cell to visit, as a node and its child, or None if no cell can hold an answer.
+    /// The next cell to visit, as one of a node's children, or None if no cell can hold an answer.
     #[inline(always)]
-    fn next<I: Isa, N: Copy>(&mut self, frontier: &mut Frontier<N>) -> Option<(N, usize)> {
+    fn next<I: Isa, C: Copy>(&mut self, frontier: &mut Frontier<C>) -> Option<(C, usize)> {
         while let Some(open) = frontier.0.last_mut() {
-            let (node, child) = (open.node, open.nearest);
+            let (children, child) = (open.children, open.nearest);
             let key = open.keys[child];
             // A cell *at* the worst distance is visited: one of its points may win by its id.
             if key <= self.limit && key <= self.epsilon_limit && !self.is_late {
@@ -271,7 +271,7 @@ impl<'a> Traversal<'a> {
                 } else {
                     open.nearest = I::lowest(&open.keys, open.remaining);
                 }
-                return Some((node, child));
+                return Some((children, child));
             }
             // The other children are no nearer.
             frontier.0.pop();
@@ -289,7 +289,7 @@ impl<'a> Traversal<'a> {
     #[inline]
     fn add_candidate(&mut self, key: f64, id: u64, lane: &'a [f64]) {
         let mut candidate = Candidate {
-            upper_bound: self.scale.upper_bound(key),
+            upper_bound: self.key_map.upper_bound(key),
             key,
             id,
             lane,
@@ -314,13 +314,13 @@ impl<'a> Traversal<'a> {
         }
         let distance = self.distance(candidate.key, candidate.lane);
         candidate.distance = distance;
-        candidate.upper_bound = self.scale.limit(distance);
+        candidate.upper_bound = self.key_map.limit(distance);
         distance
     }
 
     /// The distance of a point with this key, in a block from its lane on.
     fn distance(&mut self, key: f64, lane: &[f64]) -> f64 {
-        self.scale.distance(key).unwrap_or_else(|| {
+        self.key_map.distance(key).unwrap_or_else(|| {
             // The row is read from its block, which is still in the cache. By indices: `step_by` takes more instructions.
             self.row.resize(self.state.len(), 0.0);
             for (axis, number) in self.row.iter_mut().enumerate() {
@@ -350,13 +350,16 @@ impl<'a> Traversal<'a> {
             return false;
         }
         self.leaves_visited += 1;
-        if let Some(until) = self.search.until
-            && self.leaves_visited.is_multiple_of(LEAVES_PER_CLOCK_READ)
-            && Instant::now() >= until
-        {
-            self.is_late = true;
-        }
-        true
+        !self.leaves_visited.is_multiple_of(LEAVES_PER_CLOCK_READ) || self.is_in_time()
+    }
+
+    /// Reads the clock; false if the search is out of time.
+    pub(crate) fn is_in_time(&mut self) -> bool {
+        self.is_late = self
+            .search
+            .until
+            .is_some_and(|until| Instant::now() >= until);
+        !self.is_late
     }
 
     /// The number of leaves visited.

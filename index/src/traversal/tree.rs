@@ -17,19 +17,19 @@ pub(crate) const MAX_HEIGHT: usize = 11;
 pub(crate) trait Tree<'a> {
     /// A node or a leaf.
     type Cell: Copy;
-    /// A node with children still to be visited.
-    type Node: Copy;
+    /// What the children of a node are found by.
+    type Children: Copy;
 
     /// The newest revision of a state in the tree.
     fn newest(&self) -> u64;
     fn root(&self) -> Option<Self::Cell>;
-    fn child(&self, node: Self::Node, child: usize) -> Self::Cell;
+    fn child(&self, children: Self::Children, child: usize) -> Self::Cell;
     /// Scans a leaf, or adds a node to the frontier.
     fn visit<I: Isa>(
         &mut self,
         cell: Self::Cell,
         traversal: &mut Traversal<'a>,
-        frontier: &mut Frontier<Self::Node>,
+        frontier: &mut Frontier<Self::Children>,
     );
     /// Scans all points in memory order.
     fn scan<I: Isa>(&mut self, traversal: &mut Traversal<'a>);
@@ -38,12 +38,12 @@ pub(crate) trait Tree<'a> {
     /// True if a scan would have cost less than a descent that visited `leaves` leaves.
     fn scan_is_cheaper(&self, leaves: usize) -> bool;
     /// Fetches what the search reads after the next cell.
-    fn prefetch(&self, _: &Frontier<Self::Node>) {}
+    fn prefetch(&self, _: &Frontier<Self::Children>) {}
 }
 
 /// A node with children still to be visited.
-pub(super) struct OpenNode<N> {
-    pub(super) node: N,
+pub(super) struct OpenNode<C> {
+    pub(super) children: C,
     /// The keys of its children, and a bit for each child that remains.
     pub(super) keys: [f64; MAX_CHILDREN],
     pub(super) remaining: u32,
@@ -52,13 +52,13 @@ pub(super) struct OpenNode<N> {
 }
 
 /// The nodes between the root and the current cell that have children left.
-pub(crate) struct Frontier<N>(pub(super) ArrayVec<OpenNode<N>, MAX_HEIGHT>);
+pub(crate) struct Frontier<C>(pub(super) ArrayVec<OpenNode<C>, MAX_HEIGHT>);
 
-impl<N: Copy> Frontier<N> {
-    /// The node and child to visit next, unless the current cell makes it too far away.
+impl<C: Copy> Frontier<C> {
+    /// The child to visit next, and its node's children, unless the current cell makes it too far away.
     #[inline(always)]
-    pub(crate) fn peek(&self) -> Option<(N, usize)> {
-        self.0.last().map(|open| (open.node, open.nearest))
+    pub(crate) fn peek(&self) -> Option<(C, usize)> {
+        self.0.last().map(|open| (open.children, open.nearest))
     }
 }
 

@@ -60,12 +60,12 @@ pub(crate) fn structures(space: &Space, points: &Points) -> Vec<Structure> {
         }
         let mut bulk = Forest::new(space.clone(), options);
         bulk.apply(1, points, &[]).unwrap();
-        let unbuilt = bulk.snapshot();
+        let unpacked = bulk.snapshot();
         bulk.settle();
         bulk.validate().unwrap();
         all.push((
             format!("bulk/{growing_rows}"),
-            Box::new(move |q, s| unbuilt.search(q, s).unwrap()),
+            Box::new(move |q, s| unpacked.search(q, s).unwrap()),
         ));
         let name = format!("bulk, settled/{growing_rows}");
         all.push((name, Box::new(move |q, s| bulk.search(q, s).unwrap())));

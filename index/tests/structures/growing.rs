@@ -1,4 +1,4 @@
-//! The level that grows by single points: points in a bad order, searches for new points, points that are written over
+//! The tree that grows by single points: points in a bad order, searches for new points, points that are written over
 //! and over, and pauses.
 
 use std::time::Instant;
@@ -149,21 +149,21 @@ fn grown_trees_are_packed_when_writes_pause() {
     let mut forest = grow(&space, &rows);
     let grown = forest.memory_bytes();
     assert!(forest.begin_merge().is_none());
-    assert_eq!(forest.snapshot().unmerged(), 0);
-    assert_eq!(forest.snapshot().unmerged_since(), None);
+    assert_eq!(forest.snapshot().unpacked(), 0);
+    assert_eq!(forest.snapshot().unpacked_since(), None);
     forest.pause();
     let merge = forest.begin_merge().unwrap();
-    assert_eq!(forest.snapshot().unmerged(), rows.len());
-    let since = forest.snapshot().unmerged_since();
+    assert_eq!(forest.snapshot().unpacked(), rows.len());
+    let since = forest.snapshot().unpacked_since();
     assert!(since.is_some());
     forest.apply(6001, &Points::new(7), &[5]).unwrap();
-    assert_eq!(forest.snapshot().unmerged(), rows.len() - 1);
+    assert_eq!(forest.snapshot().unpacked(), rows.len() - 1);
     insert(&mut forest, 5, &rows[4]);
     // It waits until the merge is swapped in.
-    assert_eq!(forest.snapshot().unmerged_since(), since);
+    assert_eq!(forest.snapshot().unpacked_since(), since);
     forest.finish_merge(merge.run());
-    assert_eq!(forest.snapshot().unmerged(), 0);
-    assert_eq!(forest.snapshot().unmerged_since(), None);
+    assert_eq!(forest.snapshot().unpacked(), 0);
+    assert_eq!(forest.snapshot().unpacked_since(), None);
     assert!(forest.begin_merge().is_none());
     let stored = rows.len() * 8 * (forest.space().coordinates() + 3);
     assert!(forest.memory_bytes() < grown);

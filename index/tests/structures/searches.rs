@@ -132,7 +132,10 @@ fn a_search_that_is_out_of_time_fails() {
     let mut rng = rng(7);
     let points = table(&space, &states(&space, Shape::Uniform, 20_000, &mut rng));
     let tree = KdTree::new(space.clone(), points.clone(), 8).unwrap();
-    let binary = Mpnn::new(space.clone(), points, 8).unwrap();
+    let binary = Mpnn::new(space.clone(), points.clone(), 8).unwrap();
+    // No merge has packed these points.
+    let mut loaded = Forest::new(space.clone(), ForestOptions::for_space(&space));
+    loaded.load(&points).unwrap();
     let query = &states(&space, Shape::Uniform, 1, &mut rng)[0];
     let all = Search::nearest_r(f64::INFINITY);
     let late = Search {
@@ -153,6 +156,8 @@ fn a_search_that_is_out_of_time_fails() {
         assert_eq!(structure(&late), Err(SearchError::TimedOut));
         assert!(structure(&short).unwrap().neighbors.is_empty());
     }
+    assert_eq!(loaded.search(query, &all).unwrap().neighbors.len(), 20_000);
+    assert_eq!(loaded.search(query, &late), Err(SearchError::TimedOut));
 }
 
 /// A tree of which searches reach most is scanned from end to end, with the same answers.

@@ -52,7 +52,7 @@ pub(super) struct Insertion<'a> {
     pub(super) revision: u64,
     pub(super) row: &'a [f64],
     /// The length of a unit of each coordinate in the metric.
-    pub(super) scales: &'a [f64],
+    pub(super) unit_lengths: &'a [f64],
     /// The number of points above which a leaf is split, if it can be.
     pub(super) leaf_rows: usize,
     /// The tombstones of the tree.
@@ -87,7 +87,7 @@ impl Cell {
                 if leaf.rows() <= point.leaf_rows {
                     return None;
                 }
-                let Some((axis, at)) = median_cut(leaf, point.scales) else {
+                let Some((axis, at)) = median_cut(leaf, point.unit_lengths) else {
                     let max_rows = point.leaf_rows.saturating_mul(MAX_COINCIDING_LEAVES);
                     point.overflows |= leaf.rows() > max_rows.max(MIN_ROWS);
                     return None;
@@ -124,11 +124,11 @@ impl Cell {
 
 /// The cut of a leaf across the coordinate in which its points spread most in the metric: at the median, or at the next
 /// number that leaves points on both sides. None if all points coincide.
-fn median_cut(leaf: &Leaf, scales: &[f64]) -> Option<(usize, f64)> {
-    let width = scales.len();
+fn median_cut(leaf: &Leaf, unit_lengths: &[f64]) -> Option<(usize, f64)> {
+    let width = unit_lengths.len();
     let spread = |axis: usize| {
         let (lo, hi) = leaf.extent(axis);
-        (lo < hi).then_some((axis, scales[axis] * (hi - lo), lo))
+        (lo < hi).then_some((axis, unit_lengths[axis] * (hi - lo), lo))
     };
     let (axis, _, lo) = (0..width)
         .filter_map(spread)

@@ -1,4 +1,4 @@
-//! The level that grows by single points: a kd-tree that splits as Robinson's does ("The K-D-B-Tree: A Search Structure
+//! The tree that grows by single points: a kd-tree that splits as Robinson's does ("The K-D-B-Tree: A Search Structure
 //! for Large Multidimensional Dynamic Indexes", SIGMOD 1981).
 //!
 //! A point goes to the leaf whose region contains it, and the boxes above are widened to contain it. A full leaf is
@@ -48,9 +48,9 @@ use leaf::{Label, Leaf, LeafBlock};
 
 /// A tree, its points in the order of insertion, the slots of their ids, and the tombstones of the dead ones.
 #[derive(Clone, Debug)]
-pub(super) struct Growing {
+pub(super) struct GrowingTree {
     /// The length of a unit of each coordinate in the metric.
-    scales: Arc<[f64]>,
+    unit_lengths: Arc<[f64]>,
     leaf_rows: usize,
     root: Cell,
     /// The number of nodes between the root, included, and a leaf.
@@ -66,21 +66,25 @@ pub(super) struct Growing {
     scan_policy: Arc<ScanPolicy>,
 }
 
-impl Growing {
+impl GrowingTree {
     /// An empty tree for at most `max_rows` points.
     pub(super) fn new(space: &Space, leaf_rows: usize, max_rows: usize) -> Self {
-        Self::empty(space.scales().into(), leaf_rows, max_rows)
+        Self::empty(space.unit_lengths().into(), leaf_rows, max_rows)
     }
 
     /// Another empty tree of the same sizes.
     pub(super) fn renewed(&self) -> Self {
-        Self::empty(Arc::clone(&self.scales), self.leaf_rows, self.max_rows)
+        Self::empty(
+            Arc::clone(&self.unit_lengths),
+            self.leaf_rows,
+            self.max_rows,
+        )
     }
 
-    fn empty(scales: Arc<[f64]>, leaf_rows: usize, max_rows: usize) -> Self {
-        let width = scales.len();
+    fn empty(unit_lengths: Arc<[f64]>, leaf_rows: usize, max_rows: usize) -> Self {
+        let width = unit_lengths.len();
         Self {
-            scales,
+            unit_lengths,
             leaf_rows,
             root: Cell::Leaf(Leaf::new(width)),
             height: 0,
@@ -125,7 +129,7 @@ impl Growing {
             label,
             revision: point.revision,
             row: point.row,
-            scales: &self.scales,
+            unit_lengths: &self.unit_lengths,
             leaf_rows: self.leaf_rows,
             tombstones: &self.tombstones,
             overflows: false,
@@ -134,7 +138,7 @@ impl Growing {
         let split = self.root.insert(&mut insertion);
         self.overflowed |= insertion.overflows;
         if let Some(split) = split {
-            let width = self.scales.len();
+            let width = self.unit_lengths.len();
             let below = std::mem::replace(&mut self.root, Cell::Leaf(Leaf::new(width)));
             let branch = Branch::over(below, split, self.newest, width);
             self.root = Cell::Branch(Arc::new(branch));
@@ -201,13 +205,13 @@ impl Growing {
 
 /// One search of a growing tree, which finds the visible points.
 struct GrowingSearch<'a, V> {
-    tree: &'a Growing,
+    tree: &'a GrowingTree,
     is_visible: V,
 }
 
 impl<'a, V: Fn(usize) -> bool> Tree<'a> for GrowingSearch<'a, V> {
     type Cell = &'a Cell;
-    type Node = &'a Branch;
+    type Children = &'a Branch;
 
     fn newest(&self) -> u64 {
         self.tree.newest

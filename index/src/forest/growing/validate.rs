@@ -1,13 +1,13 @@
 //! The invariants of a growing tree.
 
 use super::{
-    Growing,
+    GrowingTree,
     branch::{Branch, Cell},
     leaf::{Label, Leaf},
 };
 use crate::{TreeReport, forest::tombstones::LATEST};
 
-impl Growing {
+impl GrowingTree {
     /// Checks that every living point is in the one leaf that its row leads to, within all boxes above it, that all
     /// leaves are equally deep, and that ids and counts agree.
     ///

@@ -1,4 +1,4 @@
-//! An immutable level: a static tree, the slots of its ids, and the tombstones of its dead points.
+//! A level that never grew: a static tree, the slots of its ids, and the tombstones of its dead points.
 
 use std::sync::Arc;
 
@@ -12,33 +12,33 @@ use crate::{
 
 /// The ids are distinct.
 #[derive(Debug)]
-pub(super) struct Packed {
+pub(super) struct StaticLevel {
     tree: KdTree,
     /// The slots in the order of their ids.
     by_id: Vec<u32>,
     tombstones: Tombstones,
-    /// True if a merge has built the tree. (A built tree may also have one leaf.)
-    built: bool,
+    /// True if a merge has built the tree. (A packed tree may also have one leaf.)
+    packed: bool,
 }
 
-impl Packed {
-    /// A level of one leaf, which is scanned until a merge builds its tree.
-    pub(super) fn unbuilt(space: Arc<Space>, points: &Points) -> Self {
+impl StaticLevel {
+    /// A level of one leaf, which is scanned until a merge packs it.
+    pub(super) fn unpacked(space: Arc<Space>, points: &Points) -> Self {
         Self::over(KdTree::one_leaf(space, points), false)
     }
 
     /// A level with its tree.
-    pub(super) fn built(space: Arc<Space>, points: &Points, leaf_rows: usize) -> Self {
+    pub(super) fn packed(space: Arc<Space>, points: &Points, leaf_rows: usize) -> Self {
         Self::over(KdTree::build(space, points, leaf_rows), true)
     }
 
-    fn over(tree: KdTree, built: bool) -> Self {
+    fn over(tree: KdTree, packed: bool) -> Self {
         let by_id = by_id(tree.ids());
         Self {
             tree,
             by_id,
             tombstones: Tombstones::default(),
-            built,
+            packed,
         }
     }
 
@@ -52,9 +52,9 @@ impl Packed {
         self.tombstones.dead()
     }
 
-    /// True if the level has its tree.
-    pub(super) fn is_built(&self) -> bool {
-        self.built
+    /// True if a merge has built the tree.
+    pub(super) fn is_packed(&self) -> bool {
+        self.packed
     }
 
     pub(super) fn get(&self, slot: usize) -> Point {
