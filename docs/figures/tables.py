@@ -283,7 +283,7 @@ def sharing():
         busy = sorted(row.get("busy_share") or 0 for row in runs_of("maze-workers", "shared", count))
         # Not measured by an earlier version, nor where the system does not tell it.
         shown = spread(busy) if busy[0] else "not measured"
-        add("the same over what the processor time allows: the part of it that is spent", "≥ 0.85", shown, not busy[0] or median(busy) >= 0.85)
+        add("the same runs: the part of the machine's processor time that was spent", "≥ 0.85", shown, not busy[0] or median(busy) >= 0.85)
     ratios = over_one("rigid-workers", "shared", 2)
     add("`rigid`, milestones a second of two workers over one", "≥ 1.75", spread(ratios), median(ratios) >= 1.75)
     got = of("shared")

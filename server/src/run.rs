@@ -57,7 +57,11 @@ pub(crate) async fn serve(
 ) -> Result<(), ServerError> {
     let store = StoreLifetime::default();
     let ended = serve_from(store.clone(), config, listener, shutdown, ready).await;
+    // A merge of the store's tables that is under way is waited for.
     store.close().await;
+    if ended.is_ok() {
+        info!("stopped");
+    }
     ended
 }
 

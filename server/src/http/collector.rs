@@ -62,7 +62,7 @@ const OF_INDEX: [(&str, &str); 15] = [
     ),
     (
         "index_subscribers",
-        "The subscribers of an index: shared indices, watches, and publications over Zenoh",
+        "The subscribers of an index over gRPC: shared indices and watches",
     ),
     (
         "index_subscriber_lag",
@@ -209,11 +209,11 @@ impl MetricsCollector {
                 published.snapshot.len() as u64,
                 published.revision,
                 published.snapshot.memory_bytes() as u64,
-                published.snapshot.levels() as u64,
-                published.snapshot.unmerged() as u64,
+                published.snapshot.trees() as u64,
+                published.snapshot.unpacked() as u64,
                 published
                     .snapshot
-                    .unmerged_since()
+                    .unpacked_since()
                     .map_or(0, |since| since.elapsed().as_secs()),
                 hosted.records_in_flight() as u64,
                 published.view.sessions().len() as u64,

@@ -269,7 +269,8 @@ impl fmt::Display for IdentificationError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             IdentificationError::NoCredential => f.write_str(
-                "the call has neither a token nor a client certificate: give it one of an identity of this server",
+                "the call has neither a token (gRPC and HTTP: the header authorization, Zenoh: the attachment \
+                 token=TOKEN) nor, over gRPC and HTTP, a client certificate: give it one of an identity of this server",
             ),
             IdentificationError::WrongCredential => {
                 f.write_str("no identity of this server has this token or client certificate")

@@ -219,7 +219,7 @@ pub trait PointStore: Journal {
     ///
     /// A copy that `replaces` takes the place of the index with its uid, at a later revision; `origin` has the digest of the
     /// record of that revision. Until the copy is finished, the index stays as it is; then it has all of the copy, and a crash
-    /// leaves the one or the other. Earlier views stay valid. [`Restoring::finish`] fails with [`LogError::UnknownIndex`] if
+    /// leaves the one or the other. Earlier views stay valid. [`PointWriter::finish`] fails with [`LogError::UnknownIndex`] if
     /// the index was deleted meanwhile, and with [`LogError::Fenced`] if it can be read and its newest revision is not below
     /// the copy's.
     fn restore(
@@ -227,7 +227,7 @@ pub trait PointStore: Journal {
         entry: Entry,
         origin: Origin,
         replaces: bool,
-    ) -> Result<Box<dyn Restoring>, LogError>;
+    ) -> Result<Box<dyn PointWriter>, LogError>;
 
     /// The newest revision of an index that survives a loss of power here; None if nothing does.
     fn durable(&self, _: Uid) -> Result<Option<u64>, LogError> {
@@ -330,8 +330,8 @@ impl<Engine: PointStore + Catalogue + 'static> From<Arc<Engine>> for Log {
     }
 }
 
-/// An index that is being restored. If it is dropped before [`Restoring::finish`], nothing is left behind.
-pub trait Restoring: Send {
+/// An index that is being restored. If it is dropped before [`PointWriter::finish`], nothing is left behind.
+pub trait PointWriter: Send {
     /// Adds the next points, by ascending id.
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError>;
 

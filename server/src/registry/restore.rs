@@ -9,7 +9,7 @@ use wayfold_proto::v1::PayloadEncoding;
 
 use super::{Host, Hosted, IndexLimit, IndexState, Registry, RegistryError, loading::Loader};
 use crate::log::{
-    Effects, Entry, Log, LogError, Origin, Record, RecordPosition, Restoring, RunId, Sessions,
+    Effects, Entry, Log, LogError, Origin, PointWriter, Record, RecordPosition, RunId, Sessions,
     StoredPoint, Uid,
 };
 
@@ -19,7 +19,7 @@ pub struct Restore {
     pub(super) entry: Entry,
     pub(super) origin: Origin,
     pub(super) limits: Vec<IndexLimit>,
-    pub(super) stored: Box<dyn Restoring>,
+    pub(super) stored: Box<dyn PointWriter>,
     pub(super) loader: Loader,
     /// None if it takes the place of an index, which counts already.
     pub(super) counted: Option<Counted>,

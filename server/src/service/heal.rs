@@ -19,7 +19,7 @@ use tokio::{
 };
 use tracing::{debug, warn};
 
-use self::draft::Draft;
+use self::draft::CopyDraft;
 use super::{
     Service,
     member::{CopyKind, CopyParts, CopyRequest, Peers},
@@ -257,7 +257,7 @@ async fn copy_from(
             "the journal does not have its record of revision {revision}"
         )));
     }
-    let mut draft = Draft::new(service, index, position);
+    let mut draft = CopyDraft::new(service, index, position);
     while !draft.is_whole(start.operations) {
         let part = next(&mut parts).await?;
         let read = tokio::task::spawn_blocking(move || draft.read(part).map(|()| draft));

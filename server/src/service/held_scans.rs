@@ -3,14 +3,15 @@
 use std::{collections::HashMap, sync::Arc, time::Duration};
 
 use parking_lot::Mutex;
-use tokio::time::Instant;
+use tokio::{sync::Semaphore, time::Instant};
 use uuid::Uuid;
 use wayfold_proto::v1;
 
 use super::{Call, Error, Service, revision_pin::RevisionPin};
 use crate::{log::Uid, registry::Hosted};
 
-/// A scan without a page for this time loses its place to another scan. Callers that left must not keep others out.
+/// A scan without a page for this time loses its place to another scan. Callers that left must not keep others out, nor
+/// must one caller with many scans: it loses places to callers with fewer.
 const IDLE_TIME: Duration = Duration::from_secs(30);
 
 /// The held revisions of the scans that have further pages, by token.
@@ -18,10 +19,34 @@ const IDLE_TIME: Duration = Duration::from_secs(30);
 pub(super) struct HeldScans(Mutex<HashMap<String, HeldScan>>);
 
 struct HeldScan {
+    caller: ScanCaller,
     uid: Uid,
     pinned_revision: Arc<RevisionPin>,
     /// The time of its newest page.
     used: Instant,
+}
+
+/// The caller of a scan: its identity, or its connection on a server without identities.
+struct ScanCaller {
+    identity: Option<String>,
+    connection: Option<Arc<Semaphore>>,
+}
+
+impl ScanCaller {
+    fn of(call: &Call) -> Self {
+        let identity = call.caller.name().map(str::to_owned);
+        let connection = call.stored_reads.clone().filter(|_| identity.is_none());
+        Self {
+            identity,
+            connection,
+        }
+    }
+
+    /// Equal for scans of one caller.
+    fn key(&self) -> (Option<&str>, Option<*const Semaphore>) {
+        let connection = self.connection.as_ref().map(Arc::as_ptr);
+        (self.identity.as_deref(), connection)
+    }
 }
 
 impl Service {
@@ -34,13 +59,20 @@ impl Service {
     ) -> Result<v1::ScanResponse, Error> {
         let held = &self.inner.held_scans;
         let token = request.held_scan.clone();
+        let caller = ScanCaller::of(call);
         let mut scan = self.scan(call, request).await?;
         let mut page = scan.part().await?;
         if scan.is_done() {
             held.0.lock().remove(&token);
         } else if token.is_empty() {
             let max = self.limits().max_held_scans;
-            page.held_scan = held.hold(scan.hosted().uid(), scan.pinned_revision(), max)?;
+            let kept = HeldScan {
+                caller,
+                uid: scan.hosted().uid(),
+                pinned_revision: scan.pinned_revision(),
+                used: Instant::now(),
+            };
+            page.held_scan = held.hold(kept, max)?;
         } else {
             page.held_scan = token;
         }
@@ -68,36 +100,43 @@ impl HeldScans {
     }
 
     /// Keeps a revision held for the scan's further pages, and returns its token.
-    fn hold(
-        &self,
-        uid: Uid,
-        pinned_revision: Arc<RevisionPin>,
-        max: usize,
-    ) -> Result<String, Error> {
+    fn hold(&self, scan: HeldScan, max: usize) -> Result<String, Error> {
         let mut held = self.0.lock();
         held.retain(|_, scan| scan.pinned_revision.get().is_some());
         if held.len() >= max {
-            let oldest = held.iter().min_by_key(|(_, scan)| scan.used);
-            let oldest = oldest.filter(|(_, scan)| scan.used.elapsed() >= IDLE_TIME);
-            let oldest = oldest.map(|(token, _)| token.clone());
-            let idle = oldest.ok_or(Error::LimitExceeded {
+            let place = idle(&held).or_else(|| excess(&held, &scan.caller));
+            let place = place.ok_or(Error::LimitExceeded {
                 limit: "max_held_scans",
                 value: max as u64,
                 requested: max as u64 + 1,
                 advice: "try again when another scan has ended",
             })?;
-            held.remove(&idle);
+            held.remove(&place);
         }
         let token = Uuid::new_v4().to_string();
-        let used = Instant::now();
-        held.insert(
-            token.clone(),
-            HeldScan {
-                uid,
-                pinned_revision,
-                used,
-            },
-        );
+        held.insert(token.clone(), scan);
         Ok(token)
     }
+}
+
+/// The token of the scan without a page for the longest time, if that is [`IDLE_TIME`] or more.
+fn idle(held: &HashMap<String, HeldScan>) -> Option<String> {
+    let (token, scan) = held.iter().min_by_key(|(_, scan)| scan.used)?;
+    (scan.used.elapsed() >= IDLE_TIME).then(|| token.clone())
+}
+
+/// The token of such a scan of the caller that holds the most. That caller must still hold as many as `asking` then, or
+/// the two would take each other's place again and again.
+fn excess(held: &HashMap<String, HeldScan>, asking: &ScanCaller) -> Option<String> {
+    let mut counts = HashMap::new();
+    for scan in held.values() {
+        *counts.entry(scan.caller.key()).or_insert(0_usize) += 1;
+    }
+    let own = counts.get(&asking.key()).copied().unwrap_or_default();
+    let (greediest, most) = counts.into_iter().max_by_key(|(_, count)| *count)?;
+    let of_greediest = held
+        .iter()
+        .filter(|(_, scan)| scan.caller.key() == greediest);
+    let (token, _) = of_greediest.min_by_key(|(_, scan)| scan.used)?;
+    (most > own + 1).then(|| token.clone())
 }

@@ -92,7 +92,7 @@ pub(crate) use member::{
     COPY, CopyPart, CopyParts, CopyRequest, Peers, SERVICE, STORED, StoredRequest, StoredResponse,
     Unanswered,
 };
-pub use restore::Restoring;
+pub use restore::RestoreCall;
 pub use scan::Scan;
 pub use snapshot::Snapshot;
 pub use verify::Verification;

@@ -30,19 +30,19 @@ use crate::{
 /// The first revision that no snapshot may have: an index that is restored needs revisions for its mutations.
 const END_OF_REVISIONS: u64 = 1 << 63;
 
-/// An index under restoration. It is invisible until [`Restoring::finish`], and a drop leaves nothing behind.
-pub struct Restoring {
+/// An index under restoration. It is invisible until [`RestoreCall::finish`], and a drop leaves nothing behind.
+pub struct RestoreCall {
     service: Service,
     call: Call,
     /// Set by the first message.
     name: Option<String>,
     /// Taken while a part is read; never put back if that failed or was cancelled.
-    draft: Option<Draft>,
+    draft: Option<RestoreDraft>,
 }
 
 /// The restored part of the index.
 #[derive(Default)]
-struct Draft {
+struct RestoreDraft {
     reader: Reader,
     /// Set by the header.
     restore: Option<Restore>,
@@ -51,13 +51,13 @@ struct Draft {
 
 impl Service {
     /// Begins to restore an index from a snapshot.
-    pub fn restore_index(&self, call: &Call) -> Result<Restoring, Error> {
+    pub fn restore_index(&self, call: &Call) -> Result<RestoreCall, Error> {
         self.accept(call, Role::Admin, None)?;
-        Ok(Restoring {
+        Ok(RestoreCall {
             service: self.clone(),
             call: call.clone(),
             name: None,
-            draft: Some(Draft::default()),
+            draft: Some(RestoreDraft::default()),
         })
     }
 }
@@ -121,7 +121,7 @@ impl Service {
     }
 }
 
-impl Restoring {
+impl RestoreCall {
     /// Takes the next part. After an error every part is refused.
     pub async fn add(&mut self, request: v1::RestoreIndexRequest) -> Result<(), Error> {
         let name = self.name(request.name)?;
@@ -185,7 +185,7 @@ impl Restoring {
     }
 }
 
-impl Draft {
+impl RestoreDraft {
     fn read(
         &mut self,
         service: &Service,

@@ -72,12 +72,13 @@ pub(super) struct Announcer {
 struct Announcement {
     uid: String,
     _token: LivelinessToken,
-    /// One for each form that has a subscriber.
+    /// One for each form to which any index has a subscriber.
     feeds: [Option<AbortOnDropHandle<()>>; FEEDS.len()],
 }
 
-/// True while any index has a subscriber to one form.
+/// Watches whether any index has a subscriber to one form.
 struct SubscriberWatch {
+    /// True while there is one.
     followed: watch::Receiver<bool>,
     _listener: MatchingListener<()>,
     _publisher: Publisher<'static>,
@@ -246,7 +247,8 @@ impl Feed {
             own_session: 0,
         };
         let watch = self.service.watch(&Call::default(), request).await?;
-        let mut watch = watch.with_message_bytes(MESSAGE_BYTES);
+        // One watch feeds all subscribers over Zenoh, so it counts as none of them.
+        let mut watch = watch.uncounted().with_message_bytes(MESSAGE_BYTES);
         while let Some(message) = watch.next().await {
             let message = message?;
             let reset = message.reset.map(|_| message.reset());

@@ -15,7 +15,7 @@ use futures_util::future::BoxFuture;
 use parking_lot::Mutex;
 use tokio::{runtime::Handle, task};
 
-use super::answer::Response;
+use super::response::Response;
 use crate::latency_gate::LatencyGate;
 
 /// While recent searches take less time, they are answered inline.
@@ -53,10 +53,10 @@ impl Inline {
     }
 
     /// Answers a query that was just read from a link, inline if its search is short.
-    pub(super) fn answer(self: &Arc<Self>, answering: ResponseFuture) {
+    pub(super) fn run(self: &Arc<Self>, answering: ResponseFuture) {
         // The running task is the one that reads the link.
         let Some(reader) = task::try_id() else {
-            return self.answer_elsewhere(answering);
+            return self.run_elsewhere(answering);
         };
         let mut waiting = self.waiting.lock();
         let of_link = waiting.entry(reader).or_default();
@@ -85,7 +85,7 @@ impl Inline {
                 Poll::Ready(answered) if answered.bytes() <= MAX_BYTES => all.push(answered),
                 Poll::Ready(answered) => self.send_elsewhere(vec![answered]),
                 // The search waits, or has used its time slice.
-                Poll::Pending => self.answer_elsewhere(answering),
+                Poll::Pending => self.run_elsewhere(answering),
             }
         }
         drop(in_runtime);
@@ -101,7 +101,7 @@ impl Inline {
     }
 
     /// Answers a query on another thread.
-    pub(super) fn answer_elsewhere(self: &Arc<Self>, answering: ResponseFuture) {
+    pub(super) fn run_elsewhere(self: &Arc<Self>, answering: ResponseFuture) {
         let inline = Arc::clone(self);
         let answered = async move { inline.send_elsewhere(vec![answering.await]) };
         self.runtime.spawn(answered);

@@ -1,6 +1,6 @@
-//! The links of the face: their metrics, and their end.
+//! The links of the face: their metrics, and the log of those that it opens.
 
-use std::{fmt, sync::mpsc, thread, time::Duration};
+use std::{fmt, time::Duration};
 
 use prometheus_client::{
     collector::Collector,
@@ -8,42 +8,12 @@ use prometheus_client::{
     metrics::{counter::ConstCounter, gauge::ConstGauge},
 };
 use serde_json::json;
-use tracing::warn;
-use zenoh::{Session, Wait, internal::runtime::Runtime};
+use tokio::time::{Instant, interval_at};
+use tracing::{info, warn};
+use zenoh::{Session, Wait, config::WhatAmI, internal::runtime::Runtime};
 
-/// A drop waits this long until the links are closed. Zenoh tells each peer, and waits for those that do not read, one
-/// message after the other.
-const CLOSE_WAIT: Duration = Duration::from_secs(1);
-
-/// A session and its runtime, which it does not close: dropping this closes both.
-pub(super) struct ZenohRuntime {
-    pub(super) session: Session,
-    pub(super) runtime: Runtime,
-}
-
-impl Drop for ZenohRuntime {
-    fn drop(&mut self) {
-        if self.runtime.is_closed() {
-            return;
-        }
-        let (session, runtime) = (self.session.clone(), self.runtime.clone());
-        let (done, closed) = mpsc::channel();
-        let closing = thread::Builder::new().name("wayfold-zenoh".into());
-        let closing = closing.spawn(move || {
-            // An open session panics if the runtime under it closes.
-            let closed = session.close().wait();
-            if let Err(error) = closed.and_then(|()| runtime.close().wait()) {
-                warn!(%error, "the links of Zenoh did not close well");
-            }
-            // The drop may have gone on.
-            let _ = done.send(());
-        });
-        match closing {
-            Ok(_) => drop(closed.recv_timeout(CLOSE_WAIT)),
-            Err(error) => warn!(%error, "the links of Zenoh stay open until the process ends"),
-        }
-    }
-}
+/// The interval of the checks for links to routers and peers.
+const CHECK_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Measures the links of a session at each look.
 #[derive(Debug)]
@@ -73,4 +43,31 @@ fn dropped(runtime: &Runtime) -> u64 {
     let mut state = json!({ "sessions": [] });
     runtime.stats().merge_stats(&mut state);
     state["stats"]["tx_n_dropped"].as_u64().unwrap_or_default()
+}
+
+/// Logs when no router or peer of the `endpoints` is linked, and when one is again. Zenoh retries silently.
+pub(super) async fn report_links(session: Session, endpoints: String) {
+    let mut checks = interval_at(Instant::now() + CHECK_INTERVAL, CHECK_INTERVAL);
+    let mut was_linked = None;
+    loop {
+        checks.tick().await;
+        if session.is_closed() {
+            return;
+        }
+        // Clients have connected to this server.
+        let mut transports = session.info().transports().await;
+        let is_linked = transports.any(|it| it.whatami() != WhatAmI::Client);
+        match (was_linked.replace(is_linked), is_linked) {
+            (None, false) => warn!(
+                endpoints,
+                "no Zenoh router or peer is reached yet, which is tried on: see connect in zenoh.config"
+            ),
+            (Some(true), false) => warn!(
+                endpoints,
+                "the last link to a Zenoh router or peer is gone; Zenoh tries to open one again"
+            ),
+            (Some(false), true) => info!(endpoints, "a Zenoh router or peer is reached"),
+            _ => {}
+        }
+    }
 }

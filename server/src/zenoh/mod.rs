@@ -2,18 +2,19 @@
 //! and holds no policy of its own.
 //!
 //! `<prefix>/<index>/<verb>` and `<prefix>/<verb>` take queries; the prefix is `wayfold/v1` unless set. A query has a
-//! selector with parameters and a payload in Protocol Buffers or JSON (`crate::verbs`), and gets one reply (`queries`,
-//! `inline`, `answer`). A query with a wildcard (`wildcard`) reaches only descriptions of indices. `feed` announces
-//! `<index>/events` and `<index>/@alive`.
+//! selector with parameters and a payload in Protocol Buffers or JSON (`encoding`, `crate::verbs`), and gets one reply
+//! (`queries`, `flows`, `inline`, `response`). A query with a wildcard (`wildcard`) reaches only descriptions of indices.
+//! `feed` announces `<index>/events` and `<index>/@alive`. `session` opens the session with its access control, `links`
+//! measures and logs its links, and `servers` finds other servers under the prefix.
 
-mod answer;
 mod encoding;
 mod feed;
 mod flows;
 mod inline;
 mod links;
-mod peers;
 mod queries;
+mod response;
+mod servers;
 mod session;
 mod wildcard;
 
@@ -34,9 +35,10 @@ use crate::{config::ZenohConfig, faces::FaceContext};
 use feed::Announcer;
 use flows::Flows;
 use inline::Inline;
-use links::{Links, ZenohRuntime};
-use peers::ServerWatch;
+use links::Links;
 use queries::Queries;
+use servers::ServerWatch;
+use session::ZenohRuntime;
 
 /// Time that links stay open after the last answer. Zenoh closes a link at once; a peer that sends to a closed link
 /// loses its unread answers.
@@ -100,7 +102,7 @@ impl ZenohFace {
         };
         let servers = ServerWatch::watch(&session, &config.prefix, !in_cluster).await?;
         let links = connects_to.map(|endpoints| {
-            let reporting = peers::report_links(session.clone(), endpoints);
+            let reporting = links::report_links(session.clone(), endpoints);
             AbortOnDropHandle::new(tokio::spawn(reporting))
         });
         let face = Self {

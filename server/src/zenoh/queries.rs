@@ -25,10 +25,10 @@ use zenoh::{
 };
 
 use super::{
-    answer::{Replies, Response},
     encoding,
     flows::Flows,
     inline::{self, Inline},
+    response::{Replies, Response},
     wildcard,
 };
 use crate::{
@@ -40,8 +40,6 @@ use crate::{
     status::{self, Status},
     verbs::{Form, MAX_DYNAMIC_BYTES, MAX_TIMEOUT, Request, Target, Verb, dispatch, invalid},
 };
-
-const MAX_MESSAGE_BYTES: &str = "zenoh.max_message_bytes";
 
 /// The largest attachment: a token and the context of a trace.
 const MAX_ATTACHMENT_BYTES: usize = 4 * 1024;
@@ -142,9 +140,9 @@ impl Queries {
             under_way,
         });
         if is_short {
-            self.inline.answer(answering.boxed());
+            self.inline.run(answering.boxed());
         } else {
-            self.inline.answer_elsewhere(answering.boxed());
+            self.inline.run_elsewhere(answering.boxed());
         }
     }
 
@@ -156,7 +154,8 @@ impl Queries {
         under_way: TaskTrackerToken,
         status: Status,
     ) {
-        // Queries whose refusals no caller reads must not fill the memory.
+        // Queries whose refusals no caller reads must not fill the memory. The query keeps its selector.
+        let is_short = QuerySize::of(&query).selector <= MAX_SELECTOR_BYTES;
         if let Some(payload) = query.payload_mut() {
             *payload = ZBytes::new();
         }
@@ -171,10 +170,9 @@ impl Queries {
             held: None,
             under_way,
         };
-        let room = Arc::clone(&self.refusals).try_acquire_owned().ok();
-        if room.is_some() {
+        if is_short && let Ok(room) = Arc::clone(&self.refusals).try_acquire_owned() {
             self.inline.send(vec![Response {
-                place: room,
+                place: Some(room),
                 ..refused
             }]);
         } else {
@@ -228,7 +226,8 @@ impl Queries {
             if !held.check_room() {
                 return Err(status::too_many_bytes(held.flow().max_bytes()));
             }
-            self.ask(&query, form, target, arrived, call).await
+            let replies = self.replies(&query, form, target, arrived, call).await;
+            replies.map_err(|error| status::from_error(&error))
         };
         let answering = AssertUnwindSafe(turns.run(evaluation)).catch_unwind();
         let answered = timeout_at(deadline.into(), answering.instrument(span)).await;
@@ -269,22 +268,6 @@ impl Queries {
         }
     }
 
-    async fn ask(
-        &self,
-        query: &Query,
-        form: Result<Form, Error>,
-        target: Result<Target<'_>, Error>,
-        arrived: Instant,
-        call: Call,
-    ) -> Result<Replies, Status> {
-        let bytes = query.payload().map_or(0, |payload| payload.len());
-        if bytes > self.max_message_bytes {
-            return Err(self.too_large(bytes));
-        }
-        let replies = self.replies(query, form, target, arrived, call).await;
-        replies.map_err(|error| status::from_error(&error))
-    }
-
     async fn replies(
         &self,
         query: &Query,
@@ -293,6 +276,15 @@ impl Queries {
         arrived: Instant,
         call: Call,
     ) -> Result<Replies, Error> {
+        let bytes = query.payload().map_or(0, |payload| payload.len());
+        if bytes > self.max_message_bytes {
+            return Err(Error::LimitExceeded {
+                limit: "zenoh.max_message_bytes",
+                value: self.max_message_bytes as u64,
+                requested: bytes as u64,
+                advice: "split the payload over several queries",
+            });
+        }
         // The service checks the caller too; here a stranger is refused before its request is parsed.
         call.caller.check().map_err(|why| Error::Denied {
             why: Denial::Unknown(why),
@@ -312,19 +304,6 @@ impl Queries {
         let limit = self.max_message_bytes;
         let payload = dispatch(&self.shared.service, &call, verb, &request, limit).await?;
         Ok(vec![(query.key_expr().clone().into_owned(), payload)])
-    }
-
-    fn too_large(&self, bytes: usize) -> Status {
-        let limit = self.max_message_bytes;
-        status::limit(
-            "LIMIT_EXCEEDED",
-            format!(
-                "the payload of {bytes} bytes exceeds the limit {MAX_MESSAGE_BYTES} = {limit}: split it into several \
-                 queries"
-            ),
-            MAX_MESSAGE_BYTES,
-            limit,
-        )
     }
 }
 

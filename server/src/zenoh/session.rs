@@ -1,12 +1,17 @@
-//! Opens the Zenoh session from the settings.
+//! The Zenoh session: opened from the settings, closed by its drop.
 
-use std::{io, net::TcpListener};
+use std::{io, net::TcpListener, sync::mpsc, thread, time::Duration};
 
 use serde_json::{Value, json};
 use thiserror::Error;
-use zenoh::{Config, config::EndPoint, internal::runtime::RuntimeBuilder, key_expr::OwnedKeyExpr};
+use tracing::warn;
+use zenoh::{
+    Config, Session, Wait,
+    config::EndPoint,
+    internal::runtime::{Runtime, RuntimeBuilder},
+    key_expr::OwnedKeyExpr,
+};
 
-use super::links::ZenohRuntime;
 use crate::{
     config::ZenohConfig,
     exposure::{ExposedAddress, is_local},
@@ -31,6 +36,10 @@ pub(crate) const MAX_SESSIONS: usize = 1_000;
 
 /// Zenoh drops messages larger than this many times the largest payload silently; smaller ones get a refusal.
 const MESSAGE_LIMIT_FACTOR: usize = 4;
+
+/// A drop waits this long until the links are closed. Zenoh tells each peer, and waits for those that do not read, one
+/// message after the other.
+const CLOSE_WAIT: Duration = Duration::from_secs(1);
 
 /// The error of the Zenoh face.
 #[derive(Debug, Error)]
@@ -98,11 +107,40 @@ impl ZenohError {
     }
 }
 
+/// A session and its runtime, which it does not close: dropping this closes both.
+pub(super) struct ZenohRuntime {
+    pub(super) session: Session,
+    pub(super) runtime: Runtime,
+}
+
+impl Drop for ZenohRuntime {
+    fn drop(&mut self) {
+        if self.runtime.is_closed() {
+            return;
+        }
+        let (session, runtime) = (self.session.clone(), self.runtime.clone());
+        let (done, closed) = mpsc::channel();
+        let closing = thread::Builder::new().name("wayfold-zenoh".into());
+        let closing = closing.spawn(move || {
+            // An open session panics if the runtime under it closes.
+            let closed = session.close().wait();
+            if let Err(error) = closed.and_then(|()| runtime.close().wait()) {
+                warn!(%error, "the links of Zenoh did not close well");
+            }
+            // The drop may have gone on.
+            let _ = done.send(());
+        });
+        match closing {
+            Ok(_) => drop(closed.recv_timeout(CLOSE_WAIT)),
+            Err(error) => warn!(%error, "the links of Zenoh stay open until the process ends"),
+        }
+    }
+}
+
 /// Opens the session; returns it with the endpoints that it connects to, if any.
 pub(super) async fn open(
     config: &ZenohConfig,
 ) -> Result<(ZenohRuntime, Option<String>), ZenohError> {
-    check_listen(&config.listen)?;
     let settings = settings(config)?;
     let connects_to = settings.get_json("connect/endpoints").ok();
     let connects_to = connects_to.filter(|endpoints| !matches!(&**endpoints, "[]" | "null" | "{}"));
@@ -233,6 +271,7 @@ fn without_places(problem: &str) -> String {
 
 /// The settings of this face, overridden by `zenoh.config`, which may set any option of Zenoh.
 fn settings(config: &ZenohConfig) -> Result<Config, ZenohError> {
+    check_listen(&config.listen)?;
     let wrong = |problem: String| ZenohError::Config { problem };
     let mut settings = json!({
         "mode": "peer",
@@ -257,10 +296,34 @@ fn settings(config: &ZenohConfig) -> Result<Config, ZenohError> {
     if !over.is_object() {
         return Err(wrong("it is not an object: { … }".into()));
     }
+    // The user's own rules replace all of these: a mixture would be neither.
+    if over.get("access_control").is_none() {
+        settings["access_control"] = access_control();
+    }
     lay_over(&mut settings, over);
     Config::from_json5(&settings.to_string()).map_err(|error| {
         let problem = redact::without_value(&error.to_string());
         wrong(problem.unwrap_or_else(|| "Zenoh does not take one of its values".into()))
+    })
+}
+
+/// Lets links bring queries and subscriptions, and nothing that Zenoh would take to another link: an answer in the
+/// server's place, a publication of mutations that never were, or a queryable that reads the tokens of others.
+fn access_control() -> Value {
+    json!({
+        "enabled": true,
+        "default_permission": "allow",
+        "rules": [{
+            "id": "relayed",
+            "permission": "deny",
+            "flows": ["ingress"],
+            "messages": ["declare_queryable", "reply", "put", "delete", "liveliness_token"],
+            // A rule holds for the keys that it includes whole, so one of the prefix would let `**` pass. A `**` leaves
+            // out parts with an `@`: tokens of other servers are taken, because this server warns of those.
+            "key_exprs": ["**", "**/@alive/**"],
+        }],
+        "subjects": [{ "id": "everyone" }],
+        "policies": [{ "rules": ["relayed"], "subjects": ["everyone"] }],
     })
 }
 

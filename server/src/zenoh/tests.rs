@@ -1,14 +1,18 @@
 //! The order of a stop, the count of dropped messages, the check of tokens, and the places and waits of calls.
 
+mod refusals;
+mod strangers;
+
 use std::{
     fs,
+    pin::pin,
     sync::{Mutex, mpsc},
     time::Duration,
 };
 
 use futures_util::{StreamExt, stream::FuturesUnordered};
 use sha2::{Digest, Sha256};
-use tokio::{net::TcpStream, sync::oneshot};
+use tokio::{net::TcpStream, sync::oneshot, time::timeout};
 use wayfold_proto::v1;
 use zenoh::{Config, Wait, bytes::Encoding, qos::CongestionControl, query::ReplyError};
 
@@ -20,7 +24,7 @@ use crate::{
     observe::Metrics,
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
-    verbs::{MAX_DYNAMIC_BYTES, Verb},
+    verbs::Verb,
 };
 
 /// The first reply to a query.
@@ -67,9 +71,12 @@ async fn face_and_robot_with(
 
 /// A client that is linked with a face.
 async fn robot(face: &ZenohFace) -> Session {
+    client(&face.locators().await[0]).await
+}
+
+async fn client(locator: &str) -> Session {
     let config = format!(
-        "{{ mode: 'client', connect: {{ endpoints: ['{}'] }}, scouting: {{ multicast: {{ enabled: false }} }} }}",
-        face.locators().await[0]
+        "{{ mode: 'client', connect: {{ endpoints: ['{locator}'] }}, scouting: {{ multicast: {{ enabled: false }} }} }}"
     );
     let robot = zenoh::open(Config::from_json5(&config).unwrap());
     robot.await.unwrap()
@@ -223,54 +230,6 @@ async fn service_with_index() -> (Service, String) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn large_attachments_selectors_and_texts_are_refused() {
-    let (service, _) = service_with_index().await;
-    let (face, robot, _) = face_and_robot(service, Identities::default()).await;
-    let info = "wayfold/v1/arm/info";
-    let attachment = |bytes: usize| format!("traceparent={}", "0".repeat(bytes - 12));
-    let selector = |bytes: usize| format!("{info}?_={}", "0".repeat(bytes - info.len() - 3));
-    ask(&robot, &selector(65_536), Some(&attachment(4_096)))
-        .await
-        .unwrap();
-    for (selector, attachment, expected) in [
-        (
-            info.to_owned(),
-            Some(attachment(4_097)),
-            "ATTACHMENT_TOO_LONG",
-        ),
-        (selector(65_537), None, "SELECTOR_TOO_LONG"),
-    ] {
-        let refused = ask(&robot, &selector, attachment.as_deref()).await;
-        let refused = text(&refused.unwrap_err());
-        assert!(refused.contains(expected), "{refused}");
-    }
-    let (json, protobuf) = (Encoding::APPLICATION_JSON, Encoding::APPLICATION_PROTOBUF);
-    for (parameters, encoding, bytes, expected) in [
-        ("", &json, MAX_DYNAMIC_BYTES, "MALFORMED"),
-        ("", &json, MAX_DYNAMIC_BYTES + 1, "JSON_TOO_LONG"),
-        ("", &protobuf, MAX_DYNAMIC_BYTES + 1, "MALFORMED"),
-        ("?k=1", &protobuf, MAX_DYNAMIC_BYTES, "MALFORMED"),
-        (
-            "?k=1",
-            &protobuf,
-            MAX_DYNAMIC_BYTES + 1,
-            "TOO_LONG_WITH_PARAMETERS",
-        ),
-    ] {
-        let long = robot.get(format!("wayfold/v1/arm/knn{parameters}"));
-        let long = long
-            .payload("\x7f".repeat(bytes))
-            .encoding(encoding.clone());
-        let long = long.await.unwrap();
-        let refused = long.recv_async().await.unwrap().into_result();
-        let refused = text(&refused.unwrap_err());
-        assert!(refused.contains(expected), "{refused}");
-    }
-    robot.close().await.unwrap();
-    face.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_bytes_of_a_query_are_those_of_its_selector_and_attachment_too() {
     let (service, uid) = service_with_index().await;
     let (face, robot, _) = face_and_robot(service, Identities::default()).await;
@@ -340,6 +299,57 @@ async fn a_call_of_administration_that_waits_for_a_turn_ends_at_its_deadline() {
     let refused = text(&refused.unwrap_err());
     assert!(refused.contains("DEADLINE_EXCEEDED"), "{refused}");
     drop(busy);
+    robot.close().await.unwrap();
+    face.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_query_that_waits_needs_room_at_its_turn() {
+    let (service, _) = service_with_index().await;
+    let (face, robot, _) = face_and_robot(service, Identities::default()).await;
+    let admission = face.queries.shared.admission.clone();
+    let busy = all_turns(&face);
+    let asking = ask(&robot, "wayfold/v1/arm/info", None);
+    let filling = async {
+        while admission.bytes().0 == 0 {
+            tokio::task::yield_now().await;
+        }
+        let unread = admission.open().hold();
+        unread.force_take(admission.bytes().1 as usize);
+        drop(busy);
+        unread
+    };
+    let (refused, _unread) = tokio::join!(asking, filling);
+    let refused = text(&refused.unwrap_err());
+    assert!(refused.contains("TOO_MANY_BYTES"), "{refused}");
+    robot.close().await.unwrap();
+    face.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn administration_is_not_refused_for_its_wait() {
+    let mut settings = crate::config::Config::default();
+    (
+        settings.admission.queue_target_ms,
+        settings.admission.burst_ms,
+    ) = (0, 0);
+    let (service, _) = service_with_index().await;
+    let (face, robot, _) = face_and_robot_with(settings, service, Identities::default()).await;
+    let busy = all_turns(&face);
+    let asking = async {
+        tokio::join!(
+            ask(&robot, "wayfold/v1/list", None),
+            ask(&robot, "wayfold/v1/arm/info", None)
+        )
+    };
+    let mut asking = pin!(asking);
+    let waited = timeout(Duration::from_millis(300), &mut asking).await;
+    assert!(waited.is_err(), "a call did not wait for its turn");
+    drop(busy);
+    let (listed, described) = asking.await;
+    let refused = text(&described.unwrap_err());
+    assert!(refused.contains("OVERLOADED"), "{refused}");
+    listed.unwrap();
     robot.close().await.unwrap();
     face.stop().await;
 }

@@ -3,7 +3,7 @@
 use wayfold_proto::v1;
 use zenoh::key_expr::{KeyExpr, OwnedKeyExpr, keyexpr};
 
-use super::answer::Replies;
+use super::response::Replies;
 use crate::{
     service::{Call, Error, Service},
     status,

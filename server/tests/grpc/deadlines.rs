@@ -121,8 +121,9 @@ async fn a_stream_has_no_default_deadline() {
         ..Default::default()
     };
     let mut points = server.points();
-    let scanning = tokio::spawn(async move { points.scan(request).await.map(|_| ()) });
-    tokio::time::sleep(Duration::from_millis(600)).await;
+    let mut scanning = tokio::spawn(async move { points.scan(request).await.map(|_| ()) });
+    let waited = timeout(Duration::from_millis(600), &mut scanning).await;
+    assert!(waited.is_err(), "the scan ended before its revision");
     let row = v1::InsertRequest {
         index_name: "line".into(),
         states: Some(v1::States {

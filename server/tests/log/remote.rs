@@ -18,8 +18,8 @@ use std::{
 use parking_lot::Mutex;
 use tokio::runtime::{Builder, Runtime};
 use wayfold_server::log::{
-    Catalogue, Entry, Journal, LogError, MemoryLog, Operation, Origin, PointStore, Receipt, Record,
-    RecordPosition, RecordStream, Restoring, Retention, Uid, View, Window, connect_nats,
+    Catalogue, Entry, Journal, LogError, MemoryLog, Operation, Origin, PointStore, PointWriter,
+    Receipt, Record, RecordPosition, RecordStream, Retention, Uid, View, Window, connect_nats,
 };
 
 use crate::{nats::NatsServer, next};
@@ -209,7 +209,7 @@ impl PointStore for RemoteLog {
         entry: Entry,
         origin: Origin,
         replaces: bool,
-    ) -> Result<Box<dyn Restoring>, LogError> {
+    ) -> Result<Box<dyn PointWriter>, LogError> {
         let position = RecordPosition {
             revision: origin.revision,
             digest: origin.digest,

@@ -85,7 +85,7 @@ macro_rules! forward_points {
             entry: wayfold_server::log::Entry,
             origin: wayfold_server::log::Origin,
             replaces: bool,
-        ) -> Result<Box<dyn wayfold_server::log::Restoring>, LogError> {
+        ) -> Result<Box<dyn wayfold_server::log::PointWriter>, LogError> {
             self.$field.restore(entry, origin, replaces)
         }
     };

@@ -2,10 +2,11 @@
 
 use std::{sync::Arc, time::Duration};
 
+use tokio::sync::Semaphore;
 use wayfold_proto::v1;
 use wayfold_server::{
     log::MemoryLog,
-    service::{Code, Error, Limits, Service},
+    service::{Call, Code, Error, Limits, Service},
 };
 
 use crate::support::*;
@@ -166,4 +167,44 @@ async fn held_revisions_are_limited_and_idle_ones_make_room() {
     // The end of a scan frees its place.
     page(&service, &request).await;
     page(&service, &third).await;
+}
+
+#[tokio::test]
+async fn one_caller_does_not_keep_others_from_scanning() {
+    let limits = Limits {
+        max_held_scans: 4,
+        ..Limits::default()
+    };
+    let service = service_with(Arc::new(MemoryLog::new()), limits);
+    create(&service, "arm", "R3").await;
+    let request = insertion(&cube(1, 10), &[]);
+    service.insert(&CALL, request).await.unwrap();
+    let request = first_page(4);
+    let [greedy, other] = [(); 2].map(|()| Call {
+        stored_reads: Some(Arc::new(Semaphore::new(1))),
+        ..Call::default()
+    });
+    let scan = async |call: &Call, request: &v1::ScanRequest| {
+        let page = service.scan_page(call, request.clone()).await?;
+        Ok::<_, Error>(after(request, &page))
+    };
+    let mut scans = Vec::new();
+    for _ in 0..4 {
+        scans.push(scan(&greedy, &request).await.unwrap());
+    }
+    scan(&greedy, &request).await.unwrap_err();
+    // The oldest ones of the greedy caller go, until both hold the same number.
+    for _ in 0..2 {
+        scans.push(scan(&other, &request).await.unwrap());
+    }
+    for call in [&greedy, &other] {
+        let refused = refusal(service.scan_page(call, request.clone()).await);
+        assert_eq!(refused.1, "LIMIT_EXCEEDED");
+    }
+    for (number, next) in scans.iter().enumerate() {
+        match number {
+            0 | 1 => assert_eq!(refused(&service, next).await, ENDED),
+            _ => drop(page(&service, next).await),
+        }
+    }
 }

@@ -13,7 +13,7 @@ use zenoh::{
 use crate::{
     feed::{self, catch_up, insertion, next, subscribe},
     follower::Follower,
-    robot::{Robot, server_at, server_with},
+    robot::{Robot, router, server_at, server_with},
 };
 
 type Tokens = Subscriber<FifoChannelHandler<Sample>>;
@@ -117,4 +117,21 @@ async fn a_router_that_is_killed_and_comes_back_is_no_loss() {
     }
     catch_up(&mut follower, &events, &mut stubs).await;
     compare(&follower, &stubs).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_log_tells_whether_a_router_is_reached() {
+    let (first, at) = router("tcp/127.0.0.1:0");
+    first.stop(Signal::Kill);
+    let retry = json!({ "period_init_ms": 20, "period_max_ms": 100 });
+    let peer = json!({ "connect": { "endpoints": [at], "retry": retry } }).to_string();
+    let settings = [("WAYFOLD_ZENOH__CONFIG", &*peer)];
+    let (mut server, _) = server_with(&[], &settings);
+    server.log_until("no Zenoh router or peer is reached yet");
+    for _ in 0..2 {
+        let (reached, _) = router(&at);
+        server.log_until("a Zenoh router or peer is reached");
+        reached.stop(Signal::Kill);
+        server.log_until("the last link to a Zenoh router or peer is gone");
+    }
 }

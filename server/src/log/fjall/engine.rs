@@ -15,8 +15,9 @@ use super::{
     index::{Index, State},
     journal::{self, StoreJournal},
     layout::{Number, Stage, StagedEntry, Sum, entry_key},
-    manifest, manifest_copy, recovery,
-    restoring::RestoringIndex,
+    manifest, manifest_copy,
+    point_writer::FjallPointWriter,
+    recovery,
     store::{Store, not_readable, shut, storage, unopened},
     sweeper::Sweeper,
     sync_marks::{Mark, Marks},
@@ -197,7 +198,7 @@ impl Engine {
         entry: Entry,
         origin: Origin,
         replaces: bool,
-    ) -> Result<RestoringIndex, LogError> {
+    ) -> Result<FjallPointWriter, LogError> {
         match replaces {
             true => drop(self.index(entry.uid)?),
             false => self.check_uid_is_free(entry.uid)?,
@@ -207,7 +208,7 @@ impl Engine {
         let number = *next;
         *next += 1;
         drop(next);
-        RestoringIndex::begin(self, number, entry, origin, replaces)
+        FjallPointWriter::begin(self, number, entry, origin, replaces)
     }
 
     /// Puts a copy at the revision `copied` in the place of the index with its uid. `write` completes the copy and marks the

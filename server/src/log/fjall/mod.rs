@@ -5,12 +5,13 @@
 //! (`syncer`).
 //!
 //! Modules: `options` (the settings), `directory` (ownership and lock of the data directory), `engine` and `store` (the
-//! open store), `manifest` and `manifest_copy` (checks before it is opened), `layout` and `point` (keys and values, byte
-//! for byte), `index` (the writer of one index), `follow` (its records as a stream), `view` (its points at one revision),
-//! `restoring` (an index made from a copy), `session` (the stored writer sessions), `journal`, `syncer` and `sync_marks`
-//! (syncing, and the synced revisions), `failure` (the first failure, which stops all writing), `recovery` (from the
-//! files to the state), `rebuild` (a new store, or one rebuilt from a damaged one), `unclean_marker` (an unclean shutdown
-//! without fsync), `sweeper` (removal of deleted indices), `usage` (the bytes of the files).
+//! open store), `manifest` and `manifest_copy` (checks before it is opened), `layout` and `point` (keys and values,
+//! byte for byte), `index` (the writer of one index), `follow` (its records as a stream), `view` (its points at one
+//! revision), `point_writer` (an index made from a copy), `session` (the stored writer sessions), `journal`, `syncer`
+//! and `sync_marks` (syncing, and the synced revisions), `failure` (the first failure, which stops all writing),
+//! `recovery` (from the files to the state), `rebuild` (a new store, or one rebuilt from a damaged one),
+//! `unclean_marker` (an unclean shutdown without fsync), `sweeper` (removal of deleted indices), `usage` (the bytes of
+//! the files).
 //!
 //! A failed store takes no writes and still serves reads. [`PointStore::reopen`] closes it and opens it as a start
 //! does: there is no other path from the files to the state. A damaged store serves what is readable; only [`repair`]
@@ -29,9 +30,9 @@ mod manifest;
 mod manifest_copy;
 mod options;
 mod point;
+mod point_writer;
 mod rebuild;
 mod recovery;
-mod restoring;
 mod session;
 mod store;
 mod sweeper;
@@ -61,7 +62,7 @@ pub(crate) use syncer::SYNCS;
 
 use super::{
     Catalogue, Entry, Journal, LogError, LostIndex, Operation, Origin, PointStore, PointVisitor,
-    Receipt, Record, RecordStream, Restoring, Retention, StoreUsage, Uid, View, Window,
+    PointWriter, Receipt, Record, RecordStream, Retention, StoreUsage, Uid, View, Window,
 };
 use directory::Directory;
 use engine::Engine;
@@ -274,7 +275,7 @@ impl PointStore for FjallLog {
         entry: Entry,
         origin: Origin,
         replaces: bool,
-    ) -> Result<Box<dyn Restoring>, LogError> {
+    ) -> Result<Box<dyn PointWriter>, LogError> {
         Ok(Box::new(self.engine()?.restore(entry, origin, replaces)?))
     }
 

@@ -17,10 +17,10 @@ use super::{
     session,
     store::storage,
 };
-use crate::log::{Entry, LogError, Operation, Origin, Restoring, Sessions, StoredPoint};
+use crate::log::{Entry, LogError, Operation, Origin, PointWriter, Sessions, StoredPoint};
 
 /// An index that is being restored.
-pub(super) struct RestoringIndex {
+pub(super) struct FjallPointWriter {
     engine: Arc<Engine>,
     number: Number,
     entry: Entry,
@@ -41,7 +41,7 @@ struct End<'a> {
     replaced: Option<&'a Index>,
 }
 
-impl RestoringIndex {
+impl FjallPointWriter {
     pub(super) fn begin(
         engine: Arc<Engine>,
         number: Number,
@@ -143,7 +143,7 @@ impl RestoringIndex {
     }
 }
 
-impl Restoring for RestoringIndex {
+impl PointWriter for FjallPointWriter {
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError> {
         self.write(points, None)
     }
@@ -170,7 +170,7 @@ impl Restoring for RestoringIndex {
     }
 }
 
-impl Drop for RestoringIndex {
+impl Drop for FjallPointWriter {
     fn drop(&mut self) {
         if !self.finished {
             self.engine.sweeper.sweep(self.number);

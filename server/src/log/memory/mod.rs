@@ -13,8 +13,8 @@ use imbl::OrdMap;
 use parking_lot::RwLock;
 
 use super::{
-    Catalogue, Entry, Journal, LogError, Operation, Origin, PointStore, Receipt, Record,
-    RecordStream, Restoring, Retention, Sessions, StoredPoint, Uid, View, Window,
+    Catalogue, Entry, Journal, LogError, Operation, Origin, PointStore, PointWriter, Receipt,
+    Record, RecordStream, Retention, Sessions, StoredPoint, Uid, View, Window,
 };
 use store::Store;
 
@@ -99,11 +99,11 @@ impl PointStore for MemoryLog {
         entry: Entry,
         origin: Origin,
         replaces: bool,
-    ) -> Result<Box<dyn Restoring>, LogError> {
+    ) -> Result<Box<dyn PointWriter>, LogError> {
         if replaces {
             self.store(entry.uid)?;
         }
-        Ok(Box::new(RestoringIndex {
+        Ok(Box::new(MemoryPointWriter {
             indexes: Arc::clone(&self.indexes),
             entry,
             origin,
@@ -151,7 +151,7 @@ fn add(indexes: &Indexes, entry: Entry, store: Store) -> Result<(), LogError> {
 }
 
 /// An index that is being restored.
-struct RestoringIndex {
+struct MemoryPointWriter {
     indexes: Arc<Indexes>,
     entry: Entry,
     origin: Origin,
@@ -160,7 +160,7 @@ struct RestoringIndex {
     replaces: bool,
 }
 
-impl Restoring for RestoringIndex {
+impl PointWriter for MemoryPointWriter {
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError> {
         let points = points.iter().cloned();
         self.points

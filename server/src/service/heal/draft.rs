@@ -20,7 +20,7 @@ use crate::{
 };
 
 /// See the module.
-pub(super) struct Draft {
+pub(super) struct CopyDraft {
     service: Service,
     uid: Uid,
     position: RecordPosition,
@@ -33,7 +33,7 @@ pub(super) struct Draft {
     operations: Vec<Arc<Operation>>,
 }
 
-impl Draft {
+impl CopyDraft {
     /// Nothing has arrived of a copy of this index, whose newest record is at `position`.
     pub(super) fn new(service: &Service, index: &Stopped, position: RecordPosition) -> Self {
         Self {

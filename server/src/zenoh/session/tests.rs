@@ -57,6 +57,19 @@ fn settings_of_zenoh_can_be_set() {
 }
 
 #[test]
+fn rules_of_the_user_replace_those_of_the_server() {
+    let rules = |config: &str| at(&with(config).unwrap(), "access_control");
+    let own = rules("{}");
+    assert_eq!(own["enabled"], json!(true));
+    assert_eq!(own["rules"][0]["key_exprs"], json!(["**", "**/@alive/**"]));
+    let off = rules("{ access_control: { enabled: false } }");
+    assert_eq!(
+        (&off["enabled"], &off["rules"]),
+        (&json!(false), &json!(null))
+    );
+}
+
+#[test]
 fn every_way_beyond_this_machine_is_named() {
     let exposed = |listen: &str, config: &str| {
         let config = ZenohConfig {
@@ -82,6 +95,11 @@ fn every_way_beyond_this_machine_is_named() {
 
 #[test]
 fn a_wrong_address_is_refused_with_an_example() {
+    let checked = |listen: &str| {
+        let zenoh = crate::config::Config::default().zenoh;
+        let listen = listen.into();
+        exposed(&ZenohConfig { listen, ..zenoh })
+    };
     for listen in [
         "garbage",
         "OFF",
@@ -89,11 +107,11 @@ fn a_wrong_address_is_refused_with_an_example() {
         "127.0.0.1:7448",
         "udp/127.0.0.1:1",
     ] {
-        let error = check_listen(listen).unwrap_err().to_string();
+        let error = checked(listen).unwrap_err().to_string();
         assert!(error.contains("tcp/127.0.0.1:7448"), "{listen}: {error}");
     }
     for listen in ["tcp/127.0.0.1:7448", "tls/robot.local:1#iface=eth0"] {
-        check_listen(listen).unwrap();
+        checked(listen).unwrap();
     }
 }
 

@@ -15,8 +15,8 @@ use parking_lot::Mutex;
 use rand::RngExt;
 use tokio::sync::watch;
 use wayfold_server::log::{
-    self, Catalogue, Entry, LogError, Operation, Origin, PointStore, Receipt, Record,
-    RecordPosition, RecordStream, Restoring, Retention, Sessions, StoredPoint, Uid, View, Window,
+    self, Catalogue, Entry, LogError, Operation, Origin, PointStore, PointWriter, Receipt, Record,
+    RecordPosition, RecordStream, Retention, Sessions, StoredPoint, Uid, View, Window,
 };
 
 use gate::Gate;
@@ -251,7 +251,7 @@ impl PointStore for FaultLog {
         entry: Entry,
         origin: Origin,
         replaces: bool,
-    ) -> Result<Box<dyn Restoring>, LogError> {
+    ) -> Result<Box<dyn PointWriter>, LogError> {
         if replaces {
             self.0.lock().index(entry.uid)?;
         }
@@ -313,7 +313,7 @@ struct StagedIndex {
     replaces: bool,
 }
 
-impl Restoring for StagedIndex {
+impl PointWriter for StagedIndex {
     fn add(&mut self, points: &[StoredPoint]) -> Result<(), LogError> {
         self.log.0.lock().called()?;
         let points = points

@@ -3,7 +3,7 @@
 use rand::{RngExt, seq::IndexedRandom};
 use wayfold_index::Space;
 use wayfold_proto::v1;
-use wayfold_server::service::{Code, Restoring, Service, Snapshot};
+use wayfold_server::service::{Code, RestoreCall, Service, Snapshot};
 
 use super::expected::{Expected, Operation, TakenSnapshot, assert_holds, described};
 use crate::{
@@ -35,7 +35,7 @@ struct SnapshotUnderWay {
 
 /// A restore under way.
 struct RestoreUnderWay {
-    restoring: Restoring,
+    restoring: RestoreCall,
     name: String,
     copied: TakenSnapshot,
     sent: usize,

@@ -46,7 +46,7 @@ fn the_command_line_takes_certificates_and_tokens_and_says_what_is_wrong() {
             &known[..4],
             &["info", "cell-1"],
             3,
-            "neither a token nor a client certificate",
+            "neither a token (gRPC and HTTP: the header authorization",
         ),
         (
             &known[..2],

@@ -1,21 +1,13 @@
-//! The face's peers: the routers and peers that it connects to, and other servers under its prefix.
+//! Other servers under the face's prefix.
 
-use std::time::Duration;
-
-use tokio::time::{Instant, interval_at};
-use tracing::{info, warn};
-use zenoh::{
-    Session, config::WhatAmI, liveliness::LivelinessToken, pubsub::Subscriber, sample::SampleKind,
-};
+use tracing::warn;
+use zenoh::{Session, liveliness::LivelinessToken, pubsub::Subscriber, sample::SampleKind};
 
 use super::ZenohError;
 use crate::observe::SparseLines;
 
 /// The bytes of an id of Zenoh as text. A stranger may declare a longer one.
 const MAX_ID_BYTES: usize = 32;
-
-/// Interval of the checks for a first link.
-const CHECK_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Announces this server to others under the same prefix, and watches for them. If two servers share routers and a
 /// prefix, but no indices, either one takes a query. Servers without a cluster warn of all others in their logs.
@@ -73,32 +65,5 @@ impl ServerWatch {
             _token: token,
             _others: Some(others),
         })
-    }
-}
-
-/// Logs that none of the `endpoints` is reached at first, and later that one is. Zenoh retries silently.
-pub(super) async fn report_links(session: Session, endpoints: String) {
-    let mut checks = interval_at(Instant::now() + CHECK_INTERVAL, CHECK_INTERVAL);
-    let mut warned = false;
-    loop {
-        checks.tick().await;
-        // Clients that have connected to this server are none.
-        let mut transports = session.info().transports().await;
-        if transports.any(|it| it.whatami() != WhatAmI::Client) {
-            break;
-        }
-        if session.is_closed() {
-            return;
-        }
-        if !warned {
-            warn!(
-                endpoints,
-                "no Zenoh router or peer is reached yet, which is tried on: see connect in zenoh.config"
-            );
-            warned = true;
-        }
-    }
-    if warned {
-        info!(endpoints, "a Zenoh router or peer is reached");
     }
 }

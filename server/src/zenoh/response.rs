@@ -46,7 +46,7 @@ impl Response {
                     reply(&query, key, form, payload);
                 }
             }
-            Err(status) => refuse(&query, form, &status),
+            Err(status) => reply_err(&query, form, &status),
         }
         // The drop ends the query for the caller, before its place is free.
         drop(query);
@@ -64,7 +64,7 @@ fn reply(query: &Query, key: KeyExpr<'static>, form: Form, payload: Vec<u8>) {
 }
 
 /// Sends a refusal. Blocks as [`reply`] does.
-fn refuse(query: &Query, form: Form, status: &Status) {
+fn reply_err(query: &Query, form: Form, status: &Status) {
     let payload = form.write(&status.to_message());
     let payload = payload.unwrap_or_else(|error| error.to_string().into_bytes());
     let sent = query.reply_err(payload).encoding(encoding(form)).wait();
