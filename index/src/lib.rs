@@ -10,9 +10,10 @@
 //! - [`Forest`], dynamic, with frozen [`ForestSnapshot`]s for readers while one owner writes.
 //!
 //! Nothing here does I/O, waits, or starts a thread. Reading order: `space` (the metric), `points` and `neighbor`
-//! (points stored and found), `search` and `traversal` (a request, and a search under way), `candidates`, `lanes`,
-//! `kernel` and `quantize` (bounds of many boxes or points at once), `kdtree`, `forest`, `overlay` (changes that a
-//! snapshot does not have yet).
+//! (points stored and found), `search` (a request) and `linear`; `lanes`, `boxes` and `blocks` (numbers side by side),
+//! `kernel` and `quantize` (bounds of many boxes or points at once); `candidates`, `traversal` and `scan_policy` (a
+//! search under way); `kdtree`, `mpnn`, `forest`, `overlay` (changes that a snapshot does not have yet); at last
+//! `nearest_neighbors` and `scaling` (the calls of a planner).
 //!
 //! ```
 //! use wayfold_index::{Forest, ForestOptions, Points, Search, Space};

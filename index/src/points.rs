@@ -71,7 +71,7 @@ pub struct Points {
 }
 
 impl Points {
-    /// The greatest number of points of a structure: slots are 32 bits wide.
+    /// The greatest number of points of a structure: a *slot*, a point's place in it, is 32 bits wide.
     pub const MAX_POINTS: usize = u32::MAX as usize;
 
     /// An empty table for rows of `coordinates` numbers.

@@ -33,7 +33,8 @@ pub struct Search<'a> {
     /// An answer may be farther than the true one by a factor of `1 + epsilon`, and points between
     /// `radius / (1 + epsilon)` and the radius may be missing. With 0 the answer is exact.
     pub epsilon: f64,
-    /// The search fails with [`SearchError::TimedOut`] soon after this time, within 32 leaves.
+    /// The search fails with [`SearchError::TimedOut`] soon after this time: within 32 leaves, or 32 blocks of points
+    /// of a larger leaf.
     pub until: Option<Instant>,
     /// Limits the search to some of the points.
     pub filter: Filter,

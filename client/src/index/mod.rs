@@ -80,7 +80,7 @@ impl Index {
         Ok(Index::of(Memory::new(space, Merges::Background)))
     }
 
-    /// Acts like [`Index::in_memory`], but starts no thread: an insert that fills a level merges it itself. Most
+    /// Acts like [`Index::in_memory`], but starts no thread: an insert that fills the growing tree merges it itself. Most
     /// inserts take a microsecond, and one in thousands takes as long as building a tree of a part of or all points.
     ///
     /// # Errors

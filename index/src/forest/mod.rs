@@ -1,7 +1,8 @@
 //! The dynamic structure: a forest of static trees, by the logarithmic method.
 //!
-//! One tree grows by single points ([`growing`]). Once it is full, it becomes a *level*, and another one grows. Merges
-//! pack levels into ones of doubling size, and into a few when writes pause ([`policy`]); they drop dead points.
+//! One tree grows by single points ([`growing`]). Once it is full, it becomes a *level*, and another one grows; a large
+//! mutation becomes a level at once. Both are *unpacked* until a merge. Merges pack levels into ones of doubling size,
+//! and into a few when writes pause ([`policy`]); they drop dead points.
 //! Removing a point marks it with a *tombstone*; replacing one removes it and stores the new one.
 //!
 //! One owner writes, and any number of [`ForestSnapshot`]s read, each at its own revision; neither waits for the other.

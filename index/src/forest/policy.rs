@@ -220,7 +220,7 @@ mod tests {
         assert_eq!(quiet(&[half_dead, level(128)]), Some(vec![1, 0]));
     }
 
-    /// At rest after any number of sealed buffers there are few levels, and few rebuilds of a row have led to them.
+    /// At rest after any number of full growing trees there are few levels, and few rebuilds of a row have led to them.
     #[test]
     fn single_inserts_cost_a_logarithm_of_rebuilds() {
         let mut shapes: Vec<Shape> = Vec::new();

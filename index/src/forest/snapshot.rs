@@ -24,7 +24,7 @@ pub struct ForestSnapshot {
     pub(super) live: usize,
     /// The largest first: its answers tighten the search in the others.
     pub(super) levels: Arc<Vec<Arc<Level>>>,
-    /// The newest points.
+    /// The tree that grows by single points.
     pub(super) growing: Arc<GrowingTree>,
 }
 

@@ -10,7 +10,7 @@ use crate::{
     KdTree, Point, Points, Space, TreeReport, kdtree::TreeSearch, lanes::Isa, traversal::Traversal,
 };
 
-/// The ids are distinct.
+/// A static tree as a level of a forest. Its ids are distinct.
 #[derive(Debug)]
 pub(super) struct StaticLevel {
     tree: KdTree,

@@ -1,4 +1,4 @@
-//! The revisions that removed points of a level.
+//! The revisions that removed points of a tree.
 
 use std::sync::{
     OnceLock,

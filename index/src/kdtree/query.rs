@@ -50,7 +50,7 @@ impl<'a, V: Fn(usize) -> bool> TreeSearch<'a, V> {
             return;
         }
         for (nth, block) in self.tree.leaf_blocks(leaf).enumerate() {
-            // All points of a large mutation are one leaf until a merge packs them.
+            // All points of a large mutation are one leaf until a merge packs them, so a block counts as a leaf here.
             if (nth + 1).is_multiple_of(LEAVES_PER_CLOCK_READ) && !traversal.is_in_time() {
                 return;
             }

@@ -15,9 +15,9 @@ use crate::{
 
 /// Lower bounds of the squared distances in one factor, to `N` boxes or points. (This is a trait, because a closure
 /// called from two places would be compiled separately, for the oldest processor.)
-pub(crate) trait Terms<T: Number, const N: usize> {
+pub(crate) trait FactorBounds<T: Number, const N: usize> {
     /// The bounds in one of the parts of the space.
-    fn term<I: Isa + Operations<T>>(&self, part_index: usize, part: &Part) -> Lanes<I, T, N>;
+    fn bounds_2<I: Isa + Operations<T>>(&self, part_index: usize, part: &Part) -> Lanes<I, T, N>;
 
     /// The weight of such a squared distance.
     #[inline(always)]
@@ -33,7 +33,7 @@ pub(crate) trait Terms<T: Number, const N: usize> {
 }
 
 /// The boxes of a node.
-pub(super) struct BoxTerms<'a> {
+pub(super) struct BoxBounds<'a> {
     pub(super) state: &'a [f64],
     pub(super) ends: &'a [f64],
 }
@@ -47,23 +47,23 @@ pub(super) struct PointRows<'a> {
 /// A block of points, whose distances are computed instead of bounded.
 pub(super) struct MeasuredRows<'a>(pub(super) PointRows<'a>);
 
-impl Terms<f64, BLOCK_ROWS> for MeasuredRows<'_> {
+impl FactorBounds<f64, BLOCK_ROWS> for MeasuredRows<'_> {
     #[inline(always)]
-    fn term<I: Isa>(&self, part_index: usize, part: &Part) -> Lanes<I, f64, BLOCK_ROWS> {
+    fn bounds_2<I: Isa>(&self, part_index: usize, part: &Part) -> Lanes<I, f64, BLOCK_ROWS> {
         let (PointRows { state, columns }, axes) = (&self.0, part.axes());
         match part.factor {
             Factor::SO3 => {
                 let columns = &columns[axes.start * BLOCK_ROWS..axes.end * BLOCK_ROWS];
                 so3::distances_2(&state[axes], columns)
             }
-            _ => self.0.term(part_index, part),
+            _ => self.0.bounds_2(part_index, part),
         }
     }
 }
 
-impl Terms<f64, MAX_CHILDREN> for BoxTerms<'_> {
+impl FactorBounds<f64, MAX_CHILDREN> for BoxBounds<'_> {
     #[inline(always)]
-    fn term<I: Isa>(&self, _: usize, part: &Part) -> Lanes<I, f64, MAX_CHILDREN> {
+    fn bounds_2<I: Isa>(&self, _: usize, part: &Part) -> Lanes<I, f64, MAX_CHILDREN> {
         let axes = part.axes();
         let ends = &self.ends[axes.start * 2 * MAX_CHILDREN..axes.end * 2 * MAX_CHILDREN];
         let state = &self.state[axes];
@@ -75,16 +75,16 @@ impl Terms<f64, MAX_CHILDREN> for BoxTerms<'_> {
     }
 }
 
-impl Terms<f64, BLOCK_ROWS> for PointRows<'_> {
+impl FactorBounds<f64, BLOCK_ROWS> for PointRows<'_> {
     #[inline(always)]
-    fn term<I: Isa>(&self, part_index: usize, part: &Part) -> Lanes<I, f64, BLOCK_ROWS> {
-        point_term(self, part_index, part)
+    fn bounds_2<I: Isa>(&self, part_index: usize, part: &Part) -> Lanes<I, f64, BLOCK_ROWS> {
+        point_bounds_2(self, part_index, part)
     }
 }
 
 /// The bounds of a block of points in one factor.
 #[inline(always)]
-pub(crate) fn point_term<I, T, const N: usize, R>(
+pub(crate) fn point_bounds_2<I, T, const N: usize, R>(
     rows: &R,
     part_index: usize,
     part: &Part,
@@ -146,7 +146,7 @@ impl Rows<f64, BLOCK_ROWS> for PointRows<'_> {
 #[inline(always)]
 pub(crate) fn keys<I, T: Number, const N: usize>(
     space: &Space,
-    of: &impl Terms<T, N>,
+    of: &impl FactorBounds<T, N>,
 ) -> Lanes<I, T, N>
 where
     I: Isa + Operations<T>,
@@ -156,7 +156,7 @@ where
     let zero = Lanes::splat(T::near(0.0));
     let (mut total, mut sum_2) = (zero, zero);
     for (part_index, part) in space.parts().iter().enumerate() {
-        sum_2 = sum_2 + Lanes::splat(of.weight(part_index, part)) * of.term(part_index, part);
+        sum_2 = sum_2 + Lanes::splat(of.weight(part_index, part)) * of.bounds_2(part_index, part);
         if !one_group && part.ends_group {
             let weight = of.group_weight(space, part.group);
             total = total + Lanes::splat(weight) * sum_2.sqrt();

@@ -1,4 +1,5 @@
-//! The kernels of a search: bounds of many boxes or points at once, and the distances of many points.
+//! The kernels of a search: bounds of many boxes or points at once, as *keys*, which are ordered as distances are and
+//! cost less (see [`KeyMap`]), and the distances of many points.
 //!
 //! The kernels of boxes and points only bound a distance that includes a rotation or quantised numbers; any other
 //! distance they compute by the operations of [`Space::distance`], and [`Measurement`] computes every one so. So every
@@ -13,7 +14,7 @@ use crate::{
     Space,
     lanes::{BLOCK_ROWS, Isa, Lanes, MAX_CHILDREN, Task},
 };
-pub(crate) use bound::{Terms, keys, point_term};
+pub(crate) use bound::{FactorBounds, keys, point_bounds_2};
 pub(crate) use key::KeyMap;
 
 /// The keys of the boxes of a node (see [`Boxes`](crate::boxes::Boxes)), and a bit for each key up to `limit`.
@@ -24,7 +25,7 @@ pub(crate) fn boxes<I: Isa>(
     ends: &[f64],
     limit: f64,
 ) -> ([f64; MAX_CHILDREN], u32) {
-    let keys = keys::<I, f64, MAX_CHILDREN>(space, &bound::BoxTerms { state, ends }).0;
+    let keys = keys::<I, f64, MAX_CHILDREN>(space, &bound::BoxBounds { state, ends }).0;
     (keys, I::at_most(&keys, limit))
 }
 

@@ -25,6 +25,7 @@ pub(crate) trait Rows<T: Number, const N: usize> {
     fn load<I: Isa + Operations<T>>(column: &[Self::Stored]) -> Lanes<I, T, N>;
     /// A period in the unit of the numbers.
     fn period(period: f64) -> T;
-    /// The part of the cosines in a factor of the space that is the same for all points.
+    /// The part of the cosines in a factor of the space that is the same for all points: 0, except where quantised numbers count
+    /// from a low.
     fn cosine_of_lows(&self, part_index: usize) -> T;
 }

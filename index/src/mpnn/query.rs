@@ -93,6 +93,7 @@ impl<'a> Query<'a> {
             leaves_visited: 0,
         };
         query.tighten();
+        // The bound of the root, factor by factor: no node is entered.
         for (axis, factor) in tree.axes.iter().enumerate() {
             if factor.first == axis {
                 query.take(query.step(Move::Enter(0), axis, tree.lo[axis], tree.hi[axis]));

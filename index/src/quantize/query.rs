@@ -10,7 +10,7 @@
 use super::quantizer::{MAX_CODE, Quantizer};
 use crate::{
     Factor, Space,
-    kernel::{Terms, point_term},
+    kernel::{FactorBounds, point_bounds_2},
     lanes::{Isa, Lanes, Rows},
     space::Part,
 };
@@ -111,10 +111,10 @@ impl Rows<f32, CODE_ROWS> for Codes<'_> {
     }
 }
 
-impl Terms<f32, CODE_ROWS> for Codes<'_> {
+impl FactorBounds<f32, CODE_ROWS> for Codes<'_> {
     #[inline(always)]
-    fn term<I: Isa>(&self, part_index: usize, part: &Part) -> Lanes<I, f32, CODE_ROWS> {
-        point_term(self, part_index, part)
+    fn bounds_2<I: Isa>(&self, part_index: usize, part: &Part) -> Lanes<I, f32, CODE_ROWS> {
+        point_bounds_2(self, part_index, part)
     }
 
     #[inline(always)]

@@ -74,8 +74,8 @@ where
 pub(super) fn interpolate(a: f64, b: f64, period: f64, t: f64, between: &mut [f64]) {
     let half = period / 2.0;
     let b = match b - a {
-        frontier if frontier > half => b - period,
-        frontier if frontier < -half => b + period,
+        arc if arc > half => b - period,
+        arc if arc < -half => b + period,
         _ => b,
     };
     between[0] = a + t * (b - a);

@@ -87,7 +87,7 @@ impl<'a> Traversal<'a> {
     #[inline(always)]
     pub(crate) fn search<I: Isa, T: Tree<'a>>(&mut self, tree: &mut T) {
         let since = self.since_revision();
-        if since > 0 && tree.newest() <= since {
+        if self.is_late || since > 0 && tree.newest() <= since {
             return;
         }
         let policy = tree.scan_policy().filter(|_| self.is_unrestricted());
@@ -104,6 +104,7 @@ impl<'a> Traversal<'a> {
             tree.prefetch(&frontier);
         }
         if let Some(policy) = policy
+            && !self.is_late
             && self.candidate_count() <= MAX_OBSERVED_NEIGHBORS
         {
             policy.observe(tree.scan_is_cheaper(self.leaves_visited - visited));

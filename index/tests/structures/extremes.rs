@@ -132,8 +132,8 @@ fn a_group_far_heavier_than_its_rotation_keeps_the_rest_of_the_series() {
     }
 }
 
-/// A rotation that weighs nothing leaves nothing to add to an infinite key, not a NaN. (All lie in the buffer, so that
-/// no box is asked.)
+/// A rotation that weighs nothing leaves nothing to add to an infinite key, not a NaN. (They are one
+/// leaf.)
 #[test]
 fn an_infinite_distance_with_a_weightless_rotation_displaces_no_neighbour() {
     let space: Space = "R1:1e10*SO3:0".parse().unwrap();

@@ -138,7 +138,10 @@ fn a_search_without_boxes_ends_in_time() {
         forest.search(&query, &Search::nearest_k(1)).unwrap();
     }
     let query = &states(&space, Shape::Uniform, 1, &mut rng(41))[0];
+    let scans = || forest.validate().unwrap().growing.scans;
+    let before = scans();
     assert_eq!(forest.search(query, &late), Err(SearchError::TimedOut));
+    assert_eq!(scans(), before + 1);
 }
 
 /// Writes that pause leave one packed tree, whether or not a merge was due before.

@@ -174,6 +174,7 @@ fn in_many_dimensions_answers_stay_the_same() {
             assert_same(&answer.neighbors, &expected, "eight bodies");
         }
     }
+    assert!(tree.validate().unwrap().scans > 0);
 }
 
 /// If more points are equally near than a search returns, the least ids win.

@@ -42,10 +42,13 @@ const OF_INDEX: [(&str, &str); 15] = [
     ("index_points", "The points of an index"),
     ("index_revision", "The newest readable revision of an index"),
     ("index_memory_bytes", "About the memory of an index"),
-    ("index_levels", "The trees of an index; merges reduce them"),
+    (
+        "index_levels",
+        "The levels of an index and its growing tree; merges reduce them",
+    ),
     (
         "index_unmerged_points",
-        "The points of trees that wait for a merge, or are being merged",
+        "The points of levels that wait for a merge, or are being merged",
     ),
     (
         "index_merge_lag_seconds",
