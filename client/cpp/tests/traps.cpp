@@ -11,6 +11,8 @@
 #include <ompl/base/spaces/RealVectorStateSpace.h>
 #include <ompl/base/spaces/TimeStateSpace.h>
 #include <ompl/base/spaces/WrapperStateSpace.h>
+#include <ompl/base/spaces/constraint/ProjectedStateSpace.h>
+#include <ompl/base/ConstrainedSpaceInformation.h>
 #include <ompl/base/objectives/PathLengthOptimizationObjective.h>
 #include <ompl/geometric/planners/prm/LazyPRM.h>
 #include <ompl/geometric/planners/prm/PRM.h>
@@ -235,6 +237,36 @@ void spaces_that_only_a_sampler_sets() {
     });
 }
 
+// The unit sphere.
+class Sphere : public ob::Constraint {
+public:
+    Sphere() : Constraint(3, 1) {}
+    void function(const Eigen::Ref<const Eigen::VectorXd> &x, Eigen::Ref<Eigen::VectorXd> out) const override {
+        out[0] = x.norm() - 1;
+    }
+};
+
+// A constrained space is no metric for OMPL. Its states are those of the space around it.
+void constrained_spaces() {
+    auto around = std::make_shared<ob::RealVectorStateSpace>(3);
+    around->setBounds(-2, 2);
+    const auto space = std::make_shared<ob::ProjectedStateSpace>(around, std::make_shared<Sphere>());
+    const auto si = std::make_shared<ob::ConstrainedSpaceInformation>(space);
+    si->setStateValidityChecker([](const ob::State *) { return true; });
+    si->setup();
+    ob::ScopedState<> start(space), goal(space);
+    start->as<ob::ConstrainedStateSpace::StateType>()->copy(Eigen::Vector3d(0, 0, -1));
+    goal->as<ob::ConstrainedStateSpace::StateType>()->copy(Eigen::Vector3d(0, 0, 1));
+    const auto definition = std::make_shared<ob::ProblemDefinition>(si);
+    definition->setStartAndGoalStates(start, goal);
+    og::RRTConnect planner(si);
+    CHECK(message_of<ompl::Exception>([&] { wayfold::use(planner); }).find("is not a metric") != std::string::npos);
+    wayfold::use(planner, "R3", [](const ob::State *state, double *row) {
+        std::copy_n(state->as<ob::ConstrainedStateSpace::StateType>()->data(), 3, row);
+    });
+    solve(planner, definition);
+}
+
 // A motion with a cost, as in planners that search in the space of states and costs (AOX-RRT-Connect): they add the
 // difference of costs to the distance.
 struct CostMotion {
@@ -327,6 +359,7 @@ int main() {
     removed_elements();
     spaces_of_ones_own();
     spaces_that_only_a_sampler_sets();
+    constrained_spaces();
     distances_with_costs();
     a_checker_that_throws();
     number_of_neighbors<og::PRM>();

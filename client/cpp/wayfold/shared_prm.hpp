@@ -124,7 +124,7 @@ public:
         forget_queries();
     }
 
-    // The id of a vertex in the index; none for a start or goal state.
+    // The id of a vertex in the index; none for one that the index does not have, as a start or goal state.
     std::optional<std::uint64_t> id(Vertex vertex) const {
         return vertex < ids_.size() && !is_query(vertex) ? std::optional<std::uint64_t>(ids_[vertex]) : std::nullopt;
     }
@@ -206,7 +206,6 @@ private:
 
     // PRM has made a vertex and its edges. It holds the lock of the graph.
     void add(Vertex vertex) {
-        ids_.resize(std::max<std::size_t>(ids_.size(), vertex + 1), no_id);
         guarded([&] {
             check_distances(vertex);
             if (grower_.load() == std::this_thread::get_id()) {

@@ -280,8 +280,7 @@ private:
                 totalConnectionAttemptsProperty_[vertex] = 1;
                 successfulConnectionAttemptsProperty_[vertex] = 0;
                 disjointSets_.make_set(vertex);
-                ids_.resize(std::max<std::size_t>(ids_.size(), vertex + 1), no_id);
-                ids_[vertex] = point.id;
+                ids_.push_back(point.id);
                 vertices_.emplace(point.id, vertex);
                 fresh.push_back(vertex);
             }

@@ -169,6 +169,7 @@ impl CallsLayer {
             requests: RequestLimits {
                 message: MessageLimit::of_setting(config.max_message_bytes),
                 time: Duration::from_millis(config.receive_timeout_ms),
+                may_pause: false,
             },
             default_timeout: Duration::from_millis(config.default_timeout_ms),
             overloaded: Arc::new(refusals::headers(overloaded)),
@@ -336,6 +337,7 @@ impl CallsLayer {
         if rpc.is_of_indices() {
             limits.message = limits.message.for_indices();
         }
+        limits.may_pause = rpc.streams_requests && rpc.lasts;
         limits
     }
 

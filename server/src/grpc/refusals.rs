@@ -139,7 +139,8 @@ pub(crate) fn invalid(field: &str, reason: &'static str, description: String) ->
 pub(crate) fn too_slow(time: Duration) -> Refusal {
     let most = time.as_millis() as usize;
     let message = format!(
-        "the request did not arrive within {RECEIVE_TIMEOUT_MS} = {most}: send smaller messages"
+        "the request, or the next message of a stream, did not arrive within {RECEIVE_TIMEOUT_MS} = {most}: send smaller \
+         messages"
     );
     busy("TOO_SLOW", message, RECEIVE_TIMEOUT_MS, most)
 }

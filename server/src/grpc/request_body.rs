@@ -36,6 +36,8 @@ pub(super) struct RequestLimits {
     pub(super) message: MessageLimit,
     /// The time of a request, and of each message of a stream.
     pub(super) time: Duration,
+    /// True if the client of a stream may wait between two messages for as long as it likes.
+    pub(super) may_pause: bool,
 }
 
 /// See the module.
@@ -127,7 +129,7 @@ impl RequestBody {
     }
 
     fn is_late(&mut self, context: &mut Context<'_>) -> bool {
-        if self.is_stream && self.messages.are_whole() {
+        if self.limits.may_pause && self.messages.are_whole() {
             return false;
         }
         // The time for which a stream was not read does not count.
@@ -268,9 +270,10 @@ impl Messages {
 #[cfg(test)]
 mod tests {
     use bytes::{BufMut, BytesMut};
-    use futures_util::stream;
+    use futures_util::{StreamExt, stream};
     use http_body_util::StreamBody;
     use proptest::prelude::*;
+    use tokio::time::timeout;
 
     use super::*;
     use crate::{admission::Admission, config::Config};
@@ -283,6 +286,7 @@ mod tests {
         let limits = RequestLimits {
             message: MessageLimit::of_setting(1000),
             time: Duration::from_secs(60),
+            may_pause: false,
         };
         let admission = Admission::new(&Config::default().admission, 1, 0);
         let held = Arc::new(admission.open().hold());
@@ -300,6 +304,24 @@ mod tests {
 
     async fn whole_of(frames: Vec<Bytes>) -> Result<Bytes, Status> {
         request(frames, false).whole().await
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_stream_that_may_not_pause_ends_after_its_time() {
+        let message = Bytes::from_static(&[0, 0, 0, 0, 0]);
+        for may_pause in [false, true] {
+            let mut stream = request(vec![message.clone()], true);
+            let sent = stream::iter([Ok::<_, Status>(Frame::data(message.clone()))]);
+            stream.inner = Body::new(StreamBody::new(sent.chain(stream::pending())));
+            stream.limits.may_pause = may_pause;
+            assert!(stream.frame().await.unwrap().is_ok());
+            let next = timeout(2 * stream.limits.time, stream.frame()).await;
+            assert_eq!(next.is_err(), may_pause);
+            if let Ok(ended) = next {
+                let code = ended.unwrap().unwrap_err().code();
+                assert_eq!(code, tonic::Code::ResourceExhausted);
+            }
+        }
     }
 
     /// Hyper reports no error for some resets: the body is over, and not at its end.

@@ -168,7 +168,7 @@ async fn the_counts_are_those_of_the_clients() {
 }
 
 #[tokio::test]
-async fn a_request_that_does_not_arrive_in_time_is_counted() {
+async fn requests_that_do_not_arrive_in_time_are_counted() {
     let mut server = server!("--http", "127.0.0.1:0"; ("WAYFOLD_GRPC__RECEIVE_TIMEOUT_MS", "1"));
     let address = server.pages();
     let channel = Endpoint::from_shared(server.uri().to_owned()).unwrap();
@@ -179,8 +179,12 @@ async fn a_request_that_does_not_arrive_in_time_is_counted() {
     let never = Request::new(stream::pending());
     let refused = grpc.client_streaming(never, path, codec).await.unwrap_err();
     assert_eq!(Refusal::of(&refused).reason, "TOO_SLOW", "{refused:?}");
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let restored = stubs.indexes.restore_index(stream::pending()).await;
+    let refused = restored.unwrap_err();
+    assert_eq!(Refusal::of(&refused).reason, "TOO_SLOW", "{refused:?}");
     let counted = "wayfold_refused_calls_total{reason=\"TOO_SLOW\"}";
-    assert_eq!(figures(&address)[counted], 1.0);
+    assert_eq!(figures(&address)[counted], 2.0);
 }
 
 /// 100 indices have labels; an index that was deleted gives its label to a new one.

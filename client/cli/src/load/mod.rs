@@ -133,7 +133,7 @@ pub(crate) async fn load(
         keep: settings.keep,
         timeout,
         tag: run::fresh_tag(),
-        is_open: Arc::default(),
+        has_begun: Arc::default(),
         may_leave: Arc::default(),
     };
     let report = args.report.as_deref().map(ReportFile::open).transpose()?;
@@ -161,14 +161,14 @@ fn tell(outcome: &Outcome, report: Option<ReportFile>, output: &mut Output) -> R
 }
 
 /// Runs a plan on a thread of its own. The first signal ends the run, the second also the removal of its points. Before
-/// the index is open, the first one ends all.
+/// the run has begun, the first one ends all.
 async fn run_until_signal(plan: Plan) -> Result<(Outcome, Result<(), Failure>), Failure> {
     let interrupted = interrupt::listen().map_err(Failure::Runtime)?;
     let (stop, stopped) = watch::channel(false);
     let (send, mut done) = oneshot::channel();
     let line = progress::line();
     let (index, tag) = (plan.index.clone(), plan.tag);
-    let (is_open, may_leave) = (Arc::clone(&plan.is_open), Arc::clone(&plan.may_leave));
+    let (has_begun, may_leave) = (Arc::clone(&plan.has_begun), Arc::clone(&plan.may_leave));
     let run_line = line.clone();
     let spawned = thread::Builder::new()
         .name("load".to_owned())
@@ -180,11 +180,11 @@ async fn run_until_signal(plan: Plan) -> Result<(Outcome, Result<(), Failure>), 
     let ended = tokio::select! {
         ended = &mut done => ended,
         () = interrupted => {
-            if !is_open.load(Relaxed) {
+            stop.send_replace(true);
+            if !has_begun.load(Relaxed) {
                 return Err(Failure::Interrupted);
             }
             let interrupted = interrupt::listen().map_err(Failure::Runtime)?;
-            stop.send_replace(true);
             tokio::select! {
                 ended = &mut done => ended,
                 () = interrupted => {

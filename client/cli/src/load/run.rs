@@ -43,8 +43,8 @@ pub(super) struct Plan {
     pub(super) timeout: Duration,
     /// The tag of the points that the run stores.
     pub(super) tag: u64,
-    /// Set once the index is open. Before, a run has nothing to remove and no figures.
-    pub(super) is_open: Arc<AtomicBool>,
+    /// Set once the server has answered all that a run asks first. Before, it has nothing to remove and no figures.
+    pub(super) has_begun: Arc<AtomicBool>,
     /// Set once points may be stored that the run has to remove.
     pub(super) may_leave: Arc<AtomicBool>,
 }
@@ -69,7 +69,6 @@ pub(super) fn run(
     line: &ProgressBar,
 ) -> Result<(Outcome, Result<(), Failure>), Failure> {
     let mut first = target::open(&plan.address, &plan.index, plan.timeout)?;
-    plan.is_open.store(true, Relaxed);
     let space = first.space();
     let before = first.point_count()?;
     let mut outcome = Outcome {
@@ -95,6 +94,7 @@ pub(super) fn run(
         is_interrupted: false,
     };
     let sampler = Sampler::new(&space, plan.range, plan.seed);
+    plan.has_begun.store(true, Relaxed);
     let filled = fill(
         &plan,
         &sampler,
@@ -108,7 +108,10 @@ pub(super) fn run(
     outcome.is_interrupted = *stopped.borrow();
     line.set_message("settling");
     drop(first);
-    let cleaned = clean(&plan, &mut outcome.points);
+    let cleaned = match outcome.is_interrupted && !plan.may_leave.load(Relaxed) {
+        true => Ok(()),
+        false => clean(&plan, &mut outcome.points),
+    };
     if let Err(failure) = measured {
         // Points that are left behind matter more than the reason for which the run ended.
         cleaned?;

@@ -49,8 +49,10 @@ def _numbers(values: Any) -> npt.NDArray[np.float64]:
     if any(isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part) for part in parts):
         raise ValueError("an array with masked numbers")
     array = np.asanyarray(values)
-    if array.dtype.kind not in "biufSUO":
-        raise ValueError(f"an array of {array.dtype}, where real numbers belong")
+    # A list of numbers and dates becomes an array of objects.
+    for one in array.flat if array.dtype.kind == "O" else [array]:
+        if np.asarray(one).dtype.kind not in "biufSUO":
+            raise ValueError(f"an array of {np.asarray(one).dtype}, where real numbers belong")
     return np.require(array, dtype=np.float64, requirements=["C", "A"])
 
 
