@@ -5,6 +5,7 @@
 
 mod bytes;
 mod call_turns;
+mod client_permits;
 mod turns;
 
 use std::{
@@ -17,7 +18,7 @@ use std::{
 };
 
 use serde::Deserialize;
-use tokio::{sync::Semaphore, time::interval};
+use tokio::time::interval;
 use tracing::warn;
 
 use self::{
@@ -25,6 +26,7 @@ use self::{
     turns::{FlowNumber, Turns},
 };
 pub(crate) use call_turns::{CallTurns, end_slice};
+pub use client_permits::ClientPermits;
 pub(crate) use turns::Overloaded;
 
 /// The setting of the bytes that calls hold.
@@ -92,7 +94,7 @@ pub(crate) struct Flow {
     number: FlowNumber,
     all: Arc<ByteBudget>,
     own: ByteBudget,
-    stored_reads: Arc<Semaphore>,
+    permits: Arc<ClientPermits>,
     /// The flow of the same client's calls of administration; None if this is it.
     admin: Option<Arc<Flow>>,
     /// The calls that have come.
@@ -194,7 +196,7 @@ impl Flow {
             turns: Arc::clone(&admission.turns),
             all: Arc::clone(all),
             own: ByteBudget::new(admission.share),
-            stored_reads: Arc::new(Semaphore::new(*MAX_STORED_READS / 2)),
+            permits: Arc::new(ClientPermits::new(*MAX_STORED_READS / 2)),
             admin,
             calls: AtomicU64::new(0),
             under_way: AtomicUsize::new(0),
@@ -261,9 +263,14 @@ impl Flow {
         self.all.max()
     }
 
-    /// The permits of its calls for reads of stored points: half of all, so that others do not wait behind one flow.
-    pub(crate) fn stored_reads(&self) -> Arc<Semaphore> {
-        Arc::clone(&self.stored_reads)
+    /// The permits of its calls. Those for reads of stored points are half of all.
+    pub(crate) fn permits(&self) -> Arc<ClientPermits> {
+        Arc::clone(&self.permits)
+    }
+
+    /// True if somebody has them.
+    pub(crate) fn has_permits(&self) -> bool {
+        Arc::strong_count(&self.permits) > 1
     }
 
     /// The turns of a call. One of administration waits, and is not refused for it.

@@ -297,7 +297,7 @@ impl CallsLayer {
             peer: peer.map(Peer::Address),
             trace: traceparent(headers).map(Arc::from),
             is_forwarded: self.callers == Callers::Members,
-            stored_reads: Some(flow.stored_reads()),
+            permits: Some(flow.permits()),
             ..Call::default()
         }
     }

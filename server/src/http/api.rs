@@ -113,7 +113,7 @@ impl Api {
     ) -> Result<Admitted, Box<Status>> {
         let arrived = Instant::now();
         let mut call = super::call(&self.shared.identities, request);
-        call.stored_reads = Some(self.flow.stored_reads());
+        call.permits = Some(self.flow.permits());
         if !is_stream {
             call.has_default_deadline = true;
             call.deadline = arrived.checked_add(MAX_TIME);

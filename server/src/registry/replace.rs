@@ -29,7 +29,7 @@ impl Registry {
             _ => return Err(RegistryError::Deleted),
         }
         self.host.watermarks.check()?;
-        Restore::begin(&self.host, entry, origin, Vec::new(), true)
+        Restore::begin(&self.host, entry, origin, true)
     }
 
     /// Hosts the copy of [`Registry::replace`], which has all its points, with these writer sessions and these operations,
@@ -49,7 +49,6 @@ impl Registry {
             origin,
             stored,
             loader,
-            limits: _,
             counted: _,
         } = restore;
         let points = loader.len;

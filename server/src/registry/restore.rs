@@ -18,7 +18,6 @@ pub struct Restore {
     pub(super) host: Arc<Host>,
     pub(super) entry: Entry,
     pub(super) origin: Origin,
-    pub(super) limits: Vec<IndexLimit>,
     pub(super) stored: Box<dyn PointWriter>,
     pub(super) loader: Loader,
     /// None if it takes the place of an index, which counts already.
@@ -29,16 +28,6 @@ pub struct Restore {
 pub(super) struct Counted {
     host: Arc<Host>,
     name: String,
-}
-
-impl Counted {
-    fn new(host: &Arc<Host>, name: &str) -> Self {
-        host.restoring.lock().push(name.into());
-        Self {
-            host: Arc::clone(host),
-            name: name.into(),
-        }
-    }
 }
 
 impl Drop for Counted {
@@ -52,8 +41,8 @@ impl Drop for Counted {
 
 impl Registry {
     /// Begins to restore an index as a copy of another, under a new uid. [`RegistryError::Taken`] if the name is taken,
-    /// [`RegistryError::TooManyIndexes`] if there are as many indices as `limits` allow; [`Registry::host`] checks both again.
-    /// Blocks on the log.
+    /// [`RegistryError::TooManyIndexes`] if there are as many indices as `limits` allow. [`Registry::host`] checks the name
+    /// again. Blocks on the log.
     pub fn restore(
         &self,
         name: &str,
@@ -61,16 +50,15 @@ impl Registry {
         limits: Vec<IndexLimit>,
         origin: Origin,
     ) -> Result<Restore, RegistryError> {
-        self.room_for(name, &limits)?;
         self.host.watermarks.admit(0)?;
+        let counted = Some(self.count(name, &limits)?);
         let entry = Entry {
             uid: Uid::unique(),
             name: name.into(),
             space,
             payload_encoding,
         };
-        let counted = Some(Counted::new(&self.host, name));
-        let restore = Restore::begin(&self.host, entry, origin, limits, false)?;
+        let restore = Restore::begin(&self.host, entry, origin, false)?;
         Ok(Restore { counted, ..restore })
     }
 
@@ -81,7 +69,6 @@ impl Registry {
             host,
             entry,
             origin,
-            limits,
             stored,
             loader,
             counted,
@@ -89,8 +76,7 @@ impl Registry {
         let points = loader.len;
         let loaded = loader.finish(origin.revision).map_err(unloaded)?;
         let mut change = self.change_lock.lock();
-        drop(counted);
-        self.room_for(&entry.name, &limits)?;
+        self.check_free(&entry.name)?;
         // A copy has another uid, so no call to the original is repeated here.
         stored.finish(sessions, Vec::new())?;
         if host.log.journal.is_shared() {
@@ -110,15 +96,30 @@ impl Registry {
         let hosted = Hosted::new(&host, &entry, loaded, view, Vec::new());
         info!(index = entry.name, uid = %entry.uid, revision = origin.revision, points, "restored an index");
         let state = IndexState::Hosted(Arc::clone(&hosted));
-        self.change(|indexes| indexes.insert(entry.name, state));
+        self.change(|indexes| {
+            drop(counted);
+            indexes.insert(entry.name, state)
+        });
         Ok(hosted)
     }
 
-    fn room_for(&self, name: &str, limits: &[IndexLimit]) -> Result<(), RegistryError> {
-        if self.indexes.read().contains_key(name) {
-            return Err(RegistryError::Taken);
+    /// Counts an index from now on, if its name is free and there is room for it.
+    fn count(&self, name: &str, limits: &[IndexLimit]) -> Result<Counted, RegistryError> {
+        let _change = self.change_lock.lock();
+        self.check_free(name)?;
+        self.check_limits(limits)?;
+        self.host.restoring.lock().push(name.into());
+        Ok(Counted {
+            host: Arc::clone(&self.host),
+            name: name.into(),
+        })
+    }
+
+    fn check_free(&self, name: &str) -> Result<(), RegistryError> {
+        match self.indexes.read().contains_key(name) {
+            true => Err(RegistryError::Taken),
+            false => Ok(()),
         }
-        self.check_limits(limits)
     }
 
     /// Fails if the indices, those that are being restored included, leave no room for another one.
@@ -170,7 +171,6 @@ impl Restore {
         host: &Arc<Host>,
         entry: Entry,
         origin: Origin,
-        limits: Vec<IndexLimit>,
         replaces: bool,
     ) -> Result<Self, RegistryError> {
         let stored = host.log.points.restore(entry.clone(), origin, replaces)?;
@@ -180,7 +180,6 @@ impl Restore {
             host: Arc::clone(host),
             entry,
             origin,
-            limits,
             counted: None,
         })
     }

@@ -43,7 +43,7 @@ pub(super) async fn drain(
     let mut stopped = pin!(async { tokio::join!(serving, zenoh_stopped, under_way.wait()).0 });
     let calls = tokio::select! {
         drained = &mut stopped => {
-            info!("every call has ended; closing the store");
+            info!("every call has ended; closing the indices");
             return drained.map_err(ServerError::from);
         }
         () = idle(&faces) => 0,
@@ -60,7 +60,7 @@ pub(super) async fn drain(
     if calls > 0 {
         return Err(ServerError::Cut { calls, grace_ms });
     }
-    info!("every call has ended; closing the store");
+    info!("every call has ended; closing the indices");
     Ok(())
 }
 

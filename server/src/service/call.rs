@@ -8,11 +8,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tokio::sync::Semaphore;
-
 use super::Error;
 use crate::{
-    admission::end_slice,
+    admission::{ClientPermits, end_slice},
     identity::{Caller, Denial},
 };
 
@@ -52,8 +50,8 @@ pub struct Call {
     pub trace: Option<Arc<str>>,
     /// True if another server of the cluster forwarded it. It is not forwarded again.
     pub is_forwarded: bool,
-    /// The permits of its connection for reads of stored points; None: the server's permits alone bound them.
-    pub stored_reads: Option<Arc<Semaphore>>,
+    /// The permits of its connection; None: those of the server alone bound it.
+    pub permits: Option<Arc<ClientPermits>>,
     /// Gets the label of the index of the call, for its metrics, once the index is found.
     pub index: Arc<OnceLock<Arc<str>>>,
 }

@@ -3,12 +3,12 @@
 use std::{collections::HashMap, sync::Arc, time::Duration};
 
 use parking_lot::Mutex;
-use tokio::{sync::Semaphore, time::Instant};
+use tokio::time::Instant;
 use uuid::Uuid;
 use wayfold_proto::v1;
 
 use super::{Call, Error, Service, revision_pin::RevisionPin};
-use crate::{log::Uid, registry::Hosted};
+use crate::{admission::ClientPermits, log::Uid, registry::Hosted};
 
 /// A scan without a page for this time loses its place to another scan. Callers that left must not keep others out, nor
 /// must one caller with many scans: it loses places to callers with fewer.
@@ -29,13 +29,13 @@ struct HeldScan {
 /// The caller of a scan: its identity, or its connection on a server without identities.
 struct ScanCaller {
     identity: Option<String>,
-    connection: Option<Arc<Semaphore>>,
+    connection: Option<Arc<ClientPermits>>,
 }
 
 impl ScanCaller {
     fn of(call: &Call) -> Self {
         let identity = call.caller.name().map(str::to_owned);
-        let connection = call.stored_reads.clone().filter(|_| identity.is_none());
+        let connection = call.permits.clone().filter(|_| identity.is_none());
         Self {
             identity,
             connection,
@@ -43,7 +43,7 @@ impl ScanCaller {
     }
 
     /// Equal for scans of one caller.
-    fn key(&self) -> (Option<&str>, Option<*const Semaphore>) {
+    fn key(&self) -> (Option<&str>, Option<*const ClientPermits>) {
         let connection = self.connection.as_ref().map(Arc::as_ptr);
         (self.identity.as_deref(), connection)
     }

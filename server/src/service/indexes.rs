@@ -59,7 +59,7 @@ pub(super) fn too_many_indexes(limit: &'static str, max: usize) -> Error {
         limit,
         value: max as u64,
         requested: max as u64 + 1,
-        advice: "delete an index first",
+        advice: "delete an index first, or wait for a restore that is under way",
     }
 }
 

@@ -75,6 +75,7 @@ use parking_lot::Mutex;
 use tokio::{sync::Semaphore, time::Instant};
 use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 
+pub use crate::admission::ClientPermits;
 use crate::{
     identity::Role,
     log::{Durability, LogError},

@@ -129,12 +129,15 @@ impl Service {
         let mut is_caught_up = false;
         loop {
             self.may_write(call, hosted).await?;
-            let writer = call
-                .bound(
-                    "while waiting for other mutations of the index",
-                    hosted.write(),
-                )
-                .await?;
+            let waiting = async {
+                let _turn = match &call.permits {
+                    Some(permits) => permits.write(*hosted.uid().as_bytes()).await,
+                    None => None,
+                };
+                hosted.write().await
+            };
+            let doing = "while waiting for other mutations of the index";
+            let writer = call.bound(doing, waiting).await?;
             let writer = match writer {
                 // The index takes no records here: the server that forwarded the call goes on.
                 Err(_) if call.is_forwarded => {
@@ -367,4 +370,55 @@ async fn confirm_current(
     )
     .await?
     .map_err(|error| registry_error(hosted.name(), error))
+}
+
+#[cfg(test)]
+mod tests {
+    use futures_util::{StreamExt, stream::FuturesUnordered};
+    use wayfold_index::Space;
+
+    use super::*;
+    use crate::{
+        admission::ClientPermits,
+        log::MemoryLog,
+        registry::{Registry, RegistryOptions},
+        service::Limits,
+    };
+
+    #[tokio::test]
+    async fn a_mutation_waits_for_at_most_one_of_each_other_client() {
+        let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
+        let space: Space = "R1".parse().unwrap();
+        let (hosted, _) = registry
+            .create("line", space, Default::default(), &[])
+            .unwrap();
+        let service = Service::new(registry, Limits::default());
+        service.set_ready();
+        let [many, one] = [(); 2].map(|()| Call {
+            permits: Some(Arc::new(ClientPermits::new(1))),
+            ..Call::default()
+        });
+        let service = &service;
+        let insert = |call| async move {
+            let states = v1::States {
+                row_count: 1,
+                coordinates: vec![0.5],
+            };
+            let request = v1::InsertRequest {
+                index_name: "line".into(),
+                states: Some(states),
+                ..Default::default()
+            };
+            let inserted = service.insert(call, request).await.unwrap();
+            inserted.revision.unwrap().number
+        };
+        let writer = hosted.write().await.unwrap();
+        let mut others: FuturesUnordered<_> = (0..5).map(|_| insert(&many)).collect();
+        assert!(futures_util::poll!(others.next()).is_pending());
+        let mut last = Box::pin(insert(&one));
+        assert!(futures_util::poll!(&mut last).is_pending());
+        drop(writer);
+        let (revision, _) = tokio::join!(last, others.collect::<Vec<_>>());
+        assert_eq!(revision, 2);
+    }
 }

@@ -40,8 +40,8 @@ pub(super) async fn read<T: Send + 'static>(
     let view = Arc::clone(view);
     let reading = async {
         // The reads of a connection that has its share wait here, not in the queue of all.
-        let share = match &call.stored_reads {
-            Some(share) => Some(Arc::clone(share).acquire_owned().await),
+        let share = match &call.permits {
+            Some(permits) => permits.read().await,
             None => None,
         };
         let permits = (share, READS.acquire().await);
@@ -230,7 +230,7 @@ mod tests {
         let view: Arc<dyn View> = log_with(&entry, &[]).view(entry.uid).unwrap();
         let admission = Admission::new(&Config::default().admission, 1, 0);
         let [heavy, other] = [(); 2].map(|()| Call {
-            stored_reads: Some(admission.open().stored_reads()),
+            permits: Some(admission.open().permits()),
             ..Call::default()
         });
         let gate = CancellationToken::new();

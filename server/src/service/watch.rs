@@ -113,7 +113,7 @@ impl Service {
 }
 
 impl Watch {
-    /// Does not count this watch among the index's subscribers: its reader lags on purpose.
+    /// Does not count this watch among the index's subscribers.
     pub(crate) fn uncounted(self) -> Self {
         Self {
             is_counted: false,

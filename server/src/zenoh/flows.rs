@@ -35,9 +35,10 @@ impl Flows {
     }
 }
 
-/// True if a query has the flow, or that of its calls of administration, which does not keep it.
+/// True if a query has the flow, or that of its calls of administration, or a held scan knows its caller by it: these two
+/// do not keep it.
 fn is_in_use(flow: &Arc<Flow>) -> bool {
-    Arc::strong_count(flow) > 1 || Arc::strong_count(flow.admin()) > 1
+    Arc::strong_count(flow) > 1 || Arc::strong_count(flow.admin()) > 1 || flow.has_permits()
 }
 
 #[cfg(test)]
@@ -46,7 +47,7 @@ mod tests {
     use crate::config::Config;
 
     #[tokio::test]
-    async fn calls_of_administration_keep_the_flow_of_their_link() {
+    async fn calls_of_administration_and_held_scans_keep_the_flow_of_their_link() {
         let admission = Admission::new(&Config::default().admission, 1, 0);
         let flows = Arc::new(Flows::new(admission));
         let open_another = || {
@@ -57,6 +58,10 @@ mod tests {
         open_another().await.unwrap();
         assert!(Arc::ptr_eq(list.flow(), flows.of_reader().admin()));
         drop(list);
+        let scan = flows.of_reader().permits();
+        open_another().await.unwrap();
+        assert!(Arc::ptr_eq(&scan, &flows.of_reader().permits()));
+        drop(scan);
         open_another().await.unwrap();
         assert_eq!(flows.open.lock().len(), 1);
     }

@@ -83,11 +83,13 @@ impl ZenohFace {
             session: session.clone(),
             runtime: open.runtime.clone(),
         });
+        let places = || Arc::new(Semaphore::new(config.max_calls.min(Semaphore::MAX_PERMITS)));
         let queries = Arc::new(Queries {
             flows: Flows::new(shared.admission.clone()),
             shared,
             prefix: config.prefix.clone(),
-            places: Arc::new(Semaphore::new(config.max_calls.min(Semaphore::MAX_PERMITS))),
+            places: places(),
+            admin_places: places(),
             max_calls: config.max_calls,
             refusals: Arc::new(Semaphore::new(MAX_REFUSALS)),
             default_timeout: Duration::from_millis(config.default_timeout_ms),

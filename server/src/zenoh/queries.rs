@@ -54,6 +54,8 @@ pub(super) struct Queries {
     pub(super) flows: Flows,
     /// Bounds the queries in flight: each may wait for its link on a thread of its own.
     pub(super) places: Arc<Semaphore>,
+    /// Those of calls of administration.
+    pub(super) admin_places: Arc<Semaphore>,
     pub(super) max_calls: usize,
     /// Bounds the refusals that wait for their links.
     pub(super) refusals: Arc<Semaphore>,
@@ -97,14 +99,13 @@ impl Queries {
         let target = Target::of(&self.prefix, query.key_expr().as_str());
         let verb = target.ok().map(|target| target.verb);
         let link = self.flows.of_reader();
-        let flow = match verb {
-            Some(verb) if verb.is_of_server() => link.admin(),
-            _ => &link,
+        let (flow, places) = match verb {
+            Some(verb) if verb.is_of_server() => (link.admin(), &self.admin_places),
+            _ => (&link, &self.places),
         };
         // A link has no more places than it leaves to the others.
-        let calls = link.under_way() + link.admin().under_way();
-        let is_greedy = calls > self.places.available_permits();
-        let place = Arc::clone(&self.places).try_acquire_owned();
+        let is_greedy = flow.under_way() > places.available_permits();
+        let place = Arc::clone(places).try_acquire_owned();
         let Some(place) = place.ok().filter(|_| !is_greedy) else {
             self.shared.admission.count_excess();
             let advice = match is_greedy {
@@ -210,7 +211,7 @@ impl Queries {
             trace: attached.get("traceparent").map(Arc::from),
             deadline: Some(deadline),
             has_default_deadline: given.is_none(),
-            stored_reads: Some(held.flow().stored_reads()),
+            permits: Some(held.flow().permits()),
             ..Call::default()
         };
         let mut record = CallRecord::begin(

@@ -281,11 +281,32 @@ async fn calls_of_administration_of_one_link_leave_places_to_another() {
     let refused = text(&lists.next().await.unwrap().unwrap_err());
     assert!(refused.contains("TOO_MANY_CALLS"), "{refused}");
     assert!(refused.contains("this link"), "{refused}");
-    assert_eq!(face.queries.places.available_permits(), 1);
+    assert_eq!(face.queries.admin_places.available_permits(), 1);
     drop(busy);
     while let Some(listed) = lists.next().await {
         listed.unwrap();
     }
+    robot.close().await.unwrap();
+    face.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn calls_that_wait_leave_places_to_administration() {
+    let mut settings = crate::config::Config::default();
+    settings.zenoh.max_calls = 1;
+    let (service, uid) = service_with_index().await;
+    let (face, robot, _) = face_and_robot_with(settings, service, Identities::default()).await;
+    // It waits for a revision that never comes.
+    let payload = format!(r#"{{"ids": [0], "min_revision": {{"uid": "{uid}", "number": 1}}}}"#);
+    let waiting = robot
+        .get("wayfold/v1/arm/get?timeout_ms=2000")
+        .payload(payload)
+        .encoding(Encoding::APPLICATION_JSON);
+    let _waiting = waiting.await.unwrap();
+    while face.queries.places.available_permits() > 0 {
+        tokio::task::yield_now().await;
+    }
+    ask(&robot, "wayfold/v1/list", None).await.unwrap();
     robot.close().await.unwrap();
     face.stop().await;
 }

@@ -2,11 +2,10 @@
 
 use std::{sync::Arc, time::Duration};
 
-use tokio::sync::Semaphore;
 use wayfold_proto::v1;
 use wayfold_server::{
     log::MemoryLog,
-    service::{Call, Code, Error, Limits, Service},
+    service::{Call, ClientPermits, Code, Error, Limits, Service},
 };
 
 use crate::support::*;
@@ -181,7 +180,7 @@ async fn one_caller_does_not_keep_others_from_scanning() {
     service.insert(&CALL, request).await.unwrap();
     let request = first_page(4);
     let [greedy, other] = [(); 2].map(|()| Call {
-        stored_reads: Some(Arc::new(Semaphore::new(1))),
+        permits: Some(Arc::new(ClientPermits::new(1))),
         ..Call::default()
     });
     let scan = async |call: &Call, request: &v1::ScanRequest| {

@@ -262,6 +262,30 @@ async fn the_limit_of_indices_is_kept() {
     restore(&service, "leg", &parts).await.unwrap();
 }
 
+/// The one that begins has the place, however many begin at once.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn of_restores_that_begin_at_once_those_that_have_room_end() {
+    let limits = Limits {
+        max_indexes: 2,
+        ..Limits::default()
+    };
+    let source = service();
+    lived_in(&source, "R1", 2).await;
+    let parts = Arc::new(snapshot(&source, "arm").await);
+    for _ in 0..20 {
+        let target = service_with(Arc::new(MemoryLog::new()), limits.clone());
+        let restores = (0..8).map(|at| {
+            let (target, parts) = (target.clone(), Arc::clone(&parts));
+            tokio::spawn(async move { restore(&target, &format!("leg-{at}"), &parts).await })
+        });
+        let mut restored = 0;
+        for restore in restores.collect::<Vec<_>>() {
+            restored += usize::from(restore.await.unwrap().is_ok());
+        }
+        assert_eq!(restored, 2);
+    }
+}
+
 /// Asserts that a failed restore left no index and, once its remains are swept, no trace in the log.
 async fn is_untouched(service: &Service, log: &Log) {
     let page = v1::ListIndexesRequest::default();

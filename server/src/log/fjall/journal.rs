@@ -171,10 +171,11 @@ fn rewrite_file(file: &mut File) -> io::Result<()> {
         if read == 0 {
             return file.sync_all();
         }
-        // The preallocated room is a hole, and stays one.
-        if piece[..read].iter().any(|&byte| byte != 0) {
+        // The preallocated room is a hole, and stays one: a full disk has no other.
+        let end = piece[..read].iter().rposition(|&byte| byte != 0);
+        if let Some(last) = end {
             file.seek(SeekFrom::Start(at))?;
-            file.write_all(&piece[..read])?;
+            file.write_all(&piece[..=last])?;
         }
         at += read as u64;
     }
@@ -194,6 +195,26 @@ mod tests {
         super::{Durability, store::Handles},
         *,
     };
+
+    /// On a full disk there is no other.
+    #[cfg(unix)]
+    #[test]
+    fn a_rewritten_file_takes_no_more_room() {
+        use std::os::unix::fs::MetadataExt;
+
+        let mut file = tempfile::tempfile().unwrap();
+        file.set_len(4 * COPY_BYTES as u64).unwrap();
+        file.write_all(&[0, 7, 0, 7]).unwrap();
+        file.sync_all().unwrap();
+        let blocks = file.metadata().unwrap().blocks();
+        rewrite_file(&mut file).unwrap();
+        assert_eq!(file.metadata().unwrap().blocks(), blocks);
+        let mut content = Vec::new();
+        file.seek(SeekFrom::Start(0)).unwrap();
+        file.read_to_end(&mut content).unwrap();
+        assert_eq!(content[..5], [0, 7, 0, 7, 0]);
+        assert_eq!(content.len(), 4 * COPY_BYTES);
+    }
 
     /// Checks the module's assumption about fjall's files, to detect a version of fjall that behaves otherwise.
     #[test]

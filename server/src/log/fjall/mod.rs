@@ -148,8 +148,8 @@ impl FjallLog {
             None => shut(error),
         };
         let handles = failed.and_then(|failed| failed.store.handles().ok());
-        // Opening begins by moving the unflushed bytes to the tables, and fails at once if it cannot. Closing gives back
-        // what a merge had written when the disk was full: the probe would fail until then.
+        // Opening removes what a merge had written when the disk was full, so the probe would fail until then. It moves the
+        // unflushed bytes to the tables next, and fails if it cannot.
         let (unflushed, freed) = handles.map_or((0, 0), |handles| {
             let written = usage::disk(self.directory.path()).tables;
             let freed = written.saturating_sub(handles.keyspace.disk_space());

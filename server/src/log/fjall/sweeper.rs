@@ -11,7 +11,7 @@ use std::{
     thread::JoinHandle,
 };
 
-use fjall::{AbstractTree, OwnedWriteBatch};
+use fjall::{AbstractTree, OwnedWriteBatch, PersistMode};
 use parking_lot::Mutex;
 use tracing::warn;
 
@@ -96,6 +96,9 @@ fn sweep(
     marks: &mut Marks,
     stop: &AtomicBool,
 ) -> Result<(), String> {
+    if stop.load(Ordering::Relaxed) {
+        return Ok(());
+    }
     let has_dropped = drop_tables(store, number).map_err(text)?;
     for key in [point_key, record_key, operation_key, session_key, block_key] {
         let mut after = Bound::Included(key(number, 0));
@@ -122,9 +125,9 @@ fn sweep(
     Ok(())
 }
 
-/// Drops the tables that hold nothing but points or records of the index, and returns whether there were any. Removed
-/// keys alone give no disk back before the store merges their tables, for which it needs more disk. Comes before the
-/// removal of keys, whose marks might be in a dropped table while the values are in another.
+/// Drops the tables that hold nothing but points or records of the index, and returns whether there were any: those that a
+/// merge has made. Removed keys alone give no disk back before the store merges their tables, for which it needs more disk.
+/// Comes before the removal of keys, whose marks might be in a dropped table while the values are in another.
 fn drop_tables(store: &Store, number: Number) -> Result<bool, LogError> {
     let handles = store.handles()?;
     let tree = &handles.keyspace.tree;
@@ -135,6 +138,9 @@ fn drop_tables(store: &Store, number: Number) -> Result<bool, LogError> {
         let version = tree.current_version();
         let mut ranges = version.iter_tables().map(|table| &table.metadata.key_range);
         if ranges.any(|it| first[..] <= **it.min() && **it.max() <= last[..]) {
+            // A loss of power must not bring an index back whose tables are gone.
+            let is_synced = handles.database.persist(PersistMode::SyncAll);
+            is_synced.map_err(storage)?;
             let dropped = tree.drop_range(first..=last);
             dropped.map_err(|error| storage(error.into()))?;
             has_dropped = true;
