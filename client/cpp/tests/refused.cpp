@@ -5,6 +5,7 @@
 #include <ompl/geometric/planners/informedtrees/BITstar.h>
 #include <ompl/geometric/planners/rrt/RRT.h>
 #include <ompl/geometric/planners/rrt/TSRRT.h>
+#include <ompl/tools/thunder/SPARSdb.h>
 #include <wayfold/ompl.hpp>
 
 void refused(PLANNER &planner) {

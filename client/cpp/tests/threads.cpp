@@ -52,6 +52,28 @@ void one_index(const wayfold::Index &index) {
     CHECK(index.size() == 4 * rounds - removed);
 }
 
+// Searches of one structure, on four threads.
+void one_structure() {
+    const auto number = [](const double &element, double *row) { *row = element; };
+    wayfold::NearestNeighborsWayfold<double> neighbors("R1", number);
+    for (int element = 0; element < 1000; element++) {
+        neighbors.add(element);
+    }
+    std::vector<std::thread> threads;
+    for (int first = 0; first < 4; first++) {
+        threads.emplace_back([&neighbors, first] {
+            std::vector<double> found;
+            for (int element = first; element < 1000; element += 4) {
+                neighbors.nearestK(element, 1, found);
+                CHECK(found == std::vector<double>{double(element)} && neighbors.nearest(element) == element);
+            }
+        });
+    }
+    for (std::thread &thread : threads) {
+        thread.join();
+    }
+}
+
 // PRM's two threads, the thread that reads payloads, and another planner on the same roadmap.
 void two_planners(const std::string &uri) {
     std::vector<std::thread> threads;
@@ -91,6 +113,7 @@ int main(int count, char **arguments) {
         std::cout << "threads: pRRT ok\n";
         return 0;
     }
+    one_structure();
     one_index(wayfold::Index::in_memory(space));
     one_index(wayfold::Index::shared(arguments[1], "threads", space));
     two_planners(arguments[1]);
