@@ -47,7 +47,7 @@ const MAX_WAIT: Duration = Duration::from_secs(1);
 /// The streams for reflection of a connection, and its requests for health that have not arrived whole.
 pub(super) const MAX_ARRIVING: usize = 4;
 
-/// The streams for reflection of all connections. HTTP/2 keeps up to a megabyte of the requests of each.
+/// The streams for reflection of all connections.
 pub(super) const MAX_REFLECTING: usize = 32;
 
 /// The calls of a connection that was given up.

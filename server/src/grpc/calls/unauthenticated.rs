@@ -1,16 +1,20 @@
 //! Health and reflection, which strangers may call and no load closes. No budget counts their requests, so few of those of a
 //! connection may be on their way: a request for health until it is whole, and not for long, and a stream for reflection
 //! for as long as its client likes, and until its answers are read. Few streams for reflection of all connections may be
-//! open: HTTP/2 keeps the requests that the service has not read.
+//! open, and few of their bytes wait.
 
-use std::{convert::Infallible, pin::pin, task::Poll};
+use std::{convert::Infallible, pin::pin, sync::Arc, task::Poll};
 
 use bytes::{Buf, Bytes, BytesMut};
-use futures_util::poll;
+use futures_util::{StreamExt, poll};
 use http::{Request, Response};
 use http_body::Frame;
-use http_body_util::{BodyExt, Full};
-use tokio::time::timeout;
+use http_body_util::{BodyExt, Full, StreamBody};
+use tokio::{
+    sync::{Semaphore, mpsc},
+    time::timeout,
+};
+use tokio_stream::wrappers::UnboundedReceiverStream;
 use tonic::{Status, body::Body};
 use tower::Service;
 
@@ -21,6 +25,12 @@ use crate::grpc::{
 };
 
 const REFLECTION: &str = "/grpc.reflection.";
+
+/// The bytes of a stream for reflection that wait for the service.
+const MAX_WAITING_BYTES: usize = 64 * 1024;
+
+/// Bytes that a part of them holds beside its own.
+const PART_BYTES: usize = 64;
 
 /// True for the paths of health and reflection.
 pub(super) fn is_unauthenticated(path: &str) -> bool {
@@ -81,7 +91,7 @@ where
 /// Receives a request whole, unless it is a stream.
 async fn receive(request: Request<Body>, is_stream: bool) -> Result<Request<Body>, Status> {
     if is_stream {
-        return Ok(request);
+        return Ok(request.map(read_on));
     }
     let (parts, mut body) = request.into_parts();
     let mut whole = BytesMut::new();
@@ -100,4 +110,87 @@ async fn receive(request: Request<Body>, is_stream: bool) -> Result<Request<Body
         parts,
         Body::new(Full::new(whole.freeze())),
     ))
+}
+
+/// Reads a stream at once, whether or not the service does, and ends it if too much of it waits. HTTP/2 would keep it, each
+/// frame of one byte with thousands that were read beside it.
+fn read_on(mut body: Body) -> Body {
+    let (send, receive) = mpsc::unbounded_channel();
+    let room = Arc::new(Semaphore::new(MAX_WAITING_BYTES));
+    tokio::spawn(async move {
+        loop {
+            let frame = tokio::select! {
+                frame = body.frame() => frame,
+                () = send.closed() => return,
+            };
+            let part = match frame {
+                Some(Ok(frame)) => match frame.into_data() {
+                    Ok(bytes) => {
+                        let bytes = Bytes::copy_from_slice(&bytes);
+                        let held = (bytes.len() + PART_BYTES) as u32;
+                        let held = Arc::clone(&room).try_acquire_many_owned(held);
+                        held.map(|held| (Frame::data(bytes), held))
+                            .map_err(|_| refusals::too_many_arriving().into())
+                    }
+                    Err(_trailers) => return,
+                },
+                Some(Err(status)) => Err(status),
+                None => return,
+            };
+            let is_last = part.is_err();
+            if send.send(part).is_err() || is_last {
+                return;
+            }
+        }
+    });
+    let parts = UnboundedReceiverStream::new(receive);
+    let read = parts.map(|part: Result<_, Status>| part.map(|(frame, _held)| frame));
+    Body::new(StreamBody::new(read))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_stream_whose_bytes_wait_is_ended() {
+        let (send, receive) = mpsc::channel(1);
+        let sent = tokio_stream::wrappers::ReceiverStream::new(receive);
+        let mut read = read_on(Body::new(StreamBody::new(sent)));
+        let part = Bytes::from_static(&[7]);
+        let mut parts = 0;
+        while send
+            .send(Ok::<_, Status>(Frame::data(part.clone())))
+            .await
+            .is_ok()
+        {
+            parts += 1;
+            assert!(parts <= MAX_WAITING_BYTES / PART_BYTES + 2);
+        }
+        let mut waiting = 0;
+        while let Some(Ok(frame)) = read.frame().await {
+            assert_eq!(frame.into_data().unwrap(), part);
+            waiting += 1;
+        }
+        assert_eq!(waiting, MAX_WAITING_BYTES / (PART_BYTES + 1));
+    }
+
+    #[tokio::test]
+    async fn a_stream_that_is_read_goes_on() {
+        let (send, receive) = mpsc::channel(1);
+        let sent = tokio_stream::wrappers::ReceiverStream::new(receive);
+        let mut read = read_on(Body::new(StreamBody::new(sent)));
+        let part = Bytes::from(vec![7; MAX_WAITING_BYTES / 2]);
+        for _ in 0..10 {
+            send.send(Ok::<_, Status>(Frame::data(part.clone())))
+                .await
+                .unwrap();
+            assert_eq!(
+                read.frame().await.unwrap().unwrap().into_data().unwrap(),
+                part
+            );
+        }
+        drop(send);
+        assert!(read.frame().await.is_none());
+    }
 }
