@@ -289,7 +289,7 @@ impl NearestNeighbors for Remote {
             };
             while let Some(part) = scan.next().await.transpose() {
                 let is_last = part.is_err();
-                // A slow caller blocks this task, and no other one.
+                // A slow caller blocks this task, and the connection once several have answers that wait.
                 let sent = tokio::task::block_in_place(|| send.send(part).is_ok());
                 if is_last || !sent {
                     return;

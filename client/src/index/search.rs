@@ -67,7 +67,8 @@ impl Search {
         self
     }
 
-    /// Only points that an earlier answer, which read this revision, could not find.
+    /// Only points that an earlier answer, which read this revision, could not find. A point that got its tag since
+    /// does not count.
     pub fn since(mut self, revision: ReadRevision) -> Search {
         self.since = revision;
         self
