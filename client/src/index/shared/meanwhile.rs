@@ -1,19 +1,23 @@
 //! The places of own points in the index's order, and the neighbours before them that their inserts could not see.
 
+mod arrival;
+
 use std::collections::{HashMap, VecDeque};
 
 use wayfold_index::{Filter, ForestSnapshot, Neighbor, Search, Space};
 
 use super::rebased::Content;
+use arrival::Arrival;
+pub(super) use arrival::Reloaded;
 
 /// The most bytes of the answers that wait for the caller.
 const MAX_BYTES: usize = 16 << 20;
 
-/// The most points of others that wait for open searches, 32 bytes each.
+/// The most points of others that wait for open searches, 48 bytes each.
 const MAX_ARRIVALS: usize = 1 << 20;
 
-/// The most neighbours of a superset that no distance bounds: the nearest ones. It may miss a neighbour if `k` is about
-/// this number or greater.
+/// The most neighbours of a superset of all points that no distance bounds: the nearest ones. It may miss a neighbour if
+/// `k` is about this number or greater, or if the search asks for later points only.
 const MAX_SUPERSET: usize = 1 << 16;
 
 /// With more than [`MAX_SUPERSET`] points of others, the most distances for the exact answers to the searches of one batch.
@@ -55,6 +59,9 @@ impl Meanwhile {
     }
 }
 
+/// The insert came after the copy was read the last time.
+pub(super) const AFTER_ALL: u64 = u64::MAX;
+
 /// The search of an insert that the server has not stored yet.
 #[derive(Clone, Debug)]
 pub(super) struct OpenSearch {
@@ -74,7 +81,12 @@ pub(super) struct OpenSearch {
     change: u64,
     /// The number of published points before the insert, once it is published.
     pub(super) points_before: usize,
+    /// The revision of the insert, or [`AFTER_ALL`]; None if the copy was read again, and had it already at one that is not
+    /// known.
+    pub(super) revision: Option<u64>,
     /// True if the copy was read again since, or too many points arrived.
+    is_superset: bool,
+    /// True if too many points arrived.
     searches_all: bool,
 }
 
@@ -101,6 +113,8 @@ impl OpenSearch {
             found: farthest.map_or_else(Vec::new, |_| found.to_vec()),
             change,
             points_before: 0,
+            revision: Some(AFTER_ALL),
+            is_superset: false,
             searches_all: false,
         }
     }
@@ -110,19 +124,15 @@ impl OpenSearch {
         size_of::<OpenSearch>() + size_of_val(&self.row[..]) + size_of_val(&self.found[..])
     }
 
+    /// The answer will be a superset.
+    pub(super) fn widen(&mut self) {
+        self.is_superset = true;
+    }
+
     /// The answer will be a superset, of all points.
     pub(super) fn search_all(&mut self) {
-        self.searches_all = true;
+        (self.is_superset, self.searches_all) = (true, true);
     }
-}
-
-/// A point that another writer stored.
-#[derive(Debug)]
-struct Arrival {
-    change: u64,
-    id: u64,
-    /// Its tag before, if only the tag is new.
-    old_tag: Option<u64>,
 }
 
 /// Searches under way, the points that others stored since, and the answers for the caller.
@@ -139,9 +149,6 @@ pub(super) struct OpenSearches {
     has_dropped: bool,
 }
 
-/// The number of a change of a point, and the point's old tag if only the tag is new.
-type Change = (u64, Option<u64>);
-
 /// The contents of a point, each before a step of the batch.
 pub(super) type Versions = Vec<(usize, Option<Content>)>;
 
@@ -150,7 +157,7 @@ pub(super) type Versions = Vec<(usize, Option<Content>)>;
 pub(super) struct Answerable {
     searches: Vec<OpenSearch>,
     /// The changes of each point, the oldest first, its id, and its contents.
-    arrived: Vec<(Vec<Change>, u64, Versions)>,
+    arrived: Vec<(Vec<Arrival>, u64, Versions)>,
     /// The last change by which another writer removed or moved a point, or gave it another tag.
     departure: u64,
     snapshot: Option<ForestSnapshot>,
@@ -182,7 +189,25 @@ impl OpenSearches {
                 change,
                 id,
                 old_tag,
+                revision: None,
             });
+        }
+    }
+
+    /// The copy was read again, as change number `change`.
+    pub(super) fn reload(&mut self, change: u64, changes: &Reloaded) {
+        if changes.has_departures {
+            self.depart(change);
+        }
+        if self.are_open() {
+            let stored = changes.stored.iter();
+            let stored = stored.map(|&(id, revision, old_tag)| Arrival {
+                change,
+                id,
+                old_tag,
+                revision: Some(revision),
+            });
+            self.stored.extend(stored);
         }
     }
 
@@ -221,10 +246,9 @@ impl OpenSearches {
             searches.iter_mut().for_each(OpenSearch::search_all);
             after = self.stored.len();
         }
-        let mut changes: HashMap<u64, Vec<Change>> = HashMap::new();
+        let mut changes: HashMap<u64, Vec<Arrival>> = HashMap::new();
         for arrival in self.stored.range(after..) {
-            let of_point = changes.entry(arrival.id).or_default();
-            of_point.push((arrival.change, arrival.old_tag));
+            changes.entry(arrival.id).or_default().push(*arrival);
         }
         // A point that was stored twice counts as it is now.
         let arrived = changes
@@ -289,7 +313,7 @@ impl Answerable {
                 false => self.arrived(open, space),
                 true => self.superset(open, space),
             },
-            is_superset: open.searches_all,
+            is_superset: open.is_superset,
         })
     }
 
@@ -303,28 +327,36 @@ impl Answerable {
             Some((changes, *id, content.as_ref()?))
         });
         let unseen = contents.filter(|(changes, id, (tag, _))| {
-            let later = changes.iter().filter(|(change, _)| *change > open.change);
-            let Some((_, old_tag)) = later.clone().next() else {
+            let unseen = changes.iter().filter(|arrival| arrival.is_unseen(open));
+            let Some(first) = unseen.clone().next() else {
                 return false;
             };
-            let is_new = later.clone().any(|(_, old_tag)| old_tag.is_none());
+            let is_new = unseen.clone().any(|arrival| arrival.old_tag.is_none());
             // Another writer may have stored a point under the same id.
             let is_other = *id != open.id;
-            is_other && passes(*tag) && (is_new || !old_tag.is_some_and(passes))
+            is_other && passes(*tag) && (is_new || !first.old_tag.is_some_and(passes))
         });
-        let neighbors = unseen.map(|(_, id, (_, row))| Neighbor {
-            distance: space.distance(&open.row, row),
-            id,
+        let neighbors = unseen.map(|(changes, id, (_, row))| {
+            let distance = space.distance(&open.row, row);
+            let mut unseen = changes.iter().filter(|arrival| arrival.is_unseen(open));
+            let is_before = unseen.any(|arrival| arrival.is_before(open));
+            (Neighbor { distance, id }, is_before)
         });
         let bound = match self.departure > open.change {
             true => open.radius,
             false => open.bound,
         };
-        let near = neighbors.filter(|neighbor| neighbor.distance <= bound);
-        let mut neighbors: Vec<Neighbor> = near.collect();
+        let near = neighbors.filter(|(neighbor, _)| neighbor.distance <= bound);
+        let mut neighbors: Vec<_> = near.collect();
         neighbors.sort_unstable();
-        neighbors.truncate(open.k);
-        neighbors
+        // Those that may have come later take no place of the others.
+        let mut left = open.k;
+        let within = neighbors.into_iter().take_while(|(_, is_before)| {
+            let has_place = left > 0;
+            left = left.saturating_sub(usize::from(*is_before));
+            has_place
+        });
+        within.map(|(neighbor, _)| neighbor).collect()
     }
 
     /// All points within the bound. If there is no bound, or a point of the insert's answer has left or moved: the

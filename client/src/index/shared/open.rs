@@ -140,7 +140,7 @@ impl OpenShared {
         let opened = link.open_session(&index, id_block, &operation_id).await?;
         writes.open(opened.session, opened.reserved);
         let mut points = LocalPoints::new(&index.space);
-        let (forest, revision) = link.load(&index, 0, points.read_revision().0 + 1).await?;
+        let (forest, revision, _) = link.load(&index, 0, points.read_revision().0 + 1).await?;
         drop(points.replace(forest));
         Ok(Core::new(
             link,

@@ -6,7 +6,7 @@ use tokio::time::{Instant, sleep_until};
 
 use super::{
     core::{Core, Task},
-    meanwhile::Answerable,
+    meanwhile::{Answerable, Reloaded},
     pending::PendingWrites,
 };
 use crate::{
@@ -179,7 +179,17 @@ impl Subscriber {
             true => self.revision,
             false => 0,
         };
-        let (forest, revision) = core.link.load(&index, min_revision, change).await?;
+        let loaded = core.link.load(&index, min_revision, change).await?;
+        let (forest, revision, revisions) = loaded;
+        let old = core.points.read().forest.snapshot();
+        let comparing = tokio::task::spawn_blocking(move || {
+            let changes = Reloaded::between(&old, &forest.snapshot(), &revisions);
+            (forest, changes)
+        });
+        let compared = comparing.await;
+        let (forest, changes) = compared.map_err(|error| {
+            Error::protocol("scan", format!("its points cannot be compared: {error}"))
+        })?;
         let mut writes = core.pending_writes.lock();
         if index.uid() != self.index.uid() {
             // Its writer session and pending writes belong to the history that is gone.
@@ -191,7 +201,7 @@ impl Subscriber {
         }
         let mut points = core.points.write();
         let old = points.replace(forest);
-        let answerable = writes.reloaded(revision, &mut points)?;
+        let answerable = writes.reloaded(revision, &changes, &mut points)?;
         core.after_change(&mut points);
         *core.published.lock() = (Arc::clone(&index), revision);
         core.wake(&mut writes);

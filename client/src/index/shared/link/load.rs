@@ -10,7 +10,7 @@ use crate::{Error, Include, IndexInfo};
 const CALL: &str = "scan";
 
 /// The columns of a copy.
-pub(super) const COLUMNS: Include = Include::none().states().tags();
+pub(super) const COLUMNS: Include = Include::none().states().tags().revisions();
 
 /// The most scans of a load that the server may end: it holds a revision for some minutes, or until it stops.
 const MAX_ENDED_SCANS: u32 = 3;
@@ -26,17 +26,17 @@ pub(super) struct Part {
 pub(super) type Parts = BoxStream<'static, Result<Part, Error>>;
 
 impl Link {
-    /// All points of the index at revision `min_revision` or a later one, and that revision. Every point counts as stored
-    /// by change `change`.
+    /// All points of the index at revision `min_revision` or a later one, that revision, and those of their states, in the
+    /// order of their ids. Every point counts as stored by change `change`.
     pub(in crate::index::shared) async fn load(
         &self,
         index: &IndexInfo,
         min_revision: u64,
         change: u64,
-    ) -> Result<(Forest, u64), Error> {
+    ) -> Result<(Forest, u64, Vec<u64>), Error> {
         let (mut ended, mut refused) = (0, 0);
         let deadline = Instant::now() + self.timeout;
-        let (points, revision) = loop {
+        let (points, revision, revisions) = loop {
             match self.read_all(index, min_revision, change).await {
                 Err(error) if error.reason() == Some("SCAN_ENDED") && ended < MAX_ENDED_SCANS => {
                     ended += 1;
@@ -54,7 +54,7 @@ impl Link {
         let forest = built.map_err(|error| {
             Error::protocol(CALL, format!("its points cannot be built: {error}"))
         })?;
-        Ok((forest?, revision))
+        Ok((forest?, revision, revisions))
     }
 
     async fn read_all(
@@ -62,7 +62,7 @@ impl Link {
         index: &IndexInfo,
         min_revision: u64,
         change: u64,
-    ) -> Result<(Points, u64), Error> {
+    ) -> Result<(Points, u64, Vec<u64>), Error> {
         let mut parts: Parts = match &self.transport {
             Transport::Grpc(client) => {
                 let scan = handle(client, index, min_revision)
@@ -77,10 +77,12 @@ impl Link {
             Transport::Zenoh(link) => link.scan(index, min_revision),
         };
         let mut points = Points::new(index.coordinate_count);
+        let mut revisions = Vec::new();
         let (mut revision, mut announced) = (0, 0);
         while let Some(part) = parts.try_next().await? {
             (revision, announced) = (part.points.revision().number, part.total);
             for point in part.points.iter() {
+                revisions.push(point.revision);
                 points.push_point(PointRef {
                     id: point.id,
                     tag: point.tag,
@@ -97,7 +99,7 @@ impl Link {
             let problem = format!("a scan of {found} points that announced {announced}");
             return Err(Error::protocol(CALL, problem));
         }
-        Ok((points, revision))
+        Ok((points, revision, revisions))
     }
 }
 

@@ -10,7 +10,7 @@ use crate::{
     Error,
     index::{
         local::{LocalPoints, NewRow},
-        shared::meanwhile::{Answerable, Versions},
+        shared::meanwhile::{Answerable, Reloaded, Versions},
     },
 };
 
@@ -85,6 +85,11 @@ impl PendingWrites {
             self.resolved += batch.len() as u64;
         }
         let mut searches = std::mem::take(&mut batch.searches);
+        if is_newer {
+            searches
+                .iter_mut()
+                .for_each(|open| open.revision = batch.revision);
+        }
         if self.rebased.is_empty() && searches.is_empty() {
             // The steps are inserts under ids of this session.
             self.published_points += if is_newer { 0 } else { batch.len() };
@@ -171,12 +176,7 @@ impl PendingWrites {
         if !removed.is_empty() {
             self.open_searches.depart(change);
         }
-        if self.open_searches.is_full() {
-            self.open_searches.forget();
-            for open in self.queue.iter_mut().flat_map(|batch| &mut batch.searches) {
-                open.search_all();
-            }
-        }
+        self.limit_arrivals();
         let mut plain_removed = Vec::new();
         for &id in removed {
             match self.rebased.get_mut(&id) {
@@ -189,6 +189,16 @@ impl PendingWrites {
             }
         }
         self.publish(plain.into_iter(), &plain_removed, points)
+    }
+
+    /// Answers the open searches from all points, if those of others take too much memory.
+    fn limit_arrivals(&mut self) {
+        if self.open_searches.is_full() {
+            self.open_searches.forget();
+            for open in self.queue.iter_mut().flat_map(|batch| &mut batch.searches) {
+                open.search_all();
+            }
+        }
     }
 
     /// Stores and removes points on which no write is pending.
@@ -204,18 +214,22 @@ impl PendingWrites {
         Ok(())
     }
 
-    /// The copy was read again, at a revision: applies the pending writes to it. The server may have taken some of the
-    /// others before.
+    /// The copy was read again, at a revision and with these changes: applies the pending writes to it. The server may have
+    /// taken some of the others before.
     pub(in crate::index::shared) fn reloaded(
         &mut self,
         revision: u64,
+        changes: &Reloaded,
         points: &mut LocalPoints,
     ) -> Result<Vec<Answerable>, Error> {
         self.rebased.clear();
         self.published_points = points.forest.len();
         for open in self.queue.iter_mut().flat_map(|batch| &mut batch.searches) {
-            open.search_all();
+            open.widen();
         }
+        let change = points.read_revision().0;
+        self.open_searches.reload(change, changes);
+        self.limit_arrivals();
         let answerable = self.confirm_up_to(revision, points)?;
         for batch in &self.queue {
             for (id, step) in batch.steps(self.width) {

@@ -5,7 +5,10 @@ mod meanwhile;
 use super::*;
 use crate::{
     Meanwhile,
-    index::local::{LocalPoints, NewRow},
+    index::{
+        local::{LocalPoints, NewRow},
+        shared::meanwhile::Reloaded,
+    },
 };
 use wayfold_index::{Forest, ForestOptions, Points, Search, Space};
 
@@ -52,13 +55,13 @@ fn foreign(writes: &mut PendingWrites, points: &mut LocalPoints, id: u64, tag: u
         .expect("a state");
 }
 
-/// A copy that was read again, with these points.
+/// A copy that was read again at a revision, which also stored the states of these points.
 fn reload(
     writes: &mut PendingWrites,
     points: &mut LocalPoints,
     revision: u64,
     rows: &[(u64, u64, f64)],
-) {
+) -> Vec<Meanwhile> {
     let change = points.read_revision().0 + 1_000;
     let mut forest = Forest::new(space(), ForestOptions::for_space(&space()));
     let mut table = Points::new(1);
@@ -66,8 +69,13 @@ fn reload(
         table.push(id, tag, change, &[row]);
     }
     forest.apply(change, &table, &[]).expect("states");
+    let old = points.forest.snapshot();
+    let changes = Reloaded::between(&old, &forest.snapshot(), &vec![revision; rows.len()]);
     points.replace(forest);
-    writes.reloaded(revision, points).expect("a copy");
+    let answerable = writes.reloaded(revision, &changes, points).expect("a copy");
+    let space = space();
+    let answers = answerable.iter().map(|it| it.answers(&space));
+    answers.flatten().collect()
 }
 
 fn shown(points: &LocalPoints, id: u64) -> Option<(u64, f64)> {

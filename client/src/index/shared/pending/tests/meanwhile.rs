@@ -77,7 +77,54 @@ fn a_question_is_answered_when_its_point_is_published() {
     let answers = confirmed(&mut writes, &mut points, 2);
     assert_eq!((answers[0].id, answers[0].is_superset), (second, true));
     assert_eq!((answers[0].points_before, writes.bytes), (3, 0));
-    assert_eq!(neighbor_ids(&answers[0]), [4, first, 1]);
+    assert_eq!(neighbor_ids(&answers[0]), [4]);
+}
+
+/// The search asks only for points that an earlier one could not see, and finds fewer than it asks for.
+#[test]
+fn after_a_reload_the_points_that_were_there_before_are_not_told() {
+    let (mut writes, mut points) = pending_writes();
+    foreign(&mut writes, &mut points, 1, 0, 0.0);
+    foreign(&mut writes, &mut points, 2, 0, 0.1);
+    let mut search = Search::nearest_k(2);
+    search.filter.since_revision = points.read_revision().0;
+    let ask = |writes: &mut PendingWrites, points: &mut LocalPoints| {
+        let id = insert(writes, points, 0.5);
+        let change = points.read_revision().0;
+        writes.note_search(id, &[0.5], &search, &[], change);
+        writes.next(1, 0).expect("a batch");
+        id
+    };
+    let first = ask(&mut writes, &mut points);
+    // The server stores it, then the points 3 and 4, and moves the point 2.
+    let early = writes.acknowledge(1, 20, 0, &mut points);
+    assert!(early.expect("a batch").is_empty());
+    let second = ask(&mut writes, &mut points);
+    let rows = [
+        (1, 0, 0.0),
+        (2, 0, 9.0),
+        (3, 0, 0.6),
+        (4, 0, 0.8),
+        (first, 0, 0.5),
+    ];
+    let answers = reload(&mut writes, &mut points, 30, &rows);
+    assert_eq!(answers.len(), 1);
+    assert_eq!((answers[0].id, answers[0].is_superset), (first, true));
+    assert!(answers[0].neighbors.is_empty(), "they came later");
+    let answers = confirmed(&mut writes, &mut points, 2);
+    assert_eq!((answers[0].id, answers[0].is_superset), (second, true));
+    assert_eq!(neighbor_ids(&answers[0]), [3, 4]);
+}
+
+#[test]
+fn after_a_reload_a_point_that_came_before_is_told() {
+    let (mut writes, mut points) = pending_writes();
+    insert_near_1(&mut writes, &mut points, &Search::nearest_k(1));
+    writes.next(1, 0).expect("a batch");
+    let early = writes.acknowledge(1, 20, 0, &mut points).expect("a batch");
+    assert!(early.is_empty());
+    let answers = reload(&mut writes, &mut points, 20, &[(7, 0, 0.5), (100, 0, 0.0)]);
+    assert_eq!(neighbor_ids(&answers[0]), [7]);
 }
 
 /// Own and foreign changes between an insert and its place in the order.
