@@ -318,8 +318,8 @@ impl NearestNeighbors for Remote {
     }
 
     fn changes(&self, since: ReadRevision) -> Result<Option<Changes>, Error> {
-        let index = self.index.clone();
-        wait_for(async move {
+        let (index, timeout) = (self.index.clone(), self.index.timeout());
+        let reading = async move {
             let mut watch = index.watch().after(index.revision_at(since.0)).await?;
             // The server may lag behind one that answered this client before.
             let newest = watch.newest().number.max(index.revision().number);
@@ -358,6 +358,10 @@ impl NearestNeighbors for Remote {
                 }
             }
             Ok(Some(changes))
+        };
+        wait_for(async move {
+            let read = tokio::time::timeout(timeout, reading).await;
+            read.unwrap_or_else(|_| Err(Error::timeout("watch", timeout)))
         })
     }
 

@@ -230,22 +230,23 @@ fn check(origin: &str, key: &str, default: &Value, value: &Value) -> Result<(), 
                 problem,
             });
         }
-        (ValueKind::String(_), ValueKind::String(text)) if text.is_empty() => {
+        (ValueKind::String(_), ValueKind::String(text)) => {
+            // NATS takes no other names of streams and buckets.
+            let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_".contains(&byte);
+            let problem = if text.is_empty() {
+                "it is empty; leave the setting out to get the default".to_owned()
+            } else if SWITCHES.contains(&key) && text != ON && text != OFF {
+                format!("\"{text}\" is neither \"{ON}\" nor \"{OFF}\"")
+            } else if key == "cluster.name" && !text.bytes().all(is_plain) {
+                format!("\"{text}\" has more than letters of ASCII, digits, - and _")
+            } else {
+                return Ok(());
+            };
             return Err(ConfigError::Value {
                 origin: origin.to_owned(),
                 key: key.to_owned(),
-                problem: "it is empty; leave the setting out to get the default".to_owned(),
+                problem,
             });
-        }
-        (ValueKind::String(_), ValueKind::String(text)) => {
-            if SWITCHES.contains(&key) && text != ON && text != OFF {
-                return Err(ConfigError::Value {
-                    origin: origin.to_owned(),
-                    key: key.to_owned(),
-                    problem: format!("\"{text}\" is neither \"{ON}\" nor \"{OFF}\""),
-                });
-            }
-            return Ok(());
         }
         (ValueKind::I64(_), ValueKind::String(text)) => ("an integer", format!("\"{text}\"")),
         (ValueKind::I64(_), other) => ("an integer", other.to_string()),

@@ -288,3 +288,17 @@ fn a_secret_in_the_environment_or_a_flag_is_not_shown() {
     let error = Config::load(None, &BTreeMap::new(), &flags).unwrap_err();
     assert!(!error.to_string().contains("s3cret"), "{error}");
 }
+
+#[test]
+fn a_name_of_a_cluster_that_nats_does_not_take_is_refused() {
+    for name in ["a.b", "a b", "a/b", ">", "ü"] {
+        let error = load_file(&format!("[cluster]\nname = '{name}'")).unwrap_err();
+        let text = error.to_string();
+        assert!(text.contains("cluster.name"), "{text}");
+        assert!(
+            text.contains(&format!("\"{name}\" has more than")),
+            "{text}"
+        );
+    }
+    load_file("[cluster]\nname = 'cell-3_B'").unwrap();
+}

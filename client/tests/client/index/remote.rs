@@ -1,9 +1,11 @@
 //! The remote form, against a real server in this process.
 
-use wayfold::{Error, Index, Space};
+use std::time::Duration;
+
+use wayfold::{Error, Index, ReadRevision, Space};
 
 use super::conformance;
-use crate::server::Server;
+use crate::{fake::Fake, server::Server, watching::message};
 
 fn remote(server: &Server, name: &str, space: &Space) -> Index {
     Index::remote(&server.uri, name)
@@ -53,4 +55,14 @@ fn it_is_never_cleared() {
     assert!(index.get(id).unwrap().is_some());
     index.remove_all().unwrap();
     assert!(index.is_empty().unwrap());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_feed_that_stands_still_ends_a_call_at_its_timeout() {
+    let fake = Fake::start().await;
+    fake.watch_tells(vec![Ok(message(5, Vec::new()))]);
+    let opening = Index::remote(&fake.uri, "line").timeout(Duration::from_millis(300));
+    let index = opening.open().unwrap();
+    let refused = index.changes(ReadRevision(3)).unwrap_err();
+    assert!(matches!(refused, Error::Timeout { .. }), "{refused:?}");
 }
