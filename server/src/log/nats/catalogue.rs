@@ -19,6 +19,7 @@ use parking_lot::Mutex;
 use tokio::{
     runtime::Handle,
     sync::{Semaphore, watch},
+    time::{Instant, sleep_until},
 };
 use tokio_util::task::AbortOnDropHandle;
 use tracing::warn;
@@ -33,6 +34,9 @@ use crate::log::{Catalogue, Entry, LogError, LostIndex, MAX_NAME_BYTES, Uid};
 
 /// The time for which the bucket's leader does not name an index that counts as gone.
 const MISSING_TIME: Duration = COMPARE_INTERVAL.saturating_mul(2);
+
+/// The time after which the other servers have heard that an index was deleted.
+const PURGE_PAUSE: Duration = Duration::from_secs(30);
 
 /// The attempts to change an entry that other servers change too.
 const MAX_ATTEMPTS: usize = 10;
@@ -164,6 +168,17 @@ impl NatsCatalogue {
 }
 
 impl NatsCatalogue {
+    /// Forgets what other servers published before they heard that the index was deleted.
+    fn purge_again(&self, uid: Uid) {
+        let connection = Arc::clone(&self.connection);
+        self.runtime.spawn(async move {
+            sleep_until(Instant::now() + PURGE_PAUSE).await;
+            if let Err(error) = connection.purge(uid).await {
+                warn!(%uid, %error, "late records of a deleted index may stay in NATS");
+            }
+        });
+    }
+
     /// True if the bucket's leader has not named an index for so long that NATS, or the list of the deleted ones, must have
     /// forgotten it: what a server knows and NATS has lost is written again before. The leader is asked for the next call.
     fn is_forgotten(&self, name: &str, uid: Uid) -> bool {
@@ -263,6 +278,7 @@ impl Catalogue for NatsCatalogue {
         if let Err(error) = self.runtime.block_on(self.connection.purge(uid)) {
             warn!(%uid, %error, "the records of a deleted index stay in NATS");
         }
+        self.purge_again(uid);
         self.local.delete(uid)
     }
 
