@@ -35,8 +35,14 @@ pub(super) fn run(config: &Config, name: &str, uid: Option<&str>) -> ExitCode {
     };
     match reseeded() {
         Ok(it) => {
+            let left_out = match it.left_out {
+                0 => String::new(),
+                count => {
+                    format!("left out: {count} later revisions, which this server did not have\n")
+                }
+            };
             let text = format!(
-                "index {name} goes on as {} from revision {} with {} points; it was {}\n\
+                "index {name} goes on as {} from revision {} with {} points; it was {}\n{left_out}\
                  next: start this server; the others take copies of it\n",
                 it.new, it.revision, it.points, it.old
             );

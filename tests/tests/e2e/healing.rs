@@ -250,6 +250,31 @@ async fn a_server_ahead_of_another_history_stays_stopped() {
     assert_eq!(Content::read(&stubs, "arm").await.unwrap(), expected);
 }
 
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_operator_hears_what_a_new_generation_leaves_out() {
+    let cluster = Cluster::empty();
+    let [server, behind]: [_; 2] = together(&cluster, &[]);
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("arm", "R1").await;
+    stubs.insert(with_payload(0)).await;
+    let mut others = Stubs::connect(behind.uri()).await;
+    others.find("arm").await;
+    latest_content(&mut others).await;
+    behind.stop(Signal::Terminate);
+    for id in 1..6 {
+        stubs.insert(with_payload(id)).await;
+    }
+    server.stop(Signal::Terminate);
+    let told = cluster.reseed(1);
+    assert!(told.contains("left out: 5 later revisions"), "{told}");
+    let server = cluster.start(1);
+    latest_content(&mut Stubs::connect(server.uri()).await).await;
+    server.stop(Signal::Terminate);
+    let told = cluster.reseed(1);
+    assert!(!told.contains("left out"), "{told}");
+}
+
 /// The server has the points of the records that NATS has lost, and the records are outside of its window.
 #[ignore = "needs nats-server"]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -83,8 +83,9 @@ impl Cluster {
         self.directory.path().join(format!("data-{number}"))
     }
 
-    /// Starts a new generation of the index "arm" from the directory of a server, which is stopped.
-    pub(crate) fn reseed(&self, number: usize) {
+    /// Starts a new generation of the index "arm" from the directory of a server, which is stopped. Returns what the command
+    /// tells.
+    pub(crate) fn reseed(&self, number: usize) -> String {
         let reseeded = Command::new(env!("CARGO_BIN_EXE_server-process"))
             .args(["reseed", "arm", "--data"])
             .arg(self.data(number))
@@ -94,6 +95,7 @@ impl Cluster {
         assert!(reseeded.status.success(), "{reseeded:?}");
         let text = String::from_utf8(reseeded.stdout).unwrap();
         assert!(text.contains("index arm goes on as "), "{text}");
+        text
     }
 
     /// NATS loses all that it has.
