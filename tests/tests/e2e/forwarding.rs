@@ -51,6 +51,34 @@ async fn create_everywhere(stubs: &mut [Stubs]) {
 
 #[ignore = "needs nats-server"]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_command_watch_goes_on_at_another_server() {
+    let cluster = Cluster::empty();
+    let [server, other]: [_; 2] = together(&cluster, &[]);
+    let mut stubs = Vec::new();
+    for server in [&server, &other] {
+        stubs.push(Stubs::connect(server.uri()).await);
+    }
+    create_everywhere(&mut stubs).await;
+    let mut watch = Command::new(env!("CARGO_BIN_EXE_cli-process"));
+    watch.args(["--server", &format!("{},{}", server.uri(), other.uri())]);
+    let mut watch = Process::spawn(watch.args(["watch", "arm", "--after", "0"]));
+    stubs[0].insert(insert(1.0)).await;
+    let mut next = |revision: usize| {
+        let line = watch.line().expect("a line");
+        // Neither a gap nor a repetition.
+        assert!(line.starts_with(&format!("revision {revision} ")), "{line}");
+        line.contains("1 stored")
+    };
+    assert!(next(1));
+    server.stop(Signal::Kill);
+    stubs[1].insert(insert(2.0)).await;
+    // The new owner of the index may have written a record of its own before.
+    assert!(next(2) || next(3));
+    watch.stop(Signal::Kill);
+}
+
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_owner_evaluates_the_mutations_of_all_servers_until_it_is_gone() {
     const EACH: u64 = 10;
     let cluster = Cluster::empty();

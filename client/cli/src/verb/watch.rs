@@ -12,7 +12,7 @@ use crate::{
     output::{Format, JsonIds, JsonRevision, Output},
     parse::{self, RevisionArg},
 };
-use wayfold::{Include, Mutation, Reset, ResetReason, Revision, Watch, WatchEvent};
+use wayfold::{Code, Include, IndexHandle, Mutation, Reset, ResetReason, Revision, WatchEvent};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -23,7 +23,8 @@ Prints a line for each mutation as soon as reads can see it, until Ctrl-C. In JS
 the stored points and the removed ids: {\"revision\":{\"uid\":...,\"number\":N},\"time_ms\":...,
 \"stored\":[{\"id\":...,\"state\":[...],...}],\"removed_ids\":[...]}. The exit status is 3 if the
 next mutation is not available: the index was deleted or created again, or the server no longer
-keeps mutations that old.";
+keeps mutations that old. If the server ends, the watch goes on at another one that --server names, or
+at the same one once it is back within --timeout.";
 
 /// Prints the mutations of an index as they happen
 #[derive(Debug, clap::Args)]
@@ -50,31 +51,48 @@ struct MutationLine<'a> {
 pub(crate) async fn watch(args: WatchArgs, context: &mut Context) -> Result<(), Failure> {
     let index = context.index(&args.name).await?;
     let include = args.include.include_or(POINT_COLUMNS);
-    let mut request = index.watch().include(include);
-    if let Some(after) = &args.after {
-        request = request.after(options::revision(after, &index));
-    }
-    let watch = request.await?;
+    let after = args.after.as_ref();
+    let after = after.map(|after| options::revision(after, &index));
     tokio::select! {
-        ended = print_all(watch, include, &mut context.output) => ended,
+        ended = print_all(&index, after, include, &mut context.output) => ended,
         // Only whole lines were printed.
         interrupted = tokio::signal::ctrl_c() => Ok(interrupted?),
     }
 }
 
-async fn print_all(mut watch: Watch, include: Include, output: &mut Output) -> Result<(), Failure> {
-    while let Some(event) = watch.next().await? {
-        match event {
-            WatchEvent::Mutation(mutation) => print(output, &mutation, include)?,
-            WatchEvent::Reset(reset) => {
+/// Prints the mutations after a revision, or after the newest one.
+async fn print_all(
+    index: &IndexHandle,
+    after: Option<Revision>,
+    include: Include,
+    output: &mut Output,
+) -> Result<(), Failure> {
+    let request = |after| index.watch().include(include).after(after);
+    let mut watch = match after.clone() {
+        Some(after) => request(after).await?,
+        None => index.watch().include(include).await?,
+    };
+    let mut printed = after.unwrap_or_else(|| watch.newest().clone());
+    loop {
+        match watch.next().await {
+            Ok(Some(WatchEvent::Mutation(mutation))) => {
+                print(output, &mutation, include)?;
+                printed = mutation.revision;
+            }
+            Ok(Some(WatchEvent::Reset(reset))) => {
                 let (reason, problem) = describe(&reset);
                 return Err(Failure::Reset { reason, problem });
             }
+            Ok(None) => return Ok(()),
+            // The server has gone: another one, or the same one after its restart, has the next mutations.
+            Err(error) if error.code() == Code::Unavailable => {
+                watch = request(printed.clone()).await?;
+            }
+            Err(error) => return Err(error.into()),
         }
         // A reader may wait for this line.
         output.flush()?;
     }
-    Ok(())
 }
 
 fn print(output: &mut Output, mutation: &Mutation, include: Include) -> io::Result<()> {
