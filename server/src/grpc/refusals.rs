@@ -163,6 +163,14 @@ pub(crate) fn too_many_arriving() -> Refusal {
     busy("TOO_MANY_CALLS", message, ARRIVING, MAX_ARRIVING)
 }
 
+/// The refusal of the rest of a stream for reflection whose client sends faster than it is answered, or reads no answers.
+pub(crate) fn too_many_waiting(max_bytes: usize) -> Refusal {
+    let message = format!(
+        "more than {max_bytes} bytes of the requests of this stream wait for answers: read these before you send more"
+    );
+    busy("TOO_MANY_CALLS", message, ARRIVING, max_bytes)
+}
+
 /// The answer to a call that made the server panic.
 pub(crate) fn panicked(rpc: &str) -> Refusal {
     from_error(&Error::Internal {

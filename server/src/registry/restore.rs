@@ -126,7 +126,10 @@ impl Registry {
     pub(super) fn check_limits(&self, limits: &[IndexLimit]) -> Result<(), RegistryError> {
         let indexes = self.indexes.read();
         let restoring = self.host.restoring.lock();
-        let check = |limit: &IndexLimit| limit.check(indexes.keys().chain(restoring.iter()));
+        // The maintenance of a cluster may serve a restored index before its restore ends.
+        let restoring = restoring.iter().filter(|name| !indexes.contains_key(*name));
+        let names = indexes.keys().chain(restoring);
+        let check = |limit: &IndexLimit| limit.check(names.clone());
         limits.iter().try_for_each(check)
     }
 }

@@ -130,9 +130,12 @@ impl Service {
         loop {
             self.may_write(call, hosted).await?;
             let waiting = async {
+                // All clients of the server that forwards have one connection.
                 let _turn = match &call.permits {
-                    Some(permits) => permits.write(*hosted.uid().as_bytes()).await,
-                    None => None,
+                    Some(permits) if !call.is_forwarded => {
+                        permits.write(*hosted.uid().as_bytes()).await
+                    }
+                    _ => None,
                 };
                 hosted.write().await
             };

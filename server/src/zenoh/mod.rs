@@ -49,7 +49,9 @@ const MAX_REFUSALS: usize = 256;
 
 /// Threads that may wait for links at once: callers that read no answers must not take the threads of others.
 pub(crate) fn max_senders(config: &ZenohConfig) -> usize {
-    config.max_calls.saturating_add(MAX_REFUSALS)
+    // Calls of administration have as many places as the others.
+    let calls = config.max_calls.saturating_mul(2);
+    calls.saturating_add(MAX_REFUSALS)
 }
 
 /// The open face.

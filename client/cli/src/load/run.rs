@@ -108,7 +108,8 @@ pub(super) fn run(
     outcome.is_interrupted = *stopped.borrow();
     line.set_message("settling");
     drop(first);
-    let cleaned = match outcome.is_interrupted && !plan.may_leave.load(Relaxed) {
+    let has_nothing = !plan.keep && !plan.may_leave.load(Relaxed);
+    let cleaned = match outcome.is_interrupted && has_nothing {
         true => Ok(()),
         false => clean(&plan, &mut outcome.points),
     };

@@ -23,8 +23,8 @@ Prints a line for each mutation as soon as reads can see it, until Ctrl-C. In JS
 the stored points and the removed ids: {\"revision\":{\"uid\":...,\"number\":N},\"time_ms\":...,
 \"stored\":[{\"id\":...,\"state\":[...],...}],\"removed_ids\":[...]}. The exit status is 3 if the
 next mutation is not available: the index was deleted or created again, or the server no longer
-keeps mutations that old. If the server ends, the watch goes on at another one that --server names, or
-at the same one once it is back within --timeout.";
+keeps mutations that old. If the server ends, the watch goes on at another one that --server
+names, or at the same one once it is back within --timeout.";
 
 /// Prints the mutations of an index as they happen
 #[derive(Debug, clap::Args)]
@@ -73,11 +73,12 @@ async fn print_all(
         None => index.watch().include(include).await?,
     };
     let mut printed = after.unwrap_or_else(|| watch.newest().clone());
+    let mut is_repeated = false;
     loop {
         match watch.next().await {
             Ok(Some(WatchEvent::Mutation(mutation))) => {
                 print(output, &mutation, include)?;
-                printed = mutation.revision;
+                (printed, is_repeated) = (mutation.revision, false);
             }
             Ok(Some(WatchEvent::Reset(reset))) => {
                 let (reason, problem) = describe(&reset);
@@ -85,7 +86,9 @@ async fn print_all(
             }
             Ok(None) => return Ok(()),
             // The server has gone: another one, or the same one after its restart, has the next mutations.
-            Err(error) if error.code() == Code::Unavailable => {
+            // One that cannot read them either ends the watch.
+            Err(error) if error.code() == Code::Unavailable && !is_repeated => {
+                is_repeated = true;
                 watch = request(printed.clone()).await?;
             }
             Err(error) => return Err(error.into()),

@@ -36,8 +36,9 @@ pub struct Meanwhile {
     pub points_before: usize,
     /// Its neighbours, nearest first.
     pub neighbors: Vec<Neighbor>,
-    /// True if some of them may have been in the answer of the insert, or come after the point: all points were read
-    /// again between, or others stored very many. They are as this process shows them, with its later writes.
+    /// True if all points were read again between, or others stored very many: some neighbours may have been in the answer of
+    /// the insert, or come after the point, and one that was stored again after it may be missing. If others stored very
+    /// many, they are as this process shows them, with its later writes.
     pub is_superset: bool,
 }
 
@@ -84,6 +85,9 @@ pub(super) struct OpenSearch {
     /// The revision of the insert, or [`AFTER_ALL`]; None if the copy was read again, and had it already at one that is not
     /// known.
     pub(super) revision: Option<u64>,
+    /// The first and the last change since by which the copy was read again; `u64::MAX` for none.
+    first_reload: u64,
+    last_reload: u64,
     /// True if the copy was read again since, or too many points arrived.
     is_superset: bool,
     /// True if too many points arrived.
@@ -114,6 +118,8 @@ impl OpenSearch {
             change,
             points_before: 0,
             revision: Some(AFTER_ALL),
+            first_reload: u64::MAX,
+            last_reload: u64::MAX,
             is_superset: false,
             searches_all: false,
         }
@@ -124,9 +130,10 @@ impl OpenSearch {
         size_of::<OpenSearch>() + size_of_val(&self.row[..]) + size_of_val(&self.found[..])
     }
 
-    /// The answer will be a superset.
-    pub(super) fn widen(&mut self) {
-        self.is_superset = true;
+    /// The copy was read again, as change number `change`: the answer will be a superset.
+    pub(super) fn reload(&mut self, change: u64) {
+        self.first_reload = self.first_reload.min(change);
+        (self.last_reload, self.is_superset) = (change, true);
     }
 
     /// The answer will be a superset, of all points.
@@ -196,9 +203,6 @@ impl OpenSearches {
 
     /// The copy was read again, as change number `change`.
     pub(super) fn reload(&mut self, change: u64, changes: &Reloaded) {
-        if changes.has_departures {
-            self.depart(change);
-        }
         if self.are_open() {
             let stored = changes.stored.iter();
             let stored = stored.map(|&(id, revision, old_tag)| Arrival {
@@ -225,7 +229,7 @@ impl OpenSearches {
 
     /// Forgets the points that others stored.
     pub(super) fn forget(&mut self) {
-        self.stored.clear();
+        self.stored = VecDeque::new();
     }
 
     /// The server has stored the points of these searches. `published` has what is published under an id, and `snapshot` takes
@@ -338,8 +342,8 @@ impl Answerable {
         });
         let neighbors = unseen.map(|(changes, id, (_, row))| {
             let distance = space.distance(&open.row, row);
-            let mut unseen = changes.iter().filter(|arrival| arrival.is_unseen(open));
-            let is_before = unseen.any(|arrival| arrival.is_before(open));
+            let last = changes.last();
+            let is_before = last.is_some_and(|it| it.is_unseen(open) && it.is_before(open));
             (Neighbor { distance, id }, is_before)
         });
         let bound = match self.departure > open.change {

@@ -3,7 +3,12 @@
 //! for as long as its client likes, and until its answers are read. Few streams for reflection of all connections may be
 //! open, and few of their bytes wait.
 
-use std::{convert::Infallible, pin::pin, sync::Arc, task::Poll};
+use std::{
+    convert::Infallible,
+    pin::pin,
+    sync::{Arc, OnceLock},
+    task::Poll,
+};
 
 use bytes::{Buf, Bytes, BytesMut};
 use futures_util::{StreamExt, poll};
@@ -50,7 +55,8 @@ where
     let activity = request.extensions().get::<Activity>().cloned();
     async move {
         let is_stream = request.uri().path().starts_with(REFLECTION);
-        let mut receiving = pin!(receive(request, is_stream));
+        let refused = Arc::new(OnceLock::new());
+        let mut receiving = pin!(receive(request, is_stream.then(|| Arc::clone(&refused))));
         let mut received = poll!(receiving.as_mut());
         let mut places = None;
         if is_stream || received.is_pending() {
@@ -82,16 +88,31 @@ where
         // Its places are free once its answers are read.
         let counted = move |frame: Frame<Bytes>| {
             let _held = &places;
-            frame.map_data(|bytes| unread(bytes, (), activity.as_ref()))
+            match refused.get().filter(|_| frame.is_trailers()) {
+                Some(refused) => {
+                    admission.count_excess();
+                    Frame::trailers(
+                        Status::clone(refused)
+                            .into_http::<()>()
+                            .into_parts()
+                            .0
+                            .headers,
+                    )
+                }
+                None => frame.map_data(|bytes| unread(bytes, (), activity.as_ref())),
+            }
         };
         Ok(response.map(|body| Body::new(body.map_frame(counted))))
     }
 }
 
-/// Receives a request whole, unless it is a stream.
-async fn receive(request: Request<Body>, is_stream: bool) -> Result<Request<Body>, Status> {
-    if is_stream {
-        return Ok(request.map(read_on));
+/// Receives a request whole, unless it is a stream, which is refused later if too much of it waits.
+async fn receive(
+    request: Request<Body>,
+    stream: Option<Arc<OnceLock<Status>>>,
+) -> Result<Request<Body>, Status> {
+    if let Some(refused) = stream {
+        return Ok(request.map(|body| read_on(body, refused)));
     }
     let (parts, mut body) = request.into_parts();
     let mut whole = BytesMut::new();
@@ -114,7 +135,7 @@ async fn receive(request: Request<Body>, is_stream: bool) -> Result<Request<Body
 
 /// Reads a stream at once, whether or not the service does, and ends it if too much of it waits. HTTP/2 would keep it, each
 /// frame of one byte with thousands that were read beside it.
-fn read_on(mut body: Body) -> Body {
+fn read_on(mut body: Body, refused: Arc<OnceLock<Status>>) -> Body {
     let (send, receive) = mpsc::unbounded_channel();
     let room = Arc::new(Semaphore::new(MAX_WAITING_BYTES));
     tokio::spawn(async move {
@@ -129,8 +150,11 @@ fn read_on(mut body: Body) -> Body {
                         let bytes = Bytes::copy_from_slice(&bytes);
                         let held = (bytes.len() + PART_BYTES) as u32;
                         let held = Arc::clone(&room).try_acquire_many_owned(held);
-                        held.map(|held| (Frame::data(bytes), held))
-                            .map_err(|_| refusals::too_many_arriving().into())
+                        held.map(|held| (Frame::data(bytes), held)).map_err(|_| {
+                            let status = || refusals::too_many_waiting(MAX_WAITING_BYTES).into();
+                            // The service ends without an error.
+                            Status::clone(refused.get_or_init(status))
+                        })
                     }
                     Err(_trailers) => return,
                 },
@@ -156,7 +180,8 @@ mod tests {
     async fn a_stream_whose_bytes_wait_is_ended() {
         let (send, receive) = mpsc::channel(1);
         let sent = tokio_stream::wrappers::ReceiverStream::new(receive);
-        let mut read = read_on(Body::new(StreamBody::new(sent)));
+        let refused = Arc::new(OnceLock::new());
+        let mut read = read_on(Body::new(StreamBody::new(sent)), Arc::clone(&refused));
         let part = Bytes::from_static(&[7]);
         let mut parts = 0;
         while send
@@ -173,13 +198,17 @@ mod tests {
             waiting += 1;
         }
         assert_eq!(waiting, MAX_WAITING_BYTES / (PART_BYTES + 1));
+        assert_eq!(
+            refused.get().unwrap().code(),
+            tonic::Code::ResourceExhausted
+        );
     }
 
     #[tokio::test]
     async fn a_stream_that_is_read_goes_on() {
         let (send, receive) = mpsc::channel(1);
         let sent = tokio_stream::wrappers::ReceiverStream::new(receive);
-        let mut read = read_on(Body::new(StreamBody::new(sent)));
+        let mut read = read_on(Body::new(StreamBody::new(sent)), Arc::default());
         let part = Bytes::from(vec![7; MAX_WAITING_BYTES / 2]);
         for _ in 0..10 {
             send.send(Ok::<_, Status>(Frame::data(part.clone())))

@@ -99,7 +99,7 @@ fn sweep(
     if stop.load(Ordering::Relaxed) {
         return Ok(());
     }
-    let has_dropped = drop_tables(store, number).map_err(text)?;
+    let has_dropped = drop_tables(store, failure, number).map_err(text)?;
     for key in [point_key, record_key, operation_key, session_key, block_key] {
         let mut after = Bound::Included(key(number, 0));
         let last = Bound::Included(key(number, u64::MAX));
@@ -128,7 +128,7 @@ fn sweep(
 /// Drops the tables that hold nothing but points or records of the index, and returns whether there were any: those that a
 /// merge has made. Removed keys alone give no disk back before the store merges their tables, for which it needs more disk.
 /// Comes before the removal of keys, whose marks might be in a dropped table while the values are in another.
-fn drop_tables(store: &Store, number: Number) -> Result<bool, LogError> {
+fn drop_tables(store: &Store, failure: &Failure, number: Number) -> Result<bool, LogError> {
     let handles = store.handles()?;
     let tree = &handles.keyspace.tree;
     let mut has_dropped = false;
@@ -140,7 +140,7 @@ fn drop_tables(store: &Store, number: Number) -> Result<bool, LogError> {
         if ranges.any(|it| first[..] <= **it.min() && **it.max() <= last[..]) {
             // A loss of power must not bring an index back whose tables are gone.
             let is_synced = handles.database.persist(PersistMode::SyncAll);
-            is_synced.map_err(storage)?;
+            is_synced.map_err(|error| failure.note(storage(error)))?;
             let dropped = tree.drop_range(first..=last);
             dropped.map_err(|error| storage(error.into()))?;
             has_dropped = true;

@@ -2,7 +2,7 @@
 
 use wayfold_index::ForestSnapshot;
 
-use super::{AFTER_ALL, OpenSearch};
+use super::{AFTER_ALL, MAX_ARRIVALS, OpenSearch};
 
 /// A point that another writer stored.
 #[derive(Clone, Copy, Debug)]
@@ -19,24 +19,31 @@ impl Arrival {
     /// True if the answer of the search could not see it, and it came before the point of the search. (If the copy was read
     /// again, it may have come after.)
     pub(super) fn is_unseen(&self, open: &OpenSearch) -> bool {
-        let orders = self.revision.zip(open.revision);
-        self.change > open.change && orders.is_none_or(|(stored, own)| stored <= own)
+        let may_be_before = match self.revision {
+            Some(stored) => open.revision.is_none_or(|own| stored <= own),
+            // What the feed brings is newer than the copy that was read before.
+            None => open.revision == Some(AFTER_ALL) || self.change < open.last_reload,
+        };
+        self.change > open.change && may_be_before
     }
 
     /// True if it certainly came before the point of the search.
     pub(super) fn is_before(&self, open: &OpenSearch) -> bool {
-        let is_state = self.revision.is_none() || self.old_tag.is_none();
-        open.revision == Some(AFTER_ALL) || is_state && open.revision.is_some()
+        let is_in_order = match self.revision {
+            Some(_) => open.revision.is_some() && self.old_tag.is_none(),
+            None => self.change < open.first_reload,
+        };
+        open.revision == Some(AFTER_ALL) || is_in_order
     }
 }
 
-/// The changes of a copy that was read again.
+/// The changes of a copy that was read again; of each kind a few more than [`MAX_ARRIVALS`] at most.
 #[derive(Debug, Default)]
 pub(in crate::index::shared) struct Reloaded {
     /// The points with another state or tag: the id, the revision of the state, and the tag before if only that is new.
     pub(super) stored: Vec<(u64, u64, Option<u64>)>,
-    /// True if a point has left, has moved, or has another tag.
-    pub(super) has_departures: bool,
+    /// The points that have left, have moved, or have another tag.
+    pub(in crate::index::shared) departed: Vec<u64>,
 }
 
 impl Reloaded {
@@ -49,18 +56,28 @@ impl Reloaded {
         let mut changes = Reloaded::default();
         let mut before = old.points_after(None).peekable();
         for (point, &revision) in new.points_after(None).zip(revisions) {
-            while before.next_if(|old| old.id < point.id).is_some() {
-                changes.has_departures = true;
+            while let Some(gone) = before.next_if(|old| old.id < point.id) {
+                changes.depart(gone.id);
             }
             let known = before.next_if(|old| old.id == point.id);
             let unmoved = known.as_ref().filter(|old| old.row == point.row);
             let old_tag = unmoved.map(|old| old.tag);
             if old_tag != Some(point.tag) {
-                changes.has_departures |= known.is_some();
-                changes.stored.push((point.id, revision, old_tag));
+                if known.is_some() {
+                    changes.depart(point.id);
+                }
+                if changes.stored.len() <= MAX_ARRIVALS {
+                    changes.stored.push((point.id, revision, old_tag));
+                }
             }
         }
-        changes.has_departures |= before.next().is_some();
+        before.for_each(|gone| changes.depart(gone.id));
         changes
+    }
+
+    fn depart(&mut self, id: u64) {
+        if self.departed.len() <= MAX_ARRIVALS {
+            self.departed.push(id);
+        }
     }
 }

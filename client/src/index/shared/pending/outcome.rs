@@ -224,10 +224,15 @@ impl PendingWrites {
     ) -> Result<Vec<Answerable>, Error> {
         self.rebased.clear();
         self.published_points = points.forest.len();
-        for open in self.queue.iter_mut().flat_map(|batch| &mut batch.searches) {
-            open.widen();
-        }
         let change = points.read_revision().0;
+        for open in self.queue.iter_mut().flat_map(|batch| &mut batch.searches) {
+            open.reload(change);
+        }
+        let mut departed = changes.departed.iter();
+        // An own insert may not be in it yet.
+        if departed.any(|id| !self.is_pending_insert(*id)) {
+            self.open_searches.depart(change);
+        }
         self.open_searches.reload(change, changes);
         self.limit_arrivals();
         let answerable = self.confirm_up_to(revision, points)?;

@@ -116,6 +116,33 @@ fn after_a_reload_the_points_that_were_there_before_are_not_told() {
     assert_eq!(neighbor_ids(&answers[0]), [3, 4]);
 }
 
+/// The answer to the batch was lost. Point 7 came before it, point 8 long after the reload that has both.
+#[test]
+fn after_a_reload_a_later_point_takes_no_place() {
+    let (mut writes, mut points) = pending_writes();
+    insert_near_1(&mut writes, &mut points, &Search::nearest_k(1));
+    writes.next(1, 0).expect("a batch");
+    let early = reload(&mut writes, &mut points, 18, &[(7, 0, 0.5), (100, 0, 0.0)]);
+    assert!(early.is_empty());
+    foreign(&mut writes, &mut points, 8, 0, 0.1);
+    let answerable = writes.acknowledge(1, 20, 30, &mut points).expect("a batch");
+    let answer = answerable[0].answers(&space()).next().expect("an answer");
+    assert_eq!(neighbor_ids(&answer), [7]);
+}
+
+#[test]
+fn after_a_reload_an_own_insert_that_is_not_in_it_has_not_left() {
+    let (mut writes, mut points) = pending_writes();
+    foreign(&mut writes, &mut points, 1, 0, 1.0);
+    insert_near_1(&mut writes, &mut points, &Search::nearest_k(1));
+    writes.next(1, 0).expect("a batch");
+    let rows = [(1, 0, 1.0), (7, 0, 50.0)];
+    assert!(reload(&mut writes, &mut points, 30, &rows).is_empty());
+    let answers = confirmed(&mut writes, &mut points, 1);
+    // It is farther than the neighbour that the insert found.
+    assert!(answers[0].neighbors.is_empty());
+}
+
 #[test]
 fn after_a_reload_a_point_that_came_before_is_told() {
     let (mut writes, mut points) = pending_writes();
