@@ -317,8 +317,8 @@ impl Ticks {
 /// A line of a worker, or its end, and the time of its arrival.
 pub type WorkerEvent<A> = (usize, Option<Line<A>>, Instant);
 
-/// Starts a worker for each job, and returns once all are ready, or with the first in order that ended before. Forwards their messages as long as `events` accepts
-/// them.
+/// Starts a worker for each job, and returns once all are ready, or with the first in order that ended before. Forwards
+/// their messages as long as `events` accepts them.
 pub fn start<J: Job>(
     jobs: &[J],
     events: impl Fn(WorkerEvent<J::Account>) -> bool + Clone + Send + 'static,
