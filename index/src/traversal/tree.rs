@@ -17,7 +17,7 @@ pub(crate) const MAX_HEIGHT: usize = 11;
 pub(crate) trait Tree<'a> {
     /// A node or a leaf.
     type Cell: Copy;
-    /// What [`Tree::child`] finds a node's children by.
+    /// [`Tree::child`] finds a node's children by it.
     type Children: Copy;
 
     /// The newest revision of a state in the tree.

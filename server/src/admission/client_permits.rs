@@ -1,4 +1,4 @@
-//! What the calls of one client wait for among themselves, so that calls of others do not wait behind all of them.
+//! The calls of one client wait for its permits among themselves, so that calls of others do not wait behind all of them.
 
 use std::{
     collections::HashMap,

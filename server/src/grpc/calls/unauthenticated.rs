@@ -34,7 +34,7 @@ const REFLECTION: &str = "/grpc.reflection.";
 /// The bytes of a stream for reflection that wait for the service.
 const MAX_WAITING_BYTES: usize = 64 * 1024;
 
-/// Bytes that a part of them holds beside its own.
+/// Each part of them holds this many bytes beside its own.
 const PART_BYTES: usize = 64;
 
 /// True for the paths of health and reflection.
@@ -133,8 +133,8 @@ async fn receive(
     ))
 }
 
-/// Reads a stream at once, whether or not the service does, and ends it if too much of it waits. HTTP/2 would keep it, each
-/// frame of one byte with thousands that were read beside it.
+/// Reads a stream at once, whether or not the service does, and ends it if too much of it waits. HTTP/2 would keep it,
+/// and with each frame of one byte the thousands that it read together with it.
 fn read_on(mut body: Body, refused: Arc<OnceLock<Status>>) -> Body {
     let (send, receive) = mpsc::unbounded_channel();
     let room = Arc::new(Semaphore::new(MAX_WAITING_BYTES));

@@ -21,7 +21,7 @@ impl Arrival {
     pub(super) fn is_unseen(&self, open: &OpenSearch) -> bool {
         let may_be_before = match self.revision {
             Some(stored) => open.revision.is_none_or(|own| stored <= own),
-            // What the feed brings is newer than the copy that was read before.
+            // The feed brings points that are newer than the copy.
             None => open.revision == Some(AFTER_ALL) || self.change < open.last_reload,
         };
         self.change > open.change && may_be_before

@@ -116,7 +116,7 @@ fn after_a_reload_the_points_that_were_there_before_are_not_told() {
     assert_eq!(neighbor_ids(&answers[0]), [3, 4]);
 }
 
-/// The answer to the batch was lost. Point 7 came before it, point 8 long after the reload that has both.
+/// The answer to the batch was lost. The copy that was read again has its point, and point 7; the feed brings point 8 later.
 #[test]
 fn after_a_reload_a_later_point_takes_no_place() {
     let (mut writes, mut points) = pending_writes();
