@@ -237,30 +237,26 @@ async fn nothing_is_asked_of_a_single_server_that_was_not_asked_before() {
 }
 
 #[tokio::test]
-async fn a_watch_ends_when_the_client_leaves_its_server() {
+async fn a_watch_goes_where_the_client_goes() {
     let (first, second) = (Fake::start().await, Fake::start().await);
     let client = connect([&first.uri, &second.uri]).await;
     let index = client.index("line").await.unwrap();
-    let mut watch = index.watch().await.unwrap();
-    first.unavailable(usize::MAX);
-    index.knn([[0.0]]).await.unwrap();
-    let error = watch.next().await.unwrap_err();
-    assert!(
-        matches!(&error, Error::Connection { uri, .. } if *uri == first.uri),
-        "{error}"
-    );
-
-    // It goes on at a server that lags: the first message names a revision before the one that the caller has.
+    first.watch_tells(vec![Ok(message(7, vec![]))]);
+    // It lags: the first message names a revision before the one that the caller has.
     second.watch_tells(vec![
         Ok(message(4, vec![])),
         Ok(message(8, vec![piece(8, &[(1, 0.5)], &[], (0, false))])),
     ]);
-    let mut watch = index.watch().after(index.revision_at(7)).await.unwrap();
+    let mut watch = index.watch().await.unwrap();
+    first.unavailable(usize::MAX);
+    index.knn([[0.0]]).await.unwrap();
     let event = watch.next().await.unwrap().unwrap();
-    let WatchEvent::Mutation(mutation) = event else {
-        panic!("{event:?}");
-    };
-    assert_eq!(mutation.revision.number, 8);
+    assert!(
+        matches!(&event, WatchEvent::Mutation(mutation) if mutation.revision.number == 8),
+        "{event:?}"
+    );
+    let requests = second.watch_requests().into_iter();
+    assert_eq!(asked_for(requests.map(|it| it.after_revision)), [7]);
 }
 
 /// The fake's scans and watches are the script: a scan more would find nothing.

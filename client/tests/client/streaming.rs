@@ -3,7 +3,7 @@
 use futures_util::StreamExt;
 use wayfold::{Code, Error, Include};
 
-use crate::{fake::Fake, server::Server};
+use crate::{fake::Fake, server::Server, watching::scanned};
 
 #[tokio::test]
 async fn answers_come_in_the_order_of_the_requests() {
@@ -97,4 +97,26 @@ async fn a_stream_that_is_over_takes_no_requests() {
         }
     };
     assert_eq!(error.code(), Code::Unavailable);
+}
+
+#[tokio::test]
+async fn scans_that_nobody_reads_on_do_not_stop_the_other_calls() {
+    let fake = Fake::start().await;
+    let points: Vec<_> = (0..100_000).map(|id| (id, 0.5)).collect();
+    let part = scanned(3, &points).remove(0);
+    let index = fake.client().await.index("line").await.unwrap();
+    let mut scans = Vec::new();
+    for _ in 0..8 {
+        fake.scan_answers(vec![part.clone(); 4], true);
+        let mut scan = index.scan().await.unwrap();
+        assert_eq!(scan.next().await.unwrap().unwrap().len(), points.len());
+        scans.push(scan);
+    }
+    index.knn([[0.0]]).await.unwrap();
+    for scan in &mut scans {
+        for _ in 1..4 {
+            scan.next().await.unwrap().unwrap();
+        }
+        assert_eq!(scan.next().await.unwrap(), None);
+    }
 }

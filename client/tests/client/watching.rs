@@ -1,7 +1,8 @@
 //! Following an index: whole mutations, in order, or an error, or a reset.
 
-use std::thread;
+use std::{thread, time::Duration};
 
+use tokio::time::timeout;
 use tonic::Status;
 use wayfold::{
     Code, ConnectionStatus, Error, Include, Index, Mutation, ResetReason, Watch, WatchEvent,
@@ -167,17 +168,56 @@ async fn a_message_that_is_no_next_mutation_ends_the_watch() {
 }
 
 #[tokio::test]
-async fn a_stream_that_breaks_tells_nothing_of_what_it_began() {
+async fn a_stream_that_breaks_goes_on_without_a_gap_or_a_repetition() {
     let fake = Fake::start().await;
+    let breaks = || Err(Status::unavailable("the server is stopping"));
+    let first = |continued| piece(4, &[(1, 0.0)], &[], (0, continued));
+    let next = piece(5, &[], &[1], (0, false));
     fake.watch_tells(vec![
-        Ok(message(4, vec![])),
-        Ok(message(4, vec![piece(4, &[(1, 0.0)], &[], (0, true))])),
-        Err(Status::unavailable("the server is stopping")),
+        Ok(message(5, vec![])),
+        Ok(message(5, vec![first(true)])),
+        breaks(),
     ]);
+    // One that ends at once.
+    fake.watch_tells(vec![Ok(message(5, vec![])), breaks()]);
+    fake.watch_tells(vec![Ok(message(5, vec![first(false)])), breaks()]);
+    fake.watch_tells(vec![Ok(message(5, vec![next])), breaks()]);
     let mut watch = watch(&fake).await;
+    let whole = mutation(&mut watch).await;
+    assert_eq!((whole.revision.number, whole.stored.ids()), (4, &[1][..]));
+    assert_eq!(mutation(&mut watch).await.removed_ids, [1]);
+    let begun = fake.watch_requests().into_iter();
+    let after: Vec<_> = begun.map(|request| request.after_revision).collect();
+    assert_eq!(after, [3, 3, 3, 4].map(revision));
+
+    // The server stays away.
+    fake.unavailable(usize::MAX);
     let error = watch.next().await.unwrap_err();
     assert_eq!(error.code(), Code::Unavailable);
     assert_eq!(watch.next().await.unwrap(), None);
+}
+
+/// The event that has not come yet is not lost, nor is the way to it.
+#[tokio::test]
+async fn a_caller_who_stops_waiting_again_and_again_still_sees_the_watch_go_on() {
+    let fake = Fake::start().await;
+    let breaks = || Err(Status::unavailable("the server is stopping"));
+    for _ in 0..3 {
+        fake.watch_tells(vec![Ok(message(4, vec![])), breaks()]);
+    }
+    let whole = piece(4, &[(1, 0.0)], &[], (0, false));
+    fake.watch_tells(vec![Ok(message(4, vec![whole]))]);
+    let mut watch = watch(&fake).await;
+    let event = loop {
+        // Less than the pause before a try.
+        if let Ok(event) = timeout(Duration::from_millis(1), watch.next()).await {
+            break event.unwrap().unwrap();
+        }
+    };
+    assert!(
+        matches!(&event, WatchEvent::Mutation(mutation) if mutation.revision.number == 4),
+        "{event:?}"
+    );
 }
 
 #[tokio::test]

@@ -12,7 +12,7 @@ use crate::{
     output::{Format, JsonIds, JsonRevision, Output},
     parse::{self, RevisionArg},
 };
-use wayfold::{Code, Include, IndexHandle, Mutation, Reset, ResetReason, Revision, WatchEvent};
+use wayfold::{Include, IndexHandle, Mutation, Reset, ResetReason, Revision, WatchEvent};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -67,35 +67,24 @@ async fn print_all(
     include: Include,
     output: &mut Output,
 ) -> Result<(), Failure> {
-    let request = |after| index.watch().include(include).after(after);
-    let mut watch = match after.clone() {
-        Some(after) => request(after).await?,
-        None => index.watch().include(include).await?,
+    let request = index.watch().include(include);
+    let request = match after {
+        Some(after) => request.after(after),
+        None => request,
     };
-    let mut printed = after.unwrap_or_else(|| watch.newest().clone());
-    let mut is_repeated = false;
-    loop {
-        match watch.next().await {
-            Ok(Some(WatchEvent::Mutation(mutation))) => {
-                print(output, &mutation, include)?;
-                (printed, is_repeated) = (mutation.revision, false);
-            }
-            Ok(Some(WatchEvent::Reset(reset))) => {
+    let mut watch = request.await?;
+    while let Some(event) = watch.next().await? {
+        match event {
+            WatchEvent::Mutation(mutation) => print(output, &mutation, include)?,
+            WatchEvent::Reset(reset) => {
                 let (reason, problem) = describe(&reset);
                 return Err(Failure::Reset { reason, problem });
             }
-            Ok(None) => return Ok(()),
-            // The server has gone: another one, or the same one after its restart, has the next mutations.
-            // One that cannot read them either ends the watch.
-            Err(error) if error.code() == Code::Unavailable && !is_repeated => {
-                is_repeated = true;
-                watch = request(printed.clone()).await?;
-            }
-            Err(error) => return Err(error.into()),
         }
         // A reader may wait for this line.
         output.flush()?;
     }
+    Ok(())
 }
 
 fn print(output: &mut Output, mutation: &Mutation, include: Include) -> io::Result<()> {

@@ -273,7 +273,7 @@ impl Link {
             Transport::Grpc(client) => {
                 let watch = handle(client, index, after).watch();
                 let watch = watch.after(index.revision_at(after));
-                watch.own_session(own_session).await
+                watch.for_copy(own_session).await
             }
             #[cfg(feature = "zenoh")]
             Transport::Zenoh(link) => link.watch(index, after, own_session).await,

@@ -12,6 +12,9 @@ use crate::index::local::NewRow;
 /// The content of a point: its tag and its row.
 pub(super) type Content = (u64, Vec<f64>);
 
+/// The content that an id shows: copies for each of thousands of pending writes would keep searches waiting.
+type Shown<'a> = (u64, &'a [f64]);
+
 /// One id with pending writes.
 #[derive(Debug)]
 pub(super) struct RebasedPoint {
@@ -33,10 +36,10 @@ enum Change {
 
 impl Change {
     /// Applies the change to a point.
-    fn apply(&self, point: Option<Content>) -> Option<Content> {
+    fn apply<'a>(&'a self, point: Option<Shown<'a>>) -> Option<Shown<'a>> {
         match self {
-            Change::Put(content) => Some(content.clone()),
-            Change::Replace(row) => point.map(|(tag, _)| (tag, row.clone())),
+            Change::Put((tag, row)) => Some((*tag, row)),
+            Change::Replace(row) => point.map(|(tag, _)| (tag, &row[..])),
             Change::Remove => None,
             Change::SetTag(tag) => point.map(|(_, row)| (*tag, row)),
             Change::SetPayload => point,
@@ -74,7 +77,8 @@ impl RebasedPoint {
         if let Some(change) = self.pending.pop_front()
             && !is_newer
         {
-            self.base = change.apply(self.base.take());
+            let confirmed = change.apply(self.published());
+            self.base = confirmed.map(|(tag, row)| (tag, row.to_vec()));
         }
         self.pending.is_empty()
     }
@@ -85,9 +89,13 @@ impl RebasedPoint {
         self.pending.is_empty()
     }
 
+    fn published(&self) -> Option<Shown<'_>> {
+        self.base.as_ref().map(|(tag, row)| (*tag, &row[..]))
+    }
+
     /// The point that the copy shows.
-    pub(super) fn shown(&self) -> Option<Content> {
+    pub(super) fn shown(&self) -> Option<Shown<'_>> {
         let changes = self.pending.iter();
-        changes.fold(self.base.clone(), |point, change| change.apply(point))
+        changes.fold(self.published(), |point, change| change.apply(point))
     }
 }

@@ -72,7 +72,7 @@ impl ClientBuilder {
     ///
     /// `uri` may name several servers that share their indices, with commas between them: the client uses the first
     /// that answers, and goes on at the next one when that is unavailable. Reads still see no older revision of an index
-    /// than the client has seen before; a [`Watch`](crate::Watch) ends with an error when the client leaves its server.
+    /// than the client has seen before, and a [`Watch`](crate::Watch) goes on after the last mutation that it has told.
     ///
     /// # Errors
     /// [`Error::Address`]; [`Error::Argument`]: a token that is none; [`Error::Handshake`] if the only server and this
@@ -131,7 +131,8 @@ impl ClientBuilder {
                 .tcp_nodelay(true)
                 .connect_timeout(connect)
                 .http2_keep_alive_interval(Duration::from_secs(interval))
-                .keep_alive_timeout(silence);
+                .keep_alive_timeout(silence)
+                .initial_connection_window_size(MAX_UNREAD_BYTES);
             let uri = endpoint.uri().to_string();
             Ok((uri.trim_end_matches('/').into(), endpoint))
         });
@@ -205,6 +206,10 @@ async fn first_answer(channel: Channel) -> Result<(), Status> {
 }
 
 const CALL: &str = "connect";
+
+/// The bytes of answers that may wait on a connection: those of 64 streams that nobody reads, of 2 MiB each, so that a
+/// few of them do not stop the other calls.
+const MAX_UNREAD_BYTES: u32 = 128 * 1024 * 1024;
 
 /// True if TLS refused what the server sent: rustls reports nothing else as invalid data.
 fn failed_handshake(error: &(dyn Cause + 'static)) -> bool {

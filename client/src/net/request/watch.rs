@@ -1,6 +1,7 @@
 //! Following the mutations of an index.
 
 mod event;
+mod feed;
 
 use std::{
     collections::VecDeque,
@@ -9,18 +10,14 @@ use std::{
     time::{Duration, SystemTime},
 };
 
-use futures_util::{
-    StreamExt,
-    stream::{self, BoxStream},
-};
-use tokio::time::{Instant, timeout};
-use tonic::Streaming;
+use futures_util::{StreamExt, future::BoxFuture, stream::BoxStream};
+use tokio::time::{Instant, sleep_until, timeout};
 use wayfold_proto::v1;
 
 pub use event::{Mutation, Reset, ResetReason, WatchEvent};
 
 use super::{awaitable, into_stream};
-use crate::{Error, Include, IndexHandle, Points, Revision, net::connections::Connection};
+use crate::{Code, Error, Include, IndexHandle, Points, Revision, net::connections::Connection};
 
 /// Follows an index: every mutation, in order, once readers can see it; await it to begin.
 ///
@@ -51,10 +48,14 @@ pub struct WatchRequest {
     after: Option<Revision>,
     include: Include,
     own_session: u64,
+    /// True if the watch goes on by itself where its server has gone.
+    goes_on: bool,
 }
 
-/// A watch under way, a stream of events. It ends after a reset and after an error; after an error, watch again from
-/// the newest revision that arrived.
+/// A watch under way, a stream of events, which ends after a reset and after an error. If its server ends or falls
+/// silent, it goes on at another one of the client's servers, or at the same one once that is back, with neither a gap
+/// nor a repetition; it ends with an error if none of them can be reached within the handle's timeout and the client's
+/// [`RetryPolicy`](crate::RetryPolicy).
 ///
 /// The server sends no faster than the caller takes the events. It sends a reset to a caller that is so slow that the
 /// server no longer keeps the next mutations.
@@ -69,6 +70,12 @@ pub struct Watch {
     after: u64,
     newest: Revision,
     over: bool,
+    /// The request that goes on where the server has gone; `None` if the caller does that.
+    request: Option<WatchRequest>,
+    /// The watch that goes on, while it begins.
+    next: Option<BoxFuture<'static, Result<Watch, Error>>>,
+    /// The number of times that the server had gone since the last mutation.
+    failures: u32,
 }
 
 /// The settings of a watch before its first message.
@@ -102,12 +109,14 @@ impl WatchRequest {
             after: None,
             include: Include::points(),
             own_session: 0,
+            goes_on: true,
         }
     }
 
-    /// Mutations of this writer session come without points and removed ids: the caller knows them.
-    pub(crate) fn own_session(mut self, session: u64) -> WatchRequest {
-        self.own_session = session;
+    /// The watch of a shared index, which watches again by itself after an error. Mutations of this writer session come
+    /// without points and removed ids: the caller knows them.
+    pub(crate) fn for_copy(mut self, own_session: u64) -> WatchRequest {
+        (self.own_session, self.goes_on) = (own_session, false);
         self
     }
 
@@ -124,31 +133,39 @@ impl WatchRequest {
     }
 
     async fn send(self) -> Result<Watch, Error> {
-        let client = self.index.client().clone();
+        let index = &self.index;
         let attempt = |connection: Connection, _remaining: Duration| {
             let (mut stub, message) = (connection.points(), self.message());
             // Without a deadline, which would bound the whole stream.
             async move { stub.watch(message).await }
         };
-        let waited = self.index.timeout();
+        let waited = index.timeout();
         let deadline = Instant::now() + waited;
-        let (messages, connection) = client.call_at(CALL, waited, deadline, attempt).await?;
-        let index = self.index;
+        let answer = index.client().call_at(CALL, waited, deadline, attempt);
+        let (messages, connection) = answer.await?;
         let start = WatchStart {
             server: connection.uri().to_string(),
             uid: index.revision().uid,
             coordinates: index.coordinates(),
             include: self.include,
-            after: self.after.map(|after| after.number),
+            after: self.after.as_ref().map(|after| after.number),
             timeout: waited,
         };
-        let feed = Feed {
-            index,
-            connection,
-            messages,
-        };
-        let messages = stream::unfold(feed, Feed::next);
-        Watch::of(start, Box::pin(messages)).await
+        let messages = feed::messages(index.clone(), connection, messages);
+        let watch = Watch::of(start, messages).await?;
+        Ok(Watch {
+            request: self.goes_on.then_some(self),
+            ..watch
+        })
+    }
+
+    /// The pause before the watch goes on: a server that ends every watch at once is not asked all the time.
+    fn pause(&self, failures: u32, error: &Error) -> Duration {
+        let policy = self.index.client().retry_policy();
+        match failures {
+            0 | 1 => Duration::ZERO,
+            more => policy.endless_pause(more, Some(error)),
+        }
     }
 
     fn message(&self) -> v1::WatchRequest {
@@ -158,44 +175,6 @@ impl WatchRequest {
             include: self.include.to_message(),
             own_session: self.own_session,
         }
-    }
-}
-
-/// The messages of a server, until the client leaves it.
-struct Feed {
-    index: IndexHandle,
-    connection: Connection,
-    messages: Streaming<v1::WatchResponse>,
-}
-
-impl Feed {
-    async fn next(mut self) -> Option<(Result<v1::WatchResponse, Error>, Feed)> {
-        let connections = self.index.client().connections();
-        let received = tokio::select! {
-            biased;
-            received = self.messages.next() => received?,
-            () = connections.left(&self.connection) => {
-                let elsewhere = Error::Connection {
-                    call: CALL,
-                    uri: self.connection.uri().to_string(),
-                    source: "the client has gone to another server".into(),
-                };
-                return Some((Err(elsewhere), self));
-            }
-        };
-        let named = match received {
-            Ok(message) => {
-                let named = self.index.answered(CALL, message.revision.clone());
-                named.map(|_| message)
-            }
-            Err(status) => {
-                let (uri, waited) = (self.connection.uri(), self.index.timeout());
-                let error = Error::from_status(CALL, uri, waited, status);
-                connections.failed(&self.connection, &error, Duration::ZERO);
-                Err(error)
-            }
-        };
-        Some((named, self))
     }
 }
 
@@ -210,6 +189,9 @@ impl Watch {
             after: 0,
             newest: Revision::new(Arc::clone(&start.uid), start.after.unwrap_or(0)),
             over: false,
+            request: None,
+            next: None,
+            failures: 0,
             start,
         };
         let first = timeout(waited, watch.messages.next()).await;
@@ -245,21 +227,47 @@ impl Watch {
             if self.over {
                 return Ok(None);
             }
-            let received = match self.messages.next().await {
-                Some(Ok(message)) => self.take_message(message),
-                // Only a reset ends a watch.
-                None => Err(Error::Connection {
-                    call: CALL,
-                    uri: self.start.server.clone(),
-                    source: "the server ended the stream".into(),
-                }),
-                Some(Err(error)) => Err(error),
-            };
-            if let Err(error) = received {
+            if let Err(error) = self.receive().await {
                 self.over = true;
                 return Err(error);
             }
         }
+    }
+
+    /// Waits for a message, or for the watch that goes on.
+    async fn receive(&mut self) -> Result<(), Error> {
+        if let Some(next) = &mut self.next {
+            let failures = self.failures;
+            *self = Watch {
+                failures,
+                ..next.await?
+            };
+            return Ok(());
+        }
+        let error = match self.messages.next().await {
+            Some(Ok(message)) => return self.take_message(message),
+            Some(Err(error)) => error,
+            // Only a reset ends a watch.
+            None => Error::Connection {
+                call: CALL,
+                uri: self.start.server.clone(),
+                source: "the server ended the stream".into(),
+            },
+        };
+        let Some(request) = self.request.take() else {
+            return Err(error);
+        };
+        if error.code() != Code::Unavailable {
+            return Err(error);
+        }
+        self.failures += 1;
+        let pause = request.pause(self.failures, &error);
+        let after = request.index.revision_at(self.after);
+        self.next = Some(Box::pin(async move {
+            sleep_until(Instant::now() + pause).await;
+            request.after(after).send().await
+        }));
+        Ok(())
     }
 
     /// The next event, if it has come.
@@ -334,7 +342,7 @@ impl Watch {
             let next = next.ok_or_else(|| Error::protocol(CALL, "a mutation without an end"))?;
             self.unfinished = Some((mutation, next));
         } else {
-            self.after = revision.number;
+            (self.after, self.failures) = (revision.number, 0);
             self.ready
                 .push_back(WatchEvent::Mutation(Box::new(mutation)));
         }

@@ -13,6 +13,8 @@ use wayfold_tests::{Content, ledger::Entry};
 #[derive(Debug, Default)]
 pub(crate) struct Tally {
     pub(crate) acknowledged: u64,
+    /// Those of them that made a revision.
+    pub(crate) effective: u64,
     pub(crate) lost: u64,
     pub(crate) duplicated: u64,
     /// Answers of readers that were compared.
@@ -34,6 +36,10 @@ impl Tally {
     pub(crate) fn note(&mut self, entry: &Entry) {
         self.calls += 1;
         self.acknowledged += 1;
+        if !entry.changed() {
+            return;
+        }
+        self.effective += 1;
         match entry {
             Entry::Insert(request, response) => {
                 for (payload, &id) in request.payloads.iter().zip(&response.ids) {

@@ -29,6 +29,11 @@ pub(crate) struct Load {
 /// The ids that a session reserves when it opens, and again whenever it has fewer.
 const RESERVED_IDS: u64 = 64;
 
+/// One call in this many finds nothing to change.
+const IDLE_CALLS: u32 = 8;
+/// Any two points are closer.
+const ANY_SEPARATION: f64 = 1e9;
+
 /// The bytes of a large payload, the maximum that is allowed.
 const HEAVY_BYTES: usize = 64 * 1024;
 
@@ -44,6 +49,8 @@ pub(crate) struct Writer {
     mine: Vec<u64>,
     /// The ids of points with large payloads.
     heavy: Vec<u64>,
+    /// The last insert, with the ids of its points, while all of them are stored.
+    last_insert: Option<InsertRequest>,
     /// The session in which it writes, if it has one.
     session: Option<Session>,
     unknown: Option<(Request, Instant)>,
@@ -98,6 +105,7 @@ impl Writer {
             calls: 0,
             mine: Vec::new(),
             heavy: Vec::new(),
+            last_insert: None,
             session: None,
             unknown: None,
             refusal: None,
@@ -156,8 +164,14 @@ impl Writer {
             return self.next_batch();
         }
         let operation_id = format!("{}-{}", self.name, self.calls);
+        if let Some(last) = &self.last_insert
+            && self.random.random_ratio(1, IDLE_CALLS)
+        {
+            return Request::Insert(Box::new(self.idle(last.clone(), operation_id)));
+        }
         if self.random.random_bool(self.load.removals) {
             let ids = self.outdated();
+            self.last_insert = None;
             if !ids.is_empty() {
                 return Request::Remove(RemoveRequest {
                     index_name: "arm".into(),
@@ -178,6 +192,28 @@ impl Writer {
             operation_id,
             ..Default::default()
         }))
+    }
+
+    /// An insert of points that are stored as they are, or of one that is too close to any other.
+    fn idle(&mut self, last: InsertRequest, operation_id: String) -> InsertRequest {
+        let repeats = self.random.random_bool(0.5);
+        let insert = if repeats {
+            last
+        } else {
+            InsertRequest {
+                states: Some(row_states(&self.states.rows(1), COORDINATES)),
+                tags: vec![self.name],
+                payloads: vec![self.payload(&operation_id, 0)],
+                min_separation: ANY_SEPARATION,
+                ids: Vec::new(),
+                ..last
+            }
+        };
+        InsertRequest {
+            operation_id,
+            neighbor_spec: None,
+            ..insert
+        }
     }
 
     /// The next batch of the session: puts, removals and a tag.
@@ -310,7 +346,13 @@ impl Writer {
         };
         self.refusal = None;
         match &entry {
-            Entry::Insert(insert, response) => self.stored(&insert.payloads, &response.ids),
+            Entry::Insert(insert, response) if entry.changed() => {
+                self.stored(&insert.payloads, &response.ids);
+                self.last_insert = Some(InsertRequest {
+                    ids: response.ids.clone(),
+                    ..insert.clone()
+                });
+            }
             Entry::Write(write, response) => {
                 let steps = write.kinds().zip(&write.ids);
                 let puts = steps.filter(|(kind, _)| *kind == StepKind::Put);

@@ -84,7 +84,7 @@ impl Judge {
                 entries.push(acknowledged.entry);
             }
         }
-        entries.sort_by_key(Entry::revision);
+        entries.sort_by_key(|entry| (entry.revision(), !entry.changed()));
         let mut verdict = Verdict {
             data_losses: clients.iter().map(|it| it.data_losses).sum(),
             ..Verdict::default()
@@ -247,7 +247,7 @@ async fn verify(stubs: &Stubs, request: VerifyIndexRequest) -> Result<VerifyRepo
 fn check_model(entries: &[Entry], contents: &[Option<Content>]) {
     let mut model = Model::new(SPACE.parse().unwrap());
     for entry in entries {
-        model.skip_to(entry.revision() - 1);
+        model.skip_to(entry.revision() - u64::from(entry.changed()));
         model.check(entry);
     }
     for content in contents.iter().flatten() {

@@ -317,7 +317,7 @@ fn show(id: u64, rebased: &RebasedPoint, points: &mut LocalPoints) -> Result<(),
                     points.set_tag(id, tag)?;
                 }
             }
-            _ => points.store(id, tag, &row)?,
+            _ => points.store(id, tag, row)?,
         },
     }
     Ok(())
