@@ -289,17 +289,9 @@ mod tests {
             may_pause: false,
         };
         let admission = Admission::new(&Config::default().admission, 1, 0);
-        let held = Arc::new(admission.open().hold());
+        let (held, now) = (Arc::new(admission.open().hold()), Instant::now());
         let service = Service::starting(Default::default());
-        RequestBody::new(
-            inner,
-            limits,
-            held,
-            None,
-            is_stream,
-            Instant::now(),
-            service,
-        )
+        RequestBody::new(inner, limits, held, None, is_stream, now, service)
     }
 
     async fn whole_of(frames: Vec<Bytes>) -> Result<Bytes, Status> {

@@ -352,6 +352,34 @@ async fn no_mutation_is_refused_for_what_another_server_has_changed() {
     settled(&stream, &entry, &[&one, &other]).await;
 }
 
+/// A server that lags has the point that another one has removed: it answers neither that it is stored as it is, nor that
+/// another is too close to it.
+#[tokio::test]
+async fn no_answer_without_effect_is_from_the_past() {
+    let (stream, entry) = (Stream::new(14, 0.0), named_arm());
+    let (one, ..) = server(&stream, &entry);
+    let (other, _, behind) = server(&stream, &entry);
+    let stored = insertion(&[[7.0]], &[7]);
+    let close = v1::InsertRequest {
+        min_separation: 0.5,
+        ..insertion(&[[7.1]], &[8])
+    };
+    for again in [stored.clone(), close] {
+        one.insert(&CALL, stored.clone()).await.unwrap();
+        let kept = other.insert(&CALL, again.clone()).await.unwrap();
+        assert_eq!(kept.ids, [7]);
+        behind.fall_behind();
+        one.remove(&CALL, removal(&[7])).await.unwrap();
+        let mut inserted = Box::pin(other.insert(&CALL, again));
+        assert!(futures_util::poll!(inserted.as_mut()).is_pending());
+        behind.come_back();
+        let inserted = inserted.await.unwrap();
+        assert_eq!(inserted.outcomes, [i32::from(v1::Outcome::Inserted)]);
+        other.remove(&CALL, removal(&inserted.ids)).await.unwrap();
+    }
+    settled(&stream, &entry, &[&one, &other]).await;
+}
+
 /// Each server reads what the other has just acknowledged. Without `latest` it may lag behind.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_latest_read_sees_what_another_server_acknowledged() {

@@ -237,11 +237,10 @@ impl Watch {
     /// Waits for a message, or for the watch that goes on.
     async fn receive(&mut self) -> Result<(), Error> {
         if let Some(next) = &mut self.next {
-            let failures = self.failures;
-            *self = Watch {
-                failures,
-                ..next.await?
-            };
+            let watch = next.await?;
+            let (failures, newest) = (self.failures, self.newest.clone());
+            *self = Watch { failures, ..watch };
+            self.note_newest(newest);
             return Ok(());
         }
         let error = match self.messages.next().await {
@@ -270,6 +269,13 @@ impl Watch {
         Ok(())
     }
 
+    /// Another server may lag behind the one before.
+    fn note_newest(&mut self, revision: Revision) {
+        if revision.number > self.newest.number {
+            self.newest = revision;
+        }
+    }
+
     /// The next event, if it has come.
     pub(crate) fn ready(&mut self) -> Option<WatchEvent> {
         self.ready.pop_front()
@@ -294,7 +300,7 @@ impl Watch {
         if revision.uid != self.start.uid {
             return Err(Error::protocol(CALL, "mutations of another uid"));
         }
-        self.newest = revision;
+        self.note_newest(revision);
         for piece in message.mutations {
             self.take_piece(piece)?;
         }
