@@ -112,8 +112,8 @@ pub(super) enum Command {
 impl Args {
     /// The arguments of the process, if they agree with each other.
     pub(super) fn read() -> Result<Args, clap::Error> {
-        let matches = command().try_get_matches()?;
-        let args =
+        let matches = command().try_get_matches().map_err(without_variables)?;
+        let mut args =
             Args::from_arg_matches(&matches).map_err(|error| error.format(&mut command()))?;
         let refused = |problem| Err(Args::command().error(ErrorKind::ArgumentConflict, problem));
         if args.server.len() > 1 && !matches!(args.command, Command::Verify(_)) {
@@ -123,8 +123,20 @@ impl Args {
         if env::args_os().filter(is_server).count() > args.server.len() {
             return refused("give every --server before the verb, or every one after it");
         }
+        args.connection.note_variables(&matches);
         Ok(args)
     }
+}
+
+/// The error of the same arguments without the variables, whose usage names no option that nobody typed.
+fn without_variables(error: clap::Error) -> clap::Error {
+    // The help names the variables.
+    let is_help = error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
+    if is_help || !error.use_stderr() {
+        return error;
+    }
+    let command = Args::command().mut_args(|arg| arg.env(Resettable::Reset));
+    command.try_get_matches().err().unwrap_or(error)
 }
 
 /// The arguments, whose variables count as unset if they are empty, as in the library.

@@ -6,6 +6,7 @@ use std::{
     path::PathBuf,
 };
 
+use clap::{ArgMatches, parser::ValueSource};
 use wayfold::Credentials;
 
 use crate::{
@@ -50,9 +51,28 @@ pub(super) struct ConnectionArgs {
         value_name = "FILE"
     )]
     token_file: Option<PathBuf>,
+
+    /// The options whose values come from variables of the environment.
+    #[arg(skip)]
+    variables: Vec<&'static str>,
 }
 
 impl ConnectionArgs {
+    /// Notes which values come from variables: errors name these and not options that nobody typed.
+    pub(super) fn note_variables(&mut self, matches: &ArgMatches) {
+        let ids = ["ca", "cert", "key", "token_file"];
+        let is_variable = |id: &&str| matches.value_source(id) == Some(ValueSource::EnvVariable);
+        self.variables = ids.into_iter().filter(is_variable).collect();
+    }
+
+    /// The option, or the variable that set it.
+    fn name(&self, id: &str) -> String {
+        match self.variables.contains(&id) {
+            true => format!("WAYFOLD_{}", id.to_uppercase()),
+            false => format!("--{}", id.replace('_', "-")),
+        }
+    }
+
     /// Warns of a token that goes to an address beyond this machine without TLS.
     pub(super) fn warn(&self, addresses: &[String], format: Format) {
         let has_token = self.token.is_some() || self.token_file.is_some();
@@ -85,22 +105,28 @@ impl ConnectionArgs {
 
     /// Reads the files.
     pub(super) fn credentials(&self) -> Result<Credentials, Failure> {
-        let wrong = |option| move |source| Failure::Credential { option, source };
+        let wrong = |option| |source| Failure::Credential { option, source };
         let mut credentials = Credentials::new();
         if let Some(ca) = &self.ca {
-            credentials = credentials.ca_file(ca).map_err(wrong("--ca"))?;
+            credentials = credentials.ca_file(ca).map_err(wrong(self.name("ca")))?;
         }
         match (&self.cert, &self.key) {
             (Some(cert), Some(key)) => {
+                let option = format!("{} and {}", self.name("cert"), self.name("key"));
                 let read = credentials.client_certificate_files(cert, key);
-                credentials = read.map_err(wrong("--cert and --key"))?;
+                credentials = read.map_err(wrong(option))?;
             }
             (None, None) => {}
-            _ => return Err(Failure::HalfCertificate),
+            (cert, _) => {
+                let given = self.name(if cert.is_some() { "cert" } else { "key" });
+                return Err(Failure::HalfCertificate { given });
+            }
         }
         match (&self.token, &self.token_file) {
             (Some(token), _) => Ok(credentials.token(token)),
-            (None, Some(file)) => credentials.token_file(file).map_err(wrong("--token-file")),
+            (None, Some(file)) => credentials
+                .token_file(file)
+                .map_err(wrong(self.name("token_file"))),
             (None, None) => Ok(credentials),
         }
     }

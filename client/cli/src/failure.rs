@@ -50,13 +50,15 @@ pub(super) enum Failure {
         problem: String,
     },
     #[error("{option}: {source}")]
-    Credential { option: &'static str, source: Error },
+    Credential { option: String, source: Error },
     #[error(
         "{source}: --ca is for the authority of the server, --cert and --key are for this client"
     )]
     Handshake { source: Error },
-    #[error("--cert and --key are given together: a certificate needs its private key")]
-    HalfCertificate,
+    #[error(
+        "{given} is given alone; --cert and --key are given together: a certificate needs its private key"
+    )]
+    HalfCertificate { given: String },
     #[error("the system gives no random numbers: {0}")]
     Random(String),
     #[error("--server names no server")]
@@ -124,7 +126,7 @@ impl Failure {
             }
             Failure::Client(Error::Address { .. } | Error::Argument { field: "token", .. })
             | Failure::Credential { .. }
-            | Failure::HalfCertificate
+            | Failure::HalfCertificate { .. }
             | Failure::NoServer
             | Failure::Terminal => Status::Usage,
             Failure::Unreachable { .. } | Failure::Late { .. } => Status::NoAnswer,

@@ -1,9 +1,12 @@
 //! Options that several verbs share.
 
 use clap::ValueEnum;
-use wayfold::{Filter, Include, IndexHandle, Radius, Revision, ScaledRadius};
+use wayfold::{Code, Error, Filter, Include, IndexHandle, Radius, Revision, ScaledRadius};
 
-use crate::parse::{self, MaskedTag, RevisionArg};
+use crate::{
+    failure::Failure,
+    parse::{self, MaskedTag, RevisionArg},
+};
 
 /// The points that a read searches.
 #[derive(Debug, clap::Args)]
@@ -15,7 +18,8 @@ pub(crate) struct FilterArgs {
     tag: Option<MaskedTag>,
     /// Only points whose state a later revision stored
     ///
-    /// With @UID the command fails if the index was deleted and created again, or restored.
+    /// If the index is not at this revision yet, the command waits for it, up to --timeout. With @UID the command fails
+    /// if the index was deleted and created again, or restored.
     #[arg(long, value_name = "NUMBER[@UID]", value_parser = parse::revision)]
     since: Option<RevisionArg>,
 }
@@ -23,6 +27,23 @@ pub(crate) struct FilterArgs {
 impl FilterArgs {
     pub(crate) fn filter(&self, index: &IndexHandle) -> Filter {
         filter(self.tag, self.since.as_ref(), index)
+    }
+
+    /// The failure of a read by this filter. If it is late, it names a revision that the index has not reached.
+    pub(crate) fn failure(&self, index: &IndexHandle, error: Error) -> Failure {
+        let newest = index.revision().number;
+        match &self.since {
+            Some(since) if since.number > newest && error.code() == Code::DeadlineExceeded => {
+                let (name, number) = (index.name(), since.number);
+                Failure::Stopped {
+                    done: format!(
+                        "waited for revision {number}, which --since names: {name} was at revision {newest}"
+                    ),
+                    source: Box::new(error.into()),
+                }
+            }
+            _ => error.into(),
+        }
     }
 }
 

@@ -110,7 +110,7 @@ fn code_and_reason(failure: &Failure) -> (&str, &str) {
         Failure::Input(_) => ("INVALID_ARGUMENT", "INPUT"),
         Failure::Snapshot { .. } => ("INVALID_ARGUMENT", "SNAPSHOT"),
         Failure::Credential { .. } => ("INVALID_ARGUMENT", "CREDENTIAL"),
-        Failure::HalfCertificate | Failure::NoServer => ("INVALID_ARGUMENT", "USAGE"),
+        Failure::HalfCertificate { .. } | Failure::NoServer => ("INVALID_ARGUMENT", "USAGE"),
         Failure::Random(_) => ("UNAVAILABLE", "RANDOM"),
         Failure::Terminal => ("INVALID_ARGUMENT", "TERMINAL"),
         Failure::Output(_) => ("UNKNOWN", "OUTPUT"),

@@ -1,6 +1,6 @@
 //! The errors of a load that no single call has.
 
-use std::{io, path::PathBuf};
+use std::{io, path::PathBuf, time::Duration};
 
 use thiserror::Error;
 
@@ -17,12 +17,16 @@ pub(crate) enum LoadError {
     #[error("this program was built without Zenoh; build it with the feature zenoh")]
     #[cfg_attr(feature = "zenoh", expect(dead_code, reason = "of the other build"))]
     NoZenoh,
-    #[error("no Zenoh session to {locator}: {problem}")]
+    #[error("no Zenoh session to {locator} within {timeout:?}: {problem}")]
     #[cfg_attr(
         not(feature = "zenoh"),
         expect(dead_code, reason = "of the other build")
     )]
-    Session { locator: String, problem: String },
+    Session {
+        locator: String,
+        timeout: Duration,
+        problem: String,
+    },
     #[error("cannot read the scenario {}: {source}", path.display())]
     ScenarioFile { path: PathBuf, source: io::Error },
     #[error("{}: {problem}", path.display())]

@@ -11,19 +11,22 @@ use crate::{
     failure::{Failure, stopped},
     input::{self, Columns, Source, Table},
     options::{self, Column, RadiusArgs},
-    output::{Format, JsonId, JsonRevision, Output},
+    output::{Format, JsonId, JsonIds, JsonRevision, Output},
     parse::{self, MaskedTag, RevisionArg},
     progress,
 };
 use wayfold::{
-    Include, IndexHandle, Inserted, NeighborSpec, Neighbors, Outcome, Revision, StateNeighbors,
+    Error, Include, IndexHandle, Inserted, NeighborSpec, Neighbors, Outcome, Revision,
+    StateNeighbors,
 };
 
 const EXAMPLES: &str = "\
 A CSV row is one state, its numbers in the order of the space (`wayfold info` names them). A header
 line is optional, and names the columns for --ids and --tags; without ids the server assigns them. An
 npy file holds float64 or float32, one state a row. The command checks the whole file before it sends
-anything; then it sends calls of 1000 rows, and each call is stored as a whole or not at all.
+anything; then it sends calls of 1000 rows, fewer where a limit of the server is lower, and each call
+is stored as a whole or not at all. If one fails, the command sums up what those before it stored; the
+outcomes of some of them may be lost (partial_count and partial_ids in JSON).
 
 With --knn, --radius or a factor, each row is printed with the neighbours that it had when it was
 inserted: of any two inserts the later one sees the earlier one.
@@ -138,7 +141,8 @@ pub(crate) async fn insert(args: InsertArgs, context: &mut Context) -> Result<()
         let inserted = match send(&index, &args, spec.clone(), &table, start..end).await {
             Ok(inserted) => inserted,
             Err(failure) => {
-                if start > 0 {
+                summary.add_partial(&failure);
+                if start > 0 || summary.partial_count > 0 {
                     // The refusal says more than an output that is closed.
                     let _ = summary.print(&index.revision(), &mut context.output);
                 }
@@ -267,6 +271,9 @@ struct Summary {
     too_close: u64,
     first_id: Option<JsonId>,
     last_id: Option<JsonId>,
+    /// The rows that took effect in the call that failed, and the ids of those that are stored.
+    partial_count: usize,
+    partial_ids: Vec<u64>,
 }
 
 #[derive(Serialize)]
@@ -278,6 +285,11 @@ struct SummaryLine<'a> {
     /// The ids of the first and the last stored row; null if no row is stored.
     first_id: Option<JsonId>,
     last_id: Option<JsonId>,
+    /// The rows that took effect in a call that failed, and the ids of those that are stored. Their outcomes are lost.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    partial_count: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    partial_ids: Option<JsonIds<'a>>,
     revision: JsonRevision<'a>,
 }
 
@@ -291,9 +303,21 @@ impl Summary {
                 Outcome::TooClose { .. } => &mut self.too_close,
             };
             *count += 1;
-            let id = outcome.id().map(JsonId);
-            self.first_id = self.first_id.or(id);
-            self.last_id = id.or(self.last_id);
+            self.add_id(outcome.id());
+        }
+    }
+
+    fn add_id(&mut self, id: Option<u64>) {
+        let id = id.map(JsonId);
+        self.first_id = self.first_id.or(id);
+        self.last_id = id.or(self.last_id);
+    }
+
+    /// Adds the rows of a failed call that took effect before its error.
+    fn add_partial(&mut self, failure: &Failure) {
+        if let Failure::Client(Error::Partial { done, ids, .. }) = failure {
+            ids.iter().for_each(|id| self.add_id(Some(*id)));
+            (self.partial_count, self.partial_ids) = (*done, ids.clone());
         }
     }
 
@@ -305,7 +329,10 @@ impl Summary {
             too_close,
             first_id,
             last_id,
+            partial_count,
+            ref partial_ids,
         } = *self;
+        let is_partial = partial_count > 0;
         if output.format == Format::Json {
             return Ok(output.json(&SummaryLine {
                 inserted_count: inserted,
@@ -314,6 +341,8 @@ impl Summary {
                 too_close_count: too_close,
                 first_id,
                 last_id,
+                partial_count: is_partial.then_some(partial_count),
+                partial_ids: is_partial.then_some(JsonIds(partial_ids)),
                 revision: revision.into(),
             })?);
         }
@@ -323,8 +352,12 @@ impl Summary {
             }
             _ => String::new(),
         };
+        let partial = match is_partial {
+            true => format!(", {partial_count} more by the call that failed"),
+            false => String::new(),
+        };
         output.text(format_args!(
-            "inserted {inserted}, unchanged {unchanged}, replaced {replaced}, too close {too_close}{ids}; \
+            "inserted {inserted}, unchanged {unchanged}, replaced {replaced}, too close {too_close}{partial}{ids}; \
              revision {}",
             revision.number
         ))?;

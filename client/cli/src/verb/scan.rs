@@ -72,7 +72,8 @@ pub(crate) async fn scan(args: ScanArgs, context: &mut Context) -> Result<(), Fa
         false => POINT_COLUMNS,
     });
     let filter = args.filter.filter(&index);
-    let scan = index.scan().filter(filter).include(include).await?;
+    let scan = index.scan().filter(filter).include(include).await;
+    let scan = scan.map_err(|error| args.filter.failure(&index, error))?;
     let revision = scan.revision().clone();
     let header = header(index.space(), include);
     let Some(path) = file else {

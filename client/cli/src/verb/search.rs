@@ -198,7 +198,7 @@ async fn run(
     let mut number = 0;
     while let Some((answer, wrong)) = answers.next().await {
         if let Some(answer) = answer {
-            let neighbors = answer?;
+            let neighbors = answer.map_err(|error| args.filter.failure(&index, error))?;
             for i in 0..neighbors.len() {
                 number += 1;
                 print(&mut context.output, number, &neighbors, i, args.include())?;

@@ -350,43 +350,6 @@ fn an_error_in_json_is_one_line_on_standard_error() {
     }
 }
 
-#[test]
-fn the_rows_before_a_refused_call_are_summed_up() {
-    let server = Server::with(|config| config.limits.max_points_per_index = 2500);
-    server.run(&["create", "line", "--space", "R1"]);
-    let rows: String = (0..4000).map(|x| format!("{x}\n")).collect();
-    let run = server.json_with(&["insert", "line", "-"], &rows);
-    let summary = run.lines_and(3).remove(0);
-    assert_eq!(summary["inserted_count"], 2000);
-    assert_eq!(
-        (&summary["first_id"], &summary["last_id"]),
-        (&json!(0), &json!(1999))
-    );
-    assert!(
-        run.stderr
-            .contains("the first 2000 of 4000 rows took effect"),
-        "{}",
-        run.stderr
-    );
-}
-
-#[test]
-fn an_empty_variable_counts_as_unset() {
-    let server = Server::start();
-    let mut list = command(&server.uri, &["list"]);
-    for name in [
-        "WAYFOLD_CA",
-        "WAYFOLD_CERT",
-        "WAYFOLD_KEY",
-        "WAYFOLD_TOKEN",
-        "WAYFOLD_TOKEN_FILE",
-    ] {
-        list.env(name, "");
-    }
-    let output = list.output().unwrap();
-    assert!(output.status.success(), "{output:?}");
-}
-
 /// A supervisor whose pipe for messages is gone.
 #[test]
 fn a_token_that_no_one_can_read_is_an_error() {

@@ -1,11 +1,16 @@
 //! `wayfold health` and `wayfold server`.
 
+use std::time::Duration;
+
 use serde_json::json;
 use tokio::net::TcpListener;
 use tokio_stream::wrappers::TcpListenerStream;
+use tonic::{Code, Status};
 use tonic_health::{ServingStatus, server::health_reporter};
+use tonic_types::{ErrorDetails, StatusExt};
 
 use crate::{
+    fake::Fake,
     process::{command, run_alone},
     server::Server,
 };
@@ -56,6 +61,40 @@ async fn a_server_that_does_not_serve_is_status_1() {
     assert_eq!(
         (&error["code"], &error["reason"]),
         (&json!("UNAVAILABLE"), &json!("NOT_SERVING"))
+    );
+    let run = command(&uri, &["health"]).output().unwrap();
+    assert_eq!((run.status.code(), &*run.stdout), (Some(1), &b""[..]));
+    let said = String::from_utf8(run.stderr).unwrap();
+    let expected = format!(
+        "error: {uri} does not serve: it is starting or stopping, or its store cannot be read\n"
+    );
+    assert_eq!(said, expected);
+}
+
+/// A longer wait would not help, so that the error names no `--timeout`.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_call_to_a_server_that_stops_is_status_4() {
+    let fake = Fake::start().await;
+    fake.fail(|_, _| {
+        let mut details = ErrorDetails::with_error_info("STOPPING", "wayfold", []);
+        // The client makes no further attempt: the pause exceeds its timeout.
+        details.set_retry_info(Some(Duration::from_secs(60)));
+        let stopping = "the server is stopping";
+        Some(Status::with_error_details(
+            Code::Unavailable,
+            stopping,
+            details,
+        ))
+    });
+    let run = command(&fake.uri, &["list"]).output().unwrap();
+    assert_eq!(run.status.code(), Some(4), "{run:?}");
+    let said = String::from_utf8(run.stderr).unwrap();
+    assert_eq!(said, "error: the server is stopping (UNAVAILABLE)\n");
+    let run = command(&fake.uri, &["list", "--output", "json"]).output();
+    let error: serde_json::Value = serde_json::from_slice(&run.unwrap().stderr).unwrap();
+    assert_eq!(
+        (&error["error"]["code"], &error["error"]["reason"]),
+        (&json!("UNAVAILABLE"), &json!("STOPPING"))
     );
 }
 

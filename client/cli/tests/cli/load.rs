@@ -1,6 +1,8 @@
 //! The verb `load`: its counts are those of the server, and it leaves the index as it was.
 
 mod files;
+#[cfg(feature = "zenoh")]
+mod zenoh;
 
 use std::{
     fs,

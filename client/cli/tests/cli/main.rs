@@ -5,6 +5,7 @@
 mod backup;
 mod brute_force;
 mod damaged;
+mod environment;
 mod errors;
 #[expect(dead_code, reason = "the suite of the client takes more of it")]
 #[path = "../../../tests/client/fake/mod.rs"]
@@ -16,6 +17,7 @@ mod health;
 mod journal_end;
 mod lasting;
 mod load;
+mod partial;
 mod pipes;
 mod poses;
 mod process;

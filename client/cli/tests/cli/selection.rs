@@ -1,9 +1,14 @@
 //! Tags, filters, columns and scaled numbers.
 
 use serde_json::json;
+use tonic::Status;
 use wayfold::{Scaling, Space};
 
-use crate::{process::run_alone, server::Server};
+use crate::{
+    fake::Fake,
+    process::{command, run_alone},
+    server::Server,
+};
 
 /// The index `line` with the points 0, 1 and 2 at 0, 10 and 20, tagged 0x11 by revision 1, and the point 3 at 30,
 /// tagged 2 by revision 2.
@@ -324,5 +329,35 @@ fn options_that_contradict_each_other_are_wrong_usage() {
         &["update", "a", "--tag", "1"],
     ] {
         run_alone(args).error(2);
+    }
+}
+
+/// The fake server does not wait.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_read_that_is_late_names_the_revision_it_waited_for() {
+    let fake = Fake::start().await;
+    let error = |args: &[&str]| {
+        // The first call asks for the index, whose newest revision is 2.
+        fake.tell([2]);
+        fake.fail(|number, _| (number > 0).then(|| Status::deadline_exceeded("late")));
+        let run = command(&fake.uri, args).output().unwrap();
+        assert_eq!(run.status.code(), Some(4), "{run:?}");
+        String::from_utf8(run.stderr).unwrap()
+    };
+    for read in [
+        &["knn", "line", "-k", "1", "--state", "0"][..],
+        &["query", "line", "--radius", "1", "--state", "0"],
+        &["scan", "line"],
+    ] {
+        let ahead = error(&[read, &["--since", "3"]].concat());
+        assert!(
+            ahead.starts_with(
+                "error: waited for revision 3, which --since names: line was at revision 2; then: "
+            ),
+            "{ahead}"
+        );
+        assert!(ahead.contains("--timeout"), "{ahead}");
+        let known = error(&[read, &["--since", "2"]].concat());
+        assert!(!known.contains("--since"), "{known}");
     }
 }

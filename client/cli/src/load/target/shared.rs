@@ -25,7 +25,7 @@ impl SharedTarget {
     ) -> Result<SharedTarget, Failure> {
         let index = match &address.prefix {
             None => Index::shared(&address.server, index),
-            Some(prefix) => over_zenoh(address, prefix, index)?,
+            Some(prefix) => over_zenoh(address, prefix, index, timeout)?,
         };
         Ok(SharedTarget {
             runtime: own_runtime()?,
@@ -131,6 +131,7 @@ fn over_zenoh(
     address: &Address,
     prefix: &str,
     index: &str,
+    timeout: Duration,
 ) -> Result<wayfold::OpenShared, LoadError> {
     use zenoh::{Config, Wait};
 
@@ -139,7 +140,11 @@ fn over_zenoh(
         "mode": "client",
         "connect": { "endpoints": [locator] },
         "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
-        "transport": { "link": { "tls": address.zenoh_tls } },
+        "transport": {
+            // A time of 0 would refuse every server.
+            "unicast": { "open_timeout": timeout.as_millis().max(1) },
+            "link": { "tls": address.zenoh_tls },
+        },
     });
     let failed = |error: zenoh::Error| {
         // The rest names a line of Zenoh's source.
@@ -147,6 +152,7 @@ fn over_zenoh(
         let problem = text.split(" at /").next().unwrap_or_default();
         LoadError::Session {
             locator: locator.to_owned(),
+            timeout,
             problem: problem.trim_end_matches(['!', ' ']).to_owned(),
         }
     };
@@ -156,6 +162,11 @@ fn over_zenoh(
 }
 
 #[cfg(not(feature = "zenoh"))]
-fn over_zenoh(_: &Address, _: &str, _: &str) -> Result<wayfold::OpenShared, LoadError> {
+fn over_zenoh(
+    _: &Address,
+    _: &str,
+    _: &str,
+    _: Duration,
+) -> Result<wayfold::OpenShared, LoadError> {
     Err(LoadError::NoZenoh)
 }
