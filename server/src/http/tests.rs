@@ -1,6 +1,7 @@
 //! The routes that the page reads.
 
 mod bounds;
+mod figures;
 mod streams;
 
 use std::{fs, sync::Arc};

@@ -145,3 +145,58 @@ pub(super) fn block(ids: &Range<u64>) -> v1::IdBlock {
         id_count: ids.end - ids.start,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        log::{Block, MemoryLog, Origin, PointStore, Session, Sessions},
+        registry::{Registry, RegistryOptions},
+        service::Code,
+        testing::arm,
+    };
+
+    /// Of as many blocks as an index may have, one is that of an idle session.
+    #[tokio::test]
+    async fn the_block_of_a_session_that_ends_makes_room_for_another() {
+        let mut sessions = Sessions::default();
+        for (id, used_ms) in [(1, 0), (2, i64::MAX as u64)] {
+            let session = Session {
+                batch: 0,
+                fingerprint: [0; 32],
+                response: Bytes::new(),
+                used_ms,
+            };
+            sessions.insert(id, session);
+        }
+        for end in 1..=MAX_BLOCKS as u64 {
+            let session = if end == 1 { 1 } else { 2 };
+            sessions.insert_block(end - 1, Block { end, session });
+        }
+        let log = Arc::new(MemoryLog::new());
+        let origin = Origin {
+            revision: 2,
+            next_id: MAX_BLOCKS as u64,
+            ..Origin::START
+        };
+        let writer = log.restore(arm(), origin, false).unwrap();
+        writer.finish(sessions, Vec::new()).unwrap();
+        let registry = Registry::new(log, RegistryOptions::default());
+        registry.replay().unwrap();
+        let service = Service::new(registry, Limits::default());
+        service.set_ready();
+        let open = async || {
+            let request = v1::OpenSessionRequest {
+                index_name: "arm".into(),
+                reserve_count: 1,
+                ..Default::default()
+            };
+            service.open_session(&Call::default(), request).await
+        };
+        let reserved = open().await.unwrap().reserved.unwrap();
+        assert_eq!(reserved.first_id, MAX_BLOCKS as u64);
+        let refused = open().await.unwrap_err();
+        assert_eq!(refused.code(), Code::ResourceExhausted);
+        assert!(refused.to_string().contains("max_blocks"), "{refused}");
+    }
+}

@@ -1,3 +1,5 @@
+use tempfile::NamedTempFile;
+
 use super::*;
 use crate::{
     log::MemoryLog,
@@ -20,6 +22,21 @@ const HOUR: Duration = Duration::from_secs(3600);
 /// 2026-01-31T23:59:59Z.
 fn now() -> SystemTime {
     SystemTime::UNIX_EPOCH + Duration::from_secs(1_769_903_999)
+}
+
+/// A service with the index `arm`.
+async fn service() -> Service {
+    let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
+    let service = Service::new(registry, Limits::default());
+    service.set_ready();
+    let creation = v1::CreateIndexRequest {
+        name: "arm".into(),
+        space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
+        ..Default::default()
+    };
+    let created = service.create_index(&Call::default(), creation).await;
+    created.unwrap();
+    service
 }
 
 #[test]
@@ -59,16 +76,7 @@ fn a_directory_is_in_the_data_by_its_place_and_not_by_its_name() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_snapshot_leaves_the_room_of_the_disk_free() {
-    let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
-    let service = Service::new(registry, Limits::default());
-    service.set_ready();
-    let creation = v1::CreateIndexRequest {
-        name: "arm".into(),
-        space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
-        ..Default::default()
-    };
-    let created = service.create_index(&Call::default(), creation).await;
-    created.unwrap();
+    let service = service().await;
     let listed = service.listed().into_iter().next();
     let Some((_, IndexState::Hosted(hosted))) = listed else {
         panic!("an index");
@@ -97,16 +105,7 @@ async fn a_snapshot_leaves_the_room_of_the_disk_free() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn an_index_that_was_deleted_after_the_list_was_made_is_no_failure() {
-    let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
-    let service = Service::new(registry, Limits::default());
-    service.set_ready();
-    let creation = v1::CreateIndexRequest {
-        name: "arm".into(),
-        space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
-        ..Default::default()
-    };
-    let call = Call::default();
-    service.create_index(&call, creation).await.unwrap();
+    let service = service().await;
     let listed = service.listed().into_iter().next();
     let Some((_, IndexState::Hosted(hosted))) = listed else {
         panic!("an index");
@@ -115,11 +114,28 @@ async fn an_index_that_was_deleted_after_the_list_was_made_is_no_failure() {
         index_name: "arm".into(),
         ..Default::default()
     };
-    service.delete_index(&call, deletion).await.unwrap();
+    let deleted = service.delete_index(&Call::default(), deletion).await;
+    deleted.unwrap();
     let directory = tempfile::tempdir().unwrap();
     let schedule = schedule(directory.path(), 1);
     let runtime = Handle::current();
     let taken = move || schedule.take_one(&service, &runtime, &hosted, now());
     let taken = tokio::task::spawn_blocking(taken).await.unwrap();
     assert!(matches!(taken, Ok(None)), "{taken:?}");
+}
+
+/// Two snapshots fail: their directory is a file.
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn snapshots_are_counted_by_their_outcome() {
+    let (service, metrics, runtime) = (service().await, Metrics::new(true), Handle::current());
+    let (file, directory) = (NamedTempFile::new().unwrap(), tempfile::tempdir().unwrap());
+    let schedules = [file.path(), file.path(), directory.path()].map(|path| schedule(path, 1));
+    let counted = metrics.clone();
+    let looks = move || schedules.map(|it| it.take_due(&service, &metrics, &runtime, now()));
+    tokio::task::spawn_blocking(looks).await.unwrap();
+    let text = counted.text().unwrap();
+    for (outcome, count) in [("failed", 2), ("written", 1)] {
+        let line = format!("wayfold_snapshots_total{{outcome=\"{outcome}\"}} {count}\n");
+        assert!(text.contains(&line), "{text}");
+    }
 }

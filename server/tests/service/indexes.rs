@@ -181,6 +181,30 @@ async fn pages_are_in_order_and_survive_a_delete_between_them() {
     assert_eq!(names, ["a", "b", "c", "d", "e"]);
 }
 
+/// The service cuts a page size above that.
+#[tokio::test]
+async fn a_page_has_a_thousand_indices_at_most() {
+    let limits = Limits {
+        max_indexes: 1001,
+        ..Limits::default()
+    };
+    let service = service_with(Arc::new(MemoryLog::new()), limits);
+    for number in 0..1001 {
+        create(&service, &format!("{number:04}"), "R1").await;
+    }
+    let page_of = async |page_token: String| {
+        let request = v1::ListIndexesRequest {
+            page_size: u32::MAX,
+            page_token,
+        };
+        service.list_indexes(&CALL, request).await.unwrap()
+    };
+    let first = page_of(String::new()).await;
+    assert_eq!(first.indexes.len(), 1000);
+    let rest = page_of(first.next_page_token).await.indexes;
+    assert_eq!((rest.len(), &*rest[0].name), (1, "1000"));
+}
+
 #[tokio::test]
 async fn a_page_ends_before_it_outgrows_an_answer() {
     let limits = Limits {

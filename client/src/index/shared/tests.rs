@@ -128,6 +128,25 @@ fn a_refusal_whose_writes_were_taken_back_has_its_cause() {
     }
 }
 
+/// The server has taken the point, and no feed will place it among those of others.
+#[test]
+fn the_end_of_an_index_leaves_no_search_open() {
+    let (core, shared) = idle(1 << 20, 1);
+    let index = Index::of_shared(shared);
+    let search = Search::k(1);
+    index
+        .insert_with([1.0], InsertOptions::new().neighbors(search))
+        .unwrap();
+    let mut writes = core.pending_writes.lock();
+    let batch = writes.next(1, 0).unwrap().batch;
+    let taken = writes.acknowledge(batch, 1, 0, &mut core.points.write());
+    assert!(taken.unwrap().is_empty());
+    drop(writes);
+    assert_eq!(index.meanwhile().open, 1);
+    core.end(quota_exceeded());
+    assert_eq!(index.meanwhile(), Default::default());
+}
+
 /// To show the point after each of them would apply all writes before it again.
 #[test]
 fn many_writes_on_one_point_are_given_back_by_one_change() {

@@ -28,7 +28,11 @@ pub(crate) const UID: &str = "the-uid";
 
 /// A revision of the fake's index.
 pub(crate) fn revision(number: u64) -> Option<v1::Revision> {
-    let uid = UID.to_owned();
+    revision_of(UID, number)
+}
+
+pub(crate) fn revision_of(uid: &str, number: u64) -> Option<v1::Revision> {
+    let uid = uid.to_owned();
     Some(v1::Revision { uid, number })
 }
 
@@ -66,6 +70,10 @@ struct Inner {
     limits: Option<v1::Limits>,
     /// The revisions of the next answers; later answers repeat the last.
     revisions: VecDeque<u64>,
+    /// The uid of its index, if it was made again.
+    uid: Option<&'static str>,
+    /// The revision of the batches that it takes; without it, it takes none.
+    takes_at: Option<u64>,
     /// True if calls wait for ever.
     silent: bool,
     /// The parts of the next snapshots; a snapshot that is not ended waits for ever after its last part.
@@ -126,6 +134,16 @@ impl Fake {
     /// Sets the revisions of the next answers; later answers repeat the last.
     pub(crate) fn tell<const N: usize>(&self, revisions: [u64; N]) {
         self.inner.lock().unwrap().revisions = revisions.into();
+    }
+
+    /// Takes batches, as this revision.
+    pub(crate) fn takes_batches(&self, revision: u64) {
+        self.inner.lock().unwrap().takes_at = Some(revision);
+    }
+
+    /// Gives its index another uid.
+    pub(crate) fn make_again(&self, uid: &'static str) {
+        self.inner.lock().unwrap().uid = Some(uid);
     }
 
     pub(crate) fn fall_silent(&self) {
@@ -314,10 +332,11 @@ impl IndexService for Fake {
         request: Request<v1::GetIndexRequest>,
     ) -> Result<Response<v1::GetIndexResponse>, Status> {
         let number = self.enter(&request, 0).await?;
+        let uid = self.inner.lock().unwrap().uid.unwrap_or(UID);
         let index = v1::Index {
             name: request.into_inner().index_name,
             space: Some(space::to_message(&"R1".parse::<Space>().unwrap())),
-            revision: revision(number),
+            revision: revision_of(uid, number),
             ..Default::default()
         };
         Ok(Response::new(v1::GetIndexResponse { index: Some(index) }))

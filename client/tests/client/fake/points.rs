@@ -74,7 +74,12 @@ impl PointService for Fake {
         request: Request<v1::WriteRequest>,
     ) -> Result<Response<v1::WriteResponse>, Status> {
         self.enter(&request, request.get_ref().ids.len()).await?;
-        Err(Status::unimplemented("write"))
+        let taken = self.inner.lock().unwrap().takes_at;
+        let taken = taken.ok_or_else(|| Status::unimplemented("write"))?;
+        Ok(Response::new(v1::WriteResponse {
+            revision: revision(taken),
+            ..Default::default()
+        }))
     }
 
     async fn remove(

@@ -17,7 +17,7 @@ use wayfold::{Code, ConnectionStatus, Error, Index, InsertOptions};
 use wayfold_proto::v1;
 
 use crate::{
-    fake::Fake,
+    fake::{Fake, revision_of},
     watching::{message, piece, scanned, wait_for, wait_until_caught_up},
 };
 
@@ -124,6 +124,33 @@ async fn after_a_reset_all_points_are_read_again() {
     wait_for(&index, &[(9, 1.0)]);
     assert_eq!(after_revisions(&fake, 3), [Some(3), Some(3), Some(9)]);
     wait_until_caught_up(&index);
+}
+
+/// The feed never named a point that the server took, and cannot do so any more.
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn a_copy_of_an_index_that_was_made_again_shows_no_point_of_the_former() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
+    fake.takes_batches(4);
+    // Its batch has a row. The feed and other calls without one fail once the index is open.
+    fake.fail(|number, rows| (number >= 2 && rows == 0).then(|| Answer::unavailable("no feed")));
+    let index = open(&fake);
+    index.insert([5.0]).unwrap();
+    index.flush().unwrap();
+    let other = || revision_of("another-uid", 2);
+    fake.make_again("another-uid");
+    fake.watch_tells(vec![Ok(v1::WatchResponse {
+        revision: other(),
+        ..reset(v1::ResetReason::UidChanged, 0)
+    })]);
+    let mut scan = scanned(2, &[(9, 1.0)]);
+    scan[0].revision = other();
+    fake.scan_answers(scan, true);
+    fake.fail(|_, _| None);
+    while index.get(9).unwrap().is_none() {
+        thread::yield_now();
+    }
+    assert_eq!(index.len().unwrap(), 1);
 }
 
 /// The scan after a reset never ends: the copy answers from its points meanwhile, and says what it does.

@@ -146,6 +146,26 @@ fn a_refusal_amid_an_insert_of_many_rows_loses_no_id_and_is_logged() {
     );
 }
 
+/// The server answers an operation that it remembers with the session that it opened then, whose ids are not free.
+#[test]
+fn a_session_of_its_own_follows_each_refusal() {
+    let server = Server::with(|config| config.limits.max_points_per_index = 1);
+    let space = "R1".parse().unwrap();
+    let copies = [(); 2].map(|()| Index::shared(&server.uri, "arm").create(&space).open());
+    let copies = copies.map(Result::unwrap);
+    for round in 0..4 {
+        let index = &copies[round % 2];
+        let id = index.insert([0.0]).unwrap();
+        index.flush().unwrap();
+        index.insert([1.0]).unwrap();
+        let refused = index.flush().unwrap_err();
+        assert_eq!(refused.reason(), Some("QUOTA_EXCEEDED"), "{round}");
+        assert_eq!(index.take_unsent().len(), 1);
+        assert!(index.remove(id).unwrap());
+        index.flush().unwrap();
+    }
+}
+
 /// The feed of the copy and two foreign ones hold what a server for one message of 20 kB allows. A shared index with 2
 /// MB of pending writes and a client with one call wait until there is room.
 #[test]

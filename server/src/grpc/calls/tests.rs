@@ -1,14 +1,15 @@
-//! Calls that panic, and the bytes of answers.
+//! Calls that panic or do not arrive, and the bytes of answers.
 
 use bytes::Bytes;
 use futures_util::stream;
-use http_body::Body as HttpBody;
-use http_body_util::Full;
+use http_body::{Body as HttpBody, Frame};
+use http_body_util::{Full, StreamBody};
+use tokio_util::sync::CancellationToken;
 use tonic::Code;
 use tonic_types::StatusExt;
 
 use super::*;
-use crate::config::Config;
+use crate::{config::Config, grpc::connections::Connections};
 
 /// Answers with the result of a function, or panics as it does.
 #[derive(Clone)]
@@ -115,6 +116,31 @@ async fn a_stream_that_panics_ends_as_a_bug_and_frees_its_place_and_turn() {
         assert_eq!(status.code(), Code::Internal);
         assert!(under_way.is_empty());
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_request_for_health_that_does_not_arrive_is_counted() {
+    let shared = shared();
+    let connections = Connections::new(1, 1, shared.admission.clone());
+    let connection = connections.open(None, CancellationToken::new()).await;
+    let layer = CallsLayer::new(
+        &Config::default().grpc,
+        shared.clone(),
+        Callers::Clients,
+        TaskTracker::new(),
+    );
+    let never = Body::new(StreamBody::new(stream::pending::<
+        Result<Frame<Bytes>, Status>,
+    >()));
+    let request = Request::post("/grpc.health.v1.Health/Check")
+        .extension(connection.unwrap().activity().clone())
+        .body(never);
+    let mut calls = layer.layer(Answering(|| panic!("a request")));
+    let answer = calls.call(request.unwrap()).await.unwrap();
+    let status = Status::from_header_map(answer.headers()).unwrap();
+    let reason = status.get_details_error_info().unwrap().reason;
+    assert_eq!(reason, "TOO_SLOW");
+    assert!(shared.admission.refused(0).contains(&("TOO_SLOW", 1)));
 }
 
 /// A client that reads nothing leaves the first frame where it is: the connection asks for it once there is room to send.

@@ -1,6 +1,7 @@
 //! The bounds on unread answers, calls and scrapes, and the probes of a server whose store is gone.
 
 use std::{
+    convert::Infallible,
     fmt,
     future::Future,
     path::Path,
@@ -12,7 +13,7 @@ use std::{
 };
 
 use bytes::Bytes;
-use futures_util::{future::join_all, poll};
+use futures_util::{future::join_all, poll, stream};
 use http_body_util::BodyExt;
 use parking_lot::Mutex;
 use prometheus_client::{collector::Collector, encoding::DescriptorEncoder};
@@ -29,6 +30,7 @@ use crate::{
     log::{Catalogue, Durability, FjallLog},
     observe::MAX_SCRAPES,
     testing::arm,
+    verbs::MAX_DYNAMIC_BYTES,
 };
 
 /// Enough for other tasks to begin.
@@ -243,6 +245,29 @@ async fn a_wrong_parameter_counts_as_an_invalid_argument() {
     let counted = calls.next().unwrap();
     assert!(counted.contains("INVALID_ARGUMENT"), "{counted}");
     assert_eq!(calls.next(), None);
+}
+
+/// The body comes in two parts. Large JSON is read as blocking work, which needs the runtime of a server.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_body_has_a_bound() {
+    let mut router = router(&service().await, Identities::default());
+    for (more, expected) in [(0, StatusCode::OK), (1, StatusCode::BAD_REQUEST)] {
+        let mut body = br#"{ "states": [[1.0, 0.5]], "k": 1 }"#.to_vec();
+        body.resize(MAX_DYNAMIC_BYTES + more, b' ');
+        let parts = body.chunks(MAX_DYNAMIC_BYTES / 2 + 1);
+        let parts: Vec<_> = parts
+            .map(|part| Ok::<_, Infallible>(part.to_vec()))
+            .collect();
+        let request = Request::post("/api/v1/arm/knn").header(header::HOST, "127.0.0.1:8080");
+        let request: Request<Body> = request
+            .body(Body::from_stream(stream::iter(parts)))
+            .unwrap();
+        let answer = router.call(request).await.unwrap();
+        assert_eq!(answer.status(), expected, "{more}");
+        let text = to_bytes(answer.into_body(), usize::MAX).await.unwrap();
+        let is_too_large = String::from_utf8_lossy(&text).contains("TOO_LARGE");
+        assert_eq!(is_too_large, more > 0, "{text:?}");
+    }
 }
 
 /// A service of a store whose files were lost after its server had written them.
