@@ -182,6 +182,19 @@ impl Nats {
         removed.expect("an answer of NATS")
     }
 
+    /// Adds a message that no server writes to the journal of an index.
+    ///
+    /// # Panics
+    /// If NATS does not take it.
+    pub async fn damage(&self, uid: &str) {
+        let (_, messages) = self.messages(uid).await;
+        let client = async_nats::connect(self.urls()).await;
+        let context = jetstream::new(client.expect("a connection to NATS"));
+        let sent = context.publish(messages[0].subject.clone(), "damaged".into());
+        let acknowledged = sent.await.expect("a connection to NATS").await;
+        acknowledged.expect("an acknowledgement of NATS");
+    }
+
     /// The messages of an index, and their stream.
     ///
     /// # Panics

@@ -99,6 +99,14 @@ impl Connections {
         self.all.len() > 1
     }
 
+    /// The time for which one server may be silent in a call of `timeout`: the others have their time too.
+    pub(crate) fn patience(&self, timeout: Duration) -> Duration {
+        match u32::try_from(self.all.len()).unwrap_or(u32::MAX) {
+            0 | 1 => timeout,
+            several => MAX_SILENCE.min(timeout / several),
+        }
+    }
+
     /// The connection in use.
     pub(crate) fn current(&self) -> Connection {
         let turn = *self.turn.borrow();

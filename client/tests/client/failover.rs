@@ -259,6 +259,31 @@ async fn a_watch_goes_where_the_client_goes() {
     assert_eq!(asked_for(requests.map(|it| it.after_revision)), [7]);
 }
 
+/// The second server takes the watch and breaks its connection; the third serves it.
+#[tokio::test]
+async fn a_watch_passes_over_servers_that_cannot_serve_it() {
+    let [first, second, third] = [
+        Fake::start().await,
+        Fake::start().await,
+        Fake::start().await,
+    ];
+    let client = connect([&first.uri, &second.uri, &third.uri]).await;
+    let index = client.index("line").await.unwrap();
+    let breaks = || Err(Answer::unavailable("the server is stopping"));
+    first.watch_tells(vec![Ok(message(7, vec![])), breaks()]);
+    second.watch_tells(vec![breaks()]);
+    third.watch_tells(vec![
+        Ok(message(7, vec![])),
+        Ok(message(8, vec![piece(8, &[(1, 0.5)], &[], (0, false))])),
+    ]);
+    let mut watch = index.watch().await.unwrap();
+    let event = watch.next().await.unwrap().unwrap();
+    assert!(
+        matches!(&event, WatchEvent::Mutation(mutation) if mutation.revision.number == 8),
+        "{event:?}"
+    );
+}
+
 /// The fake's scans and watches are the script: a scan more would find nothing.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn the_copy_of_a_shared_index_goes_on_at_a_server_that_lags() {

@@ -189,12 +189,35 @@ async fn a_stream_that_breaks_goes_on_without_a_gap_or_a_repetition() {
     let begun = fake.watch_requests().into_iter();
     let after: Vec<_> = begun.map(|request| request.after_revision).collect();
     assert_eq!(after, [3, 3, 3, 4].map(revision));
+}
 
-    // The server stays away.
-    fake.unavailable(usize::MAX);
-    let error = watch.next().await.unwrap_err();
-    assert_eq!(error.code(), Code::Unavailable);
-    assert_eq!(watch.next().await.unwrap(), None);
+#[tokio::test]
+async fn a_watch_that_no_server_serves_ends_after_the_timeout() {
+    let broken = || Status::unavailable("its index is damaged");
+    for stays_away in [true, false] {
+        let fake = Fake::start().await;
+        // A server that takes every watch and ends it at once serves none.
+        for _ in 0..1_000 {
+            fake.watch_tells(vec![Ok(message(5, vec![])), Err(broken())]);
+        }
+        let index = fake.client().await.index("line").await.unwrap();
+        let index = index.with_timeout(Duration::from_millis(300));
+        let mut watch = index.watch().await.unwrap();
+        if stays_away {
+            fake.unavailable(usize::MAX);
+        }
+        let error = watch.next().await.unwrap_err();
+        // The time may end during a try.
+        let is_it = matches!(error.code(), Code::Unavailable | Code::DeadlineExceeded);
+        assert!(is_it, "{error}");
+        assert_eq!(watch.next().await.unwrap(), None);
+        let tries = if stays_away {
+            fake.calls()
+        } else {
+            fake.watch_requests().len()
+        };
+        assert!(tries > 2, "{tries}");
+    }
 }
 
 /// The event that has not come yet is not lost, nor is the way to it.

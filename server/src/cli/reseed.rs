@@ -36,10 +36,15 @@ pub(super) fn run(config: &Config, name: &str, uid: Option<&str>) -> ExitCode {
     match reseeded() {
         Ok(it) => {
             let left_out = match it.left_out {
-                0 => String::new(),
-                count => {
+                Some(0) => String::new(),
+                Some(count) => {
                     format!("left out: {count} later revisions, which this server did not have\n")
                 }
+                None => format!(
+                    "left out: what the journal has after revision {}; it cannot be read, so its revisions were not \
+                     counted\n",
+                    it.revision
+                ),
             };
             let text = format!(
                 "index {name} goes on as {} from revision {} with {} points; it was {}\n{left_out}\

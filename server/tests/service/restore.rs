@@ -13,7 +13,7 @@ use wayfold_proto::{
 };
 use wayfold_server::{
     log::{Durability, FjallLog, Log, MemoryLog},
-    service::{Code, Limits, Service},
+    service::{Code, Service},
 };
 
 use crate::{

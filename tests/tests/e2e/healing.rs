@@ -269,6 +269,12 @@ async fn an_operator_hears_what_a_new_generation_leaves_out() {
     let told = cluster.reseed(1);
     assert!(told.contains("left out: 5 later revisions"), "{told}");
     let server = cluster.start(1);
+    let content = latest_content(&mut Stubs::connect(server.uri()).await).await;
+    server.stop(Signal::Terminate);
+    cluster.nats.damage(&content.uid).await;
+    let told = cluster.reseed(1);
+    assert!(told.contains("it cannot be read"), "{told}");
+    let server = cluster.start(1);
     latest_content(&mut Stubs::connect(server.uri()).await).await;
     server.stop(Signal::Terminate);
     let told = cluster.reseed(1);

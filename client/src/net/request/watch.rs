@@ -54,8 +54,8 @@ pub struct WatchRequest {
 
 /// A watch under way, a stream of events, which ends after a reset and after an error. If its server ends or falls
 /// silent, it goes on at another one of the client's servers, or at the same one once that is back, with neither a gap
-/// nor a repetition; it ends with an error if none of them can be reached within the handle's timeout and the client's
-/// [`RetryPolicy`](crate::RetryPolicy).
+/// nor a repetition. It ends with an error once none has served it for the handle's timeout; at once where the client
+/// [never retries](crate::RetryPolicy::never).
 ///
 /// The server sends no faster than the caller takes the events. It sends a reset to a caller that is so slow that the
 /// server no longer keeps the next mutations.
@@ -74,8 +74,9 @@ pub struct Watch {
     request: Option<WatchRequest>,
     /// The watch that goes on, while it begins.
     next: Option<BoxFuture<'static, Result<Watch, Error>>>,
-    /// The number of times that the server had gone since the last mutation.
-    failures: u32,
+    /// The time since which no server has served the watch, and the failures since.
+    failing: Option<(Instant, u32)>,
+    began: Instant,
 }
 
 /// The settings of a watch before its first message.
@@ -101,6 +102,9 @@ awaitable!(WatchRequest => Watch);
 into_stream!(Watch => WatchEvent);
 
 const CALL: &str = "watch";
+
+/// A watch that has stood for this long was served.
+const RECOVERY_TIME: Duration = Duration::from_secs(1);
 
 impl WatchRequest {
     pub(crate) fn new(index: IndexHandle) -> WatchRequest {
@@ -134,15 +138,23 @@ impl WatchRequest {
 
     async fn send(self) -> Result<Watch, Error> {
         let index = &self.index;
+        let (client, waited) = (index.client(), index.timeout());
+        let patience = client.connections().patience(waited);
         let attempt = |connection: Connection, _remaining: Duration| {
             let (mut stub, message) = (connection.points(), self.message());
-            // Without a deadline, which would bound the whole stream.
-            async move { stub.watch(message).await }
+            let opening = async move {
+                // Without a deadline, which would bound the whole stream.
+                let mut messages = stub.watch(message).await?.into_inner();
+                let first = messages.message().await?;
+                Ok(tonic::Response::new((first, messages)))
+            };
+            async move {
+                let opened = timeout(patience, opening).await;
+                opened.unwrap_or_else(|_| Err(tonic::Status::unavailable("the server is silent")))
+            }
         };
-        let waited = index.timeout();
-        let deadline = Instant::now() + waited;
-        let answer = index.client().call_at(CALL, waited, deadline, attempt);
-        let (messages, connection) = answer.await?;
+        let answer = client.call_at(CALL, waited, Instant::now() + waited, attempt);
+        let ((first, messages), connection) = answer.await?;
         let start = WatchStart {
             server: connection.uri().to_string(),
             uid: index.revision().uid,
@@ -151,21 +163,13 @@ impl WatchRequest {
             after: self.after.as_ref().map(|after| after.number),
             timeout: waited,
         };
-        let messages = feed::messages(index.clone(), connection, messages);
+        let messages = feed::messages(index.clone(), connection, first, messages);
         let watch = Watch::of(start, messages).await?;
+        let goes_on = self.goes_on && client.retry_policy().attempts > 1;
         Ok(Watch {
-            request: self.goes_on.then_some(self),
+            request: goes_on.then_some(self),
             ..watch
         })
-    }
-
-    /// The pause before the watch goes on: a server that ends every watch at once is not asked all the time.
-    fn pause(&self, failures: u32, error: &Error) -> Duration {
-        let policy = self.index.client().retry_policy();
-        match failures {
-            0 | 1 => Duration::ZERO,
-            more => policy.endless_pause(more, Some(error)),
-        }
     }
 
     fn message(&self) -> v1::WatchRequest {
@@ -191,7 +195,8 @@ impl Watch {
             over: false,
             request: None,
             next: None,
-            failures: 0,
+            failing: None,
+            began: Instant::now(),
             start,
         };
         let first = timeout(waited, watch.messages.next()).await;
@@ -237,11 +242,20 @@ impl Watch {
     /// Waits for a message, or for the watch that goes on.
     async fn receive(&mut self) -> Result<(), Error> {
         if let Some(next) = &mut self.next {
-            let watch = next.await?;
-            let (failures, newest) = (self.failures, self.newest.clone());
-            *self = Watch { failures, ..watch };
-            self.note_newest(newest);
-            return Ok(());
+            let next = next.await;
+            self.next = None;
+            return match next {
+                Ok(watch) => {
+                    let newest = self.newest.clone();
+                    *self = Watch {
+                        failing: self.failing,
+                        ..watch
+                    };
+                    self.note_newest(newest);
+                    Ok(())
+                }
+                Err(error) => self.go_on_after(error),
+            };
         }
         let error = match self.messages.next().await {
             Some(Ok(message)) => return self.take_message(message),
@@ -253,18 +267,32 @@ impl Watch {
                 source: "the server ended the stream".into(),
             },
         };
-        let Some(request) = self.request.take() else {
+        if self.began.elapsed() >= RECOVERY_TIME {
+            self.failing = None;
+        }
+        self.go_on_after(error)
+    }
+
+    /// Begins a watch after the newest mutation, or returns the error if it is final.
+    fn go_on_after(&mut self, error: Error) -> Result<(), Error> {
+        let Some(request) = &self.request else {
             return Err(error);
         };
-        if error.code() != Code::Unavailable {
+        let (since, failures) = self.failing.unwrap_or((Instant::now(), 0));
+        let index = &request.index;
+        if error.code() != Code::Unavailable || since.elapsed() >= index.timeout() {
             return Err(error);
         }
-        self.failures += 1;
-        let pause = request.pause(self.failures, &error);
-        let after = request.index.revision_at(self.after);
+        self.failing = Some((since, failures + 1));
+        // A server that ends every watch at once is not asked all the time.
+        let pause = match failures {
+            0 => Duration::ZERO,
+            more => (index.client().retry_policy()).endless_pause(more, Some(&error)),
+        };
+        let request = request.clone().after(index.revision_at(self.after));
         self.next = Some(Box::pin(async move {
             sleep_until(Instant::now() + pause).await;
-            request.after(after).send().await
+            request.send().await
         }));
         Ok(())
     }
@@ -348,7 +376,7 @@ impl Watch {
             let next = next.ok_or_else(|| Error::protocol(CALL, "a mutation without an end"))?;
             self.unfinished = Some((mutation, next));
         } else {
-            (self.after, self.failures) = (revision.number, 0);
+            (self.after, self.failing) = (revision.number, None);
             self.ready
                 .push_back(WatchEvent::Mutation(Box::new(mutation)));
         }

@@ -15,18 +15,26 @@ struct Feed {
     messages: Streaming<v1::WatchResponse>,
 }
 
-/// The messages of a server, until the client leaves it.
+/// The first message of a server, and those after it until the client leaves the server.
 pub(super) fn messages(
     index: IndexHandle,
     connection: Connection,
+    first: Option<v1::WatchResponse>,
     messages: Streaming<v1::WatchResponse>,
 ) -> Messages {
+    let first = first.map(|first| named(&index, first));
     let feed = Feed {
         index,
         connection,
         messages,
     };
-    Box::pin(stream::unfold(feed, Feed::next))
+    Box::pin(stream::iter(first).chain(stream::unfold(feed, Feed::next)))
+}
+
+/// A message, whose revision the handle remembers.
+fn named(index: &IndexHandle, message: v1::WatchResponse) -> Result<v1::WatchResponse, Error> {
+    index.answered(CALL, message.revision.clone())?;
+    Ok(message)
 }
 
 impl Feed {
@@ -45,10 +53,7 @@ impl Feed {
             }
         };
         let named = match received {
-            Ok(message) => {
-                let named = self.index.answered(CALL, message.revision.clone());
-                named.map(|_| message)
-            }
+            Ok(message) => named(&self.index, message),
             Err(status) => {
                 let (uri, waited) = (self.connection.uri(), self.index.timeout());
                 let error = Error::from_status(CALL, uri, waited, status);
