@@ -4,7 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use parking_lot::Mutex;
 use tokio::{sync::watch, time::Instant};
-use tonic::{Code, service::interceptor::InterceptedService, transport::Channel};
+use tonic::{Code, Status, service::interceptor::InterceptedService, transport::Channel};
 use wayfold_proto::v1::{
     index_service_client::IndexServiceClient, point_service_client::PointServiceClient,
 };
@@ -15,6 +15,9 @@ use crate::Error;
 /// The longest time for which a client with several servers waits for one that is silent: for its connection, and for
 /// the answer to a keep-alive. If no call was answered for longer, the next one goes elsewhere.
 pub(crate) const MAX_SILENCE: Duration = Duration::from_secs(5);
+
+/// A server that is well answers sooner, also if the call has less time.
+const MIN_PATIENCE: Duration = Duration::from_secs(1);
 
 /// A connection whose calls have the client's token.
 type Transport = InterceptedService<Channel, Bearer>;
@@ -99,12 +102,23 @@ impl Connections {
         self.all.len() > 1
     }
 
-    /// The time for which one server may be silent in a call of `timeout`: the others have their time too.
-    pub(crate) fn patience(&self, timeout: Duration) -> Duration {
-        match u32::try_from(self.all.len()).unwrap_or(u32::MAX) {
-            0 | 1 => timeout,
-            several => MAX_SILENCE.min(timeout / several),
+    /// Makes an attempt of a call of `timeout`. One of several servers may be silent for its part of that time only.
+    pub(crate) async fn patiently<T>(
+        &self,
+        timeout: Duration,
+        attempt: impl Future<Output = Result<T, Status>>,
+    ) -> Result<T, Status> {
+        if !self.are_several() {
+            return attempt.await;
         }
+        let servers = u32::try_from(self.all.len()).unwrap_or(u32::MAX);
+        let patience = (timeout / servers).clamp(MIN_PATIENCE, MAX_SILENCE);
+        let answered = tokio::time::timeout(patience, attempt).await;
+        answered.unwrap_or_else(|silent| {
+            let mut status = Status::unavailable("the server is silent");
+            status.set_source(Arc::new(silent));
+            Err(status)
+        })
     }
 
     /// The connection in use.

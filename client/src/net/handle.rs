@@ -308,24 +308,29 @@ impl IndexHandle {
     }
 
     /// Opens a scan, a snapshot or a verification, without a deadline, which would bound the whole stream. A server lets
-    /// such a read wait for 5 s only, so the client waits for the newest revision before; if there are several servers,
-    /// it goes to another one after a while.
+    /// such a read wait for 5 s only, so the client waits for the newest revision, and for `since`, before; if there are
+    /// several servers, it goes to another one after a while.
     pub(crate) async fn open_stream<A, Fut>(
         &self,
         call: &'static str,
+        since: Option<&Revision>,
         open: impl Fn(Connection) -> Fut,
     ) -> Result<A, Error>
     where
         Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
     {
+        // The server refuses another uid.
+        let since = since.filter(|since| *since.uid == *self.shared.uid);
+        let since = since.map_or(0, |since| since.number);
         let attempt = |connection: Connection, remaining: Duration| {
+            let newest = self.shared.newest.number().max(since);
             let wait = match self.client().connections().are_several() {
                 true => remaining.min(MAX_SILENCE),
                 false => remaining,
             };
             let opened = open(connection.clone());
             async move {
-                let waited = self.wait_for_newest(&connection, wait).await;
+                let waited = self.wait_for(newest, &connection, wait).await;
                 waited.map_err(|status| match status.code() {
                     // The next attempt asks another server.
                     tonic::Code::DeadlineExceeded | tonic::Code::Cancelled if wait < remaining => {
@@ -347,12 +352,23 @@ impl IndexHandle {
         connection: &Connection,
         remaining: Duration,
     ) -> Result<(), tonic::Status> {
-        if self.shared.newest.number() == 0 {
+        let newest = self.shared.newest.number();
+        self.wait_for(newest, connection, remaining).await
+    }
+
+    /// Waits until the server has this revision.
+    async fn wait_for(
+        &self,
+        revision: u64,
+        connection: &Connection,
+        remaining: Duration,
+    ) -> Result<(), tonic::Status> {
+        if revision == 0 {
             return Ok(());
         }
         let request = v1::GetRequest {
             index_name: self.name().to_owned(),
-            min_revision: self.min_revision(),
+            min_revision: Some(self.revision_at(revision).to_message()),
             ..Default::default()
         };
         connection.points().get(within(remaining, request)).await?;

@@ -1,10 +1,10 @@
 //! A client of several servers: where it connects, when it goes to another one, and what it never goes back behind.
 
-use std::thread;
+use std::{thread, time::Duration};
 
 use tokio::runtime::Runtime;
 use tonic::Status as Answer;
-use wayfold::{Client, Code, Error, Index, RetryPolicy, WatchEvent};
+use wayfold::{Client, Code, Error, Filter, Index, RetryPolicy, WatchEvent};
 use wayfold_proto::v1;
 
 use crate::{
@@ -284,6 +284,17 @@ async fn a_watch_passes_over_servers_that_cannot_serve_it() {
     );
 }
 
+#[tokio::test]
+async fn a_watch_leaves_a_silent_server_while_there_is_time_for_the_next() {
+    let (first, second) = (Fake::start().await, Fake::start().await);
+    let index = connect([&first.uri, &second.uri]).await;
+    let index = index.index("line").await.unwrap();
+    first.fall_silent();
+    second.watch_tells(vec![Ok(message(7, vec![]))]);
+    let index = index.with_timeout(Duration::from_secs(2));
+    assert_eq!(index.watch().await.unwrap().newest().number, 7);
+}
+
 /// The fake's scans and watches are the script: a scan more would find nothing.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn the_copy_of_a_shared_index_goes_on_at_a_server_that_lags() {
@@ -344,6 +355,18 @@ async fn writes_to_a_server_that_lacks_the_index_go_to_the_next_one() {
 }
 
 /// It has not reached it in the time in which another server is worth a try.
+/// The server lets a scan wait for a few seconds only.
+#[tokio::test]
+async fn a_scan_waits_for_the_revision_of_its_filter_before_it_begins() {
+    let fake = Fake::start().await;
+    let index = connect([&fake.uri]).await.index("line").await.unwrap();
+    fake.scan_answers(scanned(9, &[(1, 0.0)]), true);
+    let later = Filter::default().since(index.revision_at(9));
+    index.scan().filter(later).await.unwrap();
+    let waits = fake.get_requests().into_iter();
+    assert_eq!(asked_for(waits.map(|wait| wait.min_revision)), [9]);
+}
+
 #[tokio::test]
 async fn a_scan_leaves_a_server_that_lacks_the_newest_revision() {
     let (first, second) = (Fake::start().await, Fake::start().await);

@@ -35,14 +35,14 @@ pub(super) fn run(config: &Config, name: &str, uid: Option<&str>) -> ExitCode {
     };
     match reseeded() {
         Ok(it) => {
-            let left_out = match it.left_out {
-                Some(0) => String::new(),
-                Some(count) => {
+            let left_out = match &it.left_out {
+                Ok(0) => String::new(),
+                Ok(count) => {
                     format!("left out: {count} later revisions, which this server did not have\n")
                 }
-                None => format!(
+                Err(error) => format!(
                     "left out: what the journal has after revision {}; it cannot be read, so its revisions were not \
-                     counted\n",
+                     counted: {error}\n",
                     it.revision
                 ),
             };

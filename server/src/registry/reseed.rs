@@ -29,8 +29,8 @@ pub(crate) struct Reseeded {
     pub(crate) revision: u64,
     /// The number of its points.
     pub(crate) points: u64,
-    /// The number of later revisions in the journal, which are gone; None if the journal cannot tell.
-    pub(crate) left_out: Option<u64>,
+    /// The number of later revisions in the journal, which are gone.
+    pub(crate) left_out: Result<u64, LogError>,
 }
 
 /// The index has no new generation.
@@ -111,7 +111,7 @@ pub(crate) fn reseed(
     }
     restoring.finish(view.sessions().clone(), Vec::new())?;
     // A journal that has lost the index is one of the reasons for this call.
-    let newest = log.journal.newest(old.uid).ok();
+    let newest = log.journal.newest(old.uid);
     let run = *Uid::unique().as_bytes();
     publish(log, run, &entry, Some(old.uid), origin).map_err(|error| match error {
         LogError::NameTaken { .. } => ReseedError::Replaced { old: old.uid },

@@ -23,6 +23,9 @@ use crate::{Error, index::local::LocalPoints};
 /// The most steps of a batch: each waits for the slowest.
 const MAX_BATCH_STEPS: usize = 4_096;
 
+/// The steps of a batch that is worth a call.
+const LARGE_BATCH_STEPS: usize = 64;
+
 /// The most bytes of a batch.
 const MAX_BATCH_BYTES: usize = 1 << 20;
 
@@ -239,6 +242,13 @@ impl PendingWrites {
             self.next_number += 1;
         }
         Some(batch.message())
+    }
+
+    /// True if the next batch has many writes, or grows no more.
+    pub(super) fn is_next_large(&self) -> bool {
+        let mut next = self.queue.iter().filter(|batch| batch.number == 0);
+        let is_large = |batch: &Batch| batch.len() >= LARGE_BATCH_STEPS;
+        next.next().is_some_and(is_large) || next.next().is_some()
     }
 
     /// The writes that the server did not take, in their order. Writing may begin again.

@@ -71,7 +71,9 @@ impl ScanRequest {
             let message = self.message();
             async move { connection.points().scan(message).await }
         };
-        let mut parts = index.open_stream(CALL, open).await?;
+        let mut parts = index
+            .open_stream(CALL, self.filter.since.as_ref(), open)
+            .await?;
         let Some(first) = receive(CALL, index, &mut parts).await? else {
             return Err(Error::protocol(CALL, "a scan without any part"));
         };

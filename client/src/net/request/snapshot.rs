@@ -63,7 +63,7 @@ impl SnapshotRequest {
             let message = message.clone();
             async move { connection.indexes().snapshot_index(message).await }
         };
-        let mut parts = index.open_stream(CALL, open).await?;
+        let mut parts = index.open_stream(CALL, None, open).await?;
         let mut reader = Reader::new();
         match receive(&index, &mut parts, &mut reader).await? {
             Some((part, Content::Header(header))) => {

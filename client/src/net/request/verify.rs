@@ -101,7 +101,7 @@ impl Verify {
             let message = self.message();
             async move { connection.indexes().verify_index(message).await }
         };
-        let mut answers = index.open_stream(CALL, open).await?;
+        let mut answers = index.open_stream(CALL, None, open).await?;
         loop {
             let answer = receive(CALL, index, &mut answers).await?;
             match answer.and_then(|answer| answer.result) {

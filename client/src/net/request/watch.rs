@@ -17,7 +17,7 @@ use wayfold_proto::v1;
 pub use event::{Mutation, Reset, ResetReason, WatchEvent};
 
 use super::{awaitable, into_stream};
-use crate::{Code, Error, Include, IndexHandle, Points, Revision, net::connections::Connection};
+use crate::{Error, Include, IndexHandle, Points, Revision, net::connections::Connection};
 
 /// Follows an index: every mutation, in order, once readers can see it; await it to begin.
 ///
@@ -103,8 +103,8 @@ into_stream!(Watch => WatchEvent);
 
 const CALL: &str = "watch";
 
-/// A watch that has stood for this long was served.
-const RECOVERY_TIME: Duration = Duration::from_secs(1);
+/// A watch that has stood for this long was served: a server that is cut off from its journal ends one after 5 s.
+const RECOVERY_TIME: Duration = Duration::from_secs(10);
 
 impl WatchRequest {
     pub(crate) fn new(index: IndexHandle) -> WatchRequest {
@@ -139,7 +139,6 @@ impl WatchRequest {
     async fn send(self) -> Result<Watch, Error> {
         let index = &self.index;
         let (client, waited) = (index.client(), index.timeout());
-        let patience = client.connections().patience(waited);
         let attempt = |connection: Connection, _remaining: Duration| {
             let (mut stub, message) = (connection.points(), self.message());
             let opening = async move {
@@ -148,10 +147,7 @@ impl WatchRequest {
                 let first = messages.message().await?;
                 Ok(tonic::Response::new((first, messages)))
             };
-            async move {
-                let opened = timeout(patience, opening).await;
-                opened.unwrap_or_else(|_| Err(tonic::Status::unavailable("the server is silent")))
-            }
+            client.connections().patiently(waited, opening)
         };
         let answer = client.call_at(CALL, waited, Instant::now() + waited, attempt);
         let ((first, messages), connection) = answer.await?;
@@ -249,6 +245,7 @@ impl Watch {
                     let newest = self.newest.clone();
                     *self = Watch {
                         failing: self.failing,
+                        request: self.request.take(),
                         ..watch
                     };
                     self.note_newest(newest);
@@ -267,7 +264,7 @@ impl Watch {
                 source: "the server ended the stream".into(),
             },
         };
-        if self.began.elapsed() >= RECOVERY_TIME {
+        if self.began.elapsed() >= RECOVERY_TIME || feed::has_moved(&error) {
             self.failing = None;
         }
         self.go_on_after(error)
@@ -280,7 +277,8 @@ impl Watch {
         };
         let (since, failures) = self.failing.unwrap_or((Instant::now(), 0));
         let index = &request.index;
-        if error.code() != Code::Unavailable || since.elapsed() >= index.timeout() {
+        let left = index.timeout().saturating_sub(since.elapsed());
+        if !error.is_transient() || left.is_zero() {
             return Err(error);
         }
         self.failing = Some((since, failures + 1));
@@ -289,7 +287,11 @@ impl Watch {
             0 => Duration::ZERO,
             more => (index.client().retry_policy()).endless_pause(more, Some(&error)),
         };
-        let request = request.clone().after(index.revision_at(self.after));
+        let request = WatchRequest {
+            index: index.with_timeout(left),
+            after: Some(index.revision_at(self.after)),
+            ..request.clone()
+        };
         self.next = Some(Box::pin(async move {
             sleep_until(Instant::now() + pause).await;
             request.send().await

@@ -93,6 +93,25 @@ fn a_repeated_request_is_the_same() {
 }
 
 #[test]
+fn a_batch_is_worth_a_call_once_it_has_many_writes_or_another_waits_behind_it() {
+    let (mut writes, mut points) = pending_writes();
+    writes.reserve(block(200, 100));
+    assert!(!writes.is_next_large());
+    for step in 1..=LARGE_BATCH_STEPS {
+        insert(&mut writes, &mut points, step as f64);
+        assert_eq!(writes.is_next_large(), step == LARGE_BATCH_STEPS);
+    }
+    // It is under way.
+    writes.next(1, 0);
+    assert!(!writes.is_next_large());
+    writes.limit(2, usize::MAX);
+    for step in 1..=3 {
+        insert(&mut writes, &mut points, step as f64);
+        assert_eq!(writes.is_next_large(), step == 3);
+    }
+}
+
+#[test]
 fn a_reload_confirms_the_batches_that_it_holds() {
     let (mut writes, mut points) = pending_writes();
     foreign(&mut writes, &mut points, 5, 0, 0.5);

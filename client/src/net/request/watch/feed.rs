@@ -9,6 +9,16 @@ use wayfold_proto::v1;
 use super::{CALL, Messages};
 use crate::{Error, IndexHandle, net::connections::Connection};
 
+/// No failure of the server that it leaves.
+#[derive(Debug, thiserror::Error)]
+#[error("the client has gone to another server")]
+struct Moved;
+
+/// True if the watch only follows its client to another server.
+pub(super) fn has_moved(error: &Error) -> bool {
+    matches!(error, Error::Connection { source, .. } if source.is::<Moved>())
+}
+
 struct Feed {
     index: IndexHandle,
     connection: Connection,
@@ -47,7 +57,7 @@ impl Feed {
                 let elsewhere = Error::Connection {
                     call: CALL,
                     uri: self.connection.uri().to_string(),
-                    source: "the client has gone to another server".into(),
+                    source: Box::new(Moved),
                 };
                 return Some((Err(elsewhere), self));
             }
