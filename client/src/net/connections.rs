@@ -102,7 +102,8 @@ impl Connections {
         self.all.len() > 1
     }
 
-    /// Makes an attempt of a call of `timeout`. One of several servers may be silent for its part of that time only.
+    /// Makes an attempt of a call of `timeout`. One of several servers may be silent for its part of that time only, or
+    /// for [`MIN_PATIENCE`].
     pub(crate) async fn patiently<T>(
         &self,
         timeout: Duration,

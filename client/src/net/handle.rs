@@ -323,14 +323,16 @@ impl IndexHandle {
         let since = since.filter(|since| *since.uid == *self.shared.uid);
         let since = since.map_or(0, |since| since.number);
         let attempt = |connection: Connection, remaining: Duration| {
-            let newest = self.shared.newest.number().max(since);
-            let wait = match self.client().connections().are_several() {
+            let newest = self.shared.newest.number();
+            // No server may have what the caller alone has named.
+            let may_be_elsewhere = since <= newest && self.client().connections().are_several();
+            let wait = match may_be_elsewhere {
                 true => remaining.min(MAX_SILENCE),
                 false => remaining,
             };
             let opened = open(connection.clone());
             async move {
-                let waited = self.wait_for(newest, &connection, wait).await;
+                let waited = self.wait_for(newest.max(since), &connection, wait).await;
                 waited.map_err(|status| match status.code() {
                     // The next attempt asks another server.
                     tonic::Code::DeadlineExceeded | tonic::Code::Cancelled if wait < remaining => {

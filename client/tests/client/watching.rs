@@ -4,6 +4,7 @@ use std::{thread, time::Duration};
 
 use tokio::time::timeout;
 use tonic::Status;
+use tonic_types::{ErrorDetails, StatusExt};
 use wayfold::{
     Code, ConnectionStatus, Error, Include, Index, Mutation, ResetReason, Watch, WatchEvent,
 };
@@ -192,6 +193,25 @@ async fn a_stream_that_breaks_goes_on_without_a_gap_or_a_repetition() {
 }
 
 #[tokio::test]
+async fn a_busy_server_is_asked_again_for_the_rest_of_a_watch() {
+    let fake = Fake::start().await;
+    fake.watch_tells(vec![
+        Ok(message(3, vec![])),
+        Err(Status::unavailable("the server is stopping")),
+    ]);
+    let whole = piece(4, &[(1, 0.0)], &[], (0, false));
+    fake.watch_tells(vec![Ok(message(4, vec![whole]))]);
+    let mut watch = watch(&fake).await;
+    // More refusals than the attempts of a call.
+    fake.fail(|number, _| {
+        let details = ErrorDetails::with_retry_info(Some(Duration::from_millis(1)));
+        let busy = || Status::with_error_details(Code::ResourceExhausted, "busy", details);
+        (number < 7).then(busy)
+    });
+    assert_eq!(mutation(&mut watch).await.revision.number, 4);
+}
+
+#[tokio::test]
 async fn a_watch_that_no_server_serves_ends_after_the_timeout() {
     let broken = || Status::unavailable("its index is damaged");
     for stays_away in [true, false] {
@@ -201,7 +221,7 @@ async fn a_watch_that_no_server_serves_ends_after_the_timeout() {
             fake.watch_tells(vec![Ok(message(5, vec![])), Err(broken())]);
         }
         let index = fake.client().await.index("line").await.unwrap();
-        let index = index.with_timeout(Duration::from_millis(300));
+        let index = index.with_timeout(Duration::from_secs(2));
         let mut watch = index.watch().await.unwrap();
         if stays_away {
             fake.unavailable(usize::MAX);

@@ -27,8 +27,8 @@ const MUTATION_BYTES: usize = 128;
 /// The time between two checks of the rights of a watch that waits, and of the journal.
 const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// A watch ends after this number of checks of a journal that cannot be reached: its client goes on at another server. The
-/// client of NATS connects again sooner than that if it can.
+/// A watch ends after this number of checks of a journal that cannot be reached, or after one if it began like that: its
+/// client goes on at another server. The client of NATS connects again sooner than that if it can.
 const MAX_CUT_OFF_CHECKS: u32 = 5;
 
 /// A running watch. It pins no revision and holds the mutations of one message at most: the log keeps the rest, for as
@@ -55,6 +55,8 @@ pub struct Watch {
     /// The session whose mutations come without points and removed ids; 0 is no session.
     own_session: u64,
     message_bytes: usize,
+    /// The checks so far that found the journal out of reach, as the next wait counts them.
+    cut_off_checks: u32,
     state: State,
 }
 
@@ -103,6 +105,10 @@ impl Service {
             replaced: Vec::new(),
             own_session: request.own_session,
             message_bytes: MESSAGE_BYTES.min(self.limits().max_answer_bytes / 2),
+            cut_off_checks: match self.registry()?.is_cut_off() {
+                true => MAX_CUT_OFF_CHECKS - 1,
+                false => 0,
+            },
             state: match checked {
                 Ok(()) => State::Beginning,
                 Err(_) => State::OtherUid,
@@ -180,7 +186,10 @@ impl Watch {
             self.wait().await?;
             let read = self.hosted.mutations(self.after, self.message_bytes);
             match self.call.bound("while watching", read).await? {
-                Ok(records) => self.next = records.into(),
+                Ok(records) => {
+                    self.next = records.into();
+                    self.cut_off_checks = 0;
+                }
                 Err(RegistryError::Log(LogError::Trimmed { .. })) => {
                     return Ok(self.reset(v1::ResetReason::WindowPassed));
                 }
@@ -232,7 +241,7 @@ impl Watch {
     async fn wait(&self) -> Result<(), Error> {
         let reached = self.hosted.reached(self.after + 1);
         let mut reached = pin!(self.call.bound("while watching", reached));
-        let mut cut_off = 0;
+        let mut cut_off = self.cut_off_checks;
         let reached = loop {
             let waited = tokio::select! {
                 // Without this branch a call that waits for a mutation would delay the shutdown forever.

@@ -77,6 +77,28 @@ async fn the_command_watch_goes_on_at_another_server() {
     watch.stop(Signal::Kill);
 }
 
+/// Both servers go on reading, and no mutation reaches them.
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_command_watch_ends_while_no_server_reaches_nats() {
+    let mut cluster = Cluster::empty();
+    let [server, other]: [_; 2] = together(&cluster, &[]);
+    let mut stubs = Vec::new();
+    for server in [&server, &other] {
+        stubs.push(Stubs::connect(server.uri()).await);
+    }
+    create_everywhere(&mut stubs).await;
+    stubs[0].insert(insert(1.0)).await;
+    let mut watch = Command::new(env!("CARGO_BIN_EXE_cli-process"));
+    watch.args(["--server", &format!("{},{}", server.uri(), other.uri())]);
+    let mut watch = Process::spawn(watch.args(["watch", "arm", "--after", "0"]));
+    let line = watch.line().expect("a line");
+    assert!(line.starts_with("revision 1 "), "{line}");
+    cluster.nats.kill(0);
+    let ended = tokio::task::spawn_blocking(move || watch.finish());
+    assert_eq!(ended.await.unwrap().status.code(), Some(4));
+}
+
 #[ignore = "needs nats-server"]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_owner_evaluates_the_mutations_of_all_servers_until_it_is_gone() {

@@ -71,7 +71,8 @@ pub(super) async fn run(core: Arc<Core>) {
                     () = sleep_until(began + intervals * BATCH_INTERVAL) => {}
                     () = core.urgent.notified() => break,
                 }
-                if core.pending_writes.lock().is_next_large() {
+                let writes = core.pending_writes.lock();
+                if writes.is_next_large() || core.reserve_count(&writes) > 0 {
                     break;
                 }
             }

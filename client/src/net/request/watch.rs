@@ -54,8 +54,8 @@ pub struct WatchRequest {
 
 /// A watch under way, a stream of events, which ends after a reset and after an error. If its server ends or falls
 /// silent, it goes on at another one of the client's servers, or at the same one once that is back, with neither a gap
-/// nor a repetition. It ends with an error once none has served it for the handle's timeout; at once where the client
-/// [never retries](crate::RetryPolicy::never).
+/// nor a repetition. It ends with an error once none has served it for the handle's timeout, and the last try may take as
+/// long again; at once where the client [never retries](crate::RetryPolicy::never).
 ///
 /// The server sends no faster than the caller takes the events. It sends a reset to a caller that is so slow that the
 /// server no longer keeps the next mutations.
@@ -103,8 +103,8 @@ into_stream!(Watch => WatchEvent);
 
 const CALL: &str = "watch";
 
-/// A watch that has stood for this long was served: a server that is cut off from its journal ends one after 5 s.
-const RECOVERY_TIME: Duration = Duration::from_secs(10);
+/// A watch that has stood for this long was served: a server that is cut off from its journal ends one after a second.
+const RECOVERY_TIME: Duration = Duration::from_secs(3);
 
 impl WatchRequest {
     pub(crate) fn new(index: IndexHandle) -> WatchRequest {
@@ -264,7 +264,7 @@ impl Watch {
                 source: "the server ended the stream".into(),
             },
         };
-        if self.began.elapsed() >= RECOVERY_TIME || feed::has_moved(&error) {
+        if self.began.elapsed() >= RECOVERY_TIME {
             self.failing = None;
         }
         self.go_on_after(error)
@@ -277,21 +277,19 @@ impl Watch {
         };
         let (since, failures) = self.failing.unwrap_or((Instant::now(), 0));
         let index = &request.index;
-        let left = index.timeout().saturating_sub(since.elapsed());
-        if !error.is_transient() || left.is_zero() {
+        if !error.is_transient() || since.elapsed() >= index.timeout() {
             return Err(error);
         }
-        self.failing = Some((since, failures + 1));
+        if !feed::has_moved(&error) {
+            self.failing = Some((since, failures + 1));
+        }
         // A server that ends every watch at once is not asked all the time.
         let pause = match failures {
             0 => Duration::ZERO,
             more => (index.client().retry_policy()).endless_pause(more, Some(&error)),
         };
-        let request = WatchRequest {
-            index: index.with_timeout(left),
-            after: Some(index.revision_at(self.after)),
-            ..request.clone()
-        };
+        let pause = pause.min(index.timeout());
+        let request = request.clone().after(index.revision_at(self.after));
         self.next = Some(Box::pin(async move {
             sleep_until(Instant::now() + pause).await;
             request.send().await
