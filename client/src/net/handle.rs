@@ -188,8 +188,8 @@ impl IndexHandle {
     }
 
     /// A handle whose searches, gets and scans see every mutation that was acknowledged before they begin, whichever
-    /// server of a cluster acknowledged it. Each costs a record in the journal, which all that wait share. Reads of a server with a journal
-    /// of its own always see them.
+    /// server of a cluster acknowledged it. Each costs a record in the journal, which all that wait share. Reads of a
+    /// server with a journal of its own always see them.
     #[must_use]
     pub fn latest(&self) -> IndexHandle {
         IndexHandle {

@@ -15,8 +15,8 @@ use crate::{Code, Error, IndexInfo, net::request::fresh_operation_id};
 /// than its rows: batches sent back to back cost planners of a maze on two cores a quarter of their speed.
 const BATCH_INTERVAL: Duration = Duration::from_millis(4);
 
-/// The intervals after which a batch of few writes begins too. After one already, two planners that check poses and
-/// store little lose a tenth of their speed to the calls.
+/// The most intervals for which a batch of few writes waits for more. If it waits for one, two planners that check poses
+/// and store little lose a tenth of their speed to the calls.
 const MAX_INTERVALS: u32 = 8;
 
 /// The next thing to send.
