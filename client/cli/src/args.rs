@@ -128,7 +128,7 @@ impl Args {
     }
 }
 
-/// The error of the same arguments without the variables, whose usage names no option that nobody typed.
+/// Parses the arguments again without the variables: the usage line of this error names only options that were typed.
 fn without_variables(error: clap::Error) -> clap::Error {
     // The help names the variables.
     let is_help = error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;

@@ -58,7 +58,7 @@ pub(super) struct ConnectionArgs {
 }
 
 impl ConnectionArgs {
-    /// Notes which values come from variables: errors name these and not options that nobody typed.
+    /// Remembers the values that come from variables, so that errors name the variable instead of the option.
     pub(super) fn note_variables(&mut self, matches: &ArgMatches) {
         let ids = ["ca", "cert", "key", "token_file"];
         let is_variable = |id: &&str| matches.value_source(id) == Some(ValueSource::EnvVariable);

@@ -16,7 +16,7 @@ use crate::Error;
 /// the answer to a keep-alive. If no call was answered for longer, the next one goes elsewhere.
 pub(crate) const MAX_SILENCE: Duration = Duration::from_secs(5);
 
-/// A server that is well answers sooner, also if the call has less time.
+/// A healthy server answers within this time, so a shorter wait does not show that a server is silent.
 const MIN_PATIENCE: Duration = Duration::from_secs(1);
 
 /// A connection whose calls have the client's token.

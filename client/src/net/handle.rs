@@ -324,7 +324,7 @@ impl IndexHandle {
         let since = since.map_or(0, |since| since.number);
         let attempt = |connection: Connection, remaining: Duration| {
             let newest = self.shared.newest.number();
-            // No server may have what the caller alone has named.
+            // Perhaps no server has a revision that only the caller has named.
             let may_be_elsewhere = since <= newest && self.client().connections().are_several();
             let wait = match may_be_elsewhere {
                 true => remaining.min(MAX_SILENCE),

@@ -240,7 +240,7 @@ async fn a_watch_that_no_server_serves_ends_after_the_timeout() {
     }
 }
 
-/// The event that has not come yet is not lost, nor is the way to it.
+/// A dropped future loses neither an event nor the progress to the next server.
 #[tokio::test]
 async fn a_caller_who_stops_waiting_again_and_again_still_sees_the_watch_go_on() {
     let fake = Fake::start().await;

@@ -156,7 +156,7 @@ mod tests {
         testing::arm,
     };
 
-    /// Of as many blocks as an index may have, one is that of an idle session.
+    /// The index has as many blocks as it may have, and one of them belongs to an idle session.
     #[tokio::test]
     async fn the_block_of_a_session_that_ends_makes_room_for_another() {
         let mut sessions = Sessions::default();

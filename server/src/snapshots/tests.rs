@@ -1,11 +1,7 @@
 use tempfile::NamedTempFile;
 
 use super::*;
-use crate::{
-    log::MemoryLog,
-    registry::{Registry, RegistryOptions},
-    service::Limits,
-};
+use crate::testing::{arm, log_with, server};
 
 fn schedule(directory: &Path, keep: usize) -> Schedule {
     Schedule {
@@ -25,18 +21,9 @@ fn now() -> SystemTime {
 }
 
 /// A service with the index `arm`.
-async fn service() -> Service {
-    let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
-    let service = Service::new(registry, Limits::default());
-    service.set_ready();
-    let creation = v1::CreateIndexRequest {
-        name: "arm".into(),
-        space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
-        ..Default::default()
-    };
-    let created = service.create_index(&Call::default(), creation).await;
-    created.unwrap();
-    service
+fn service() -> Service {
+    let log = log_with(&arm(), &[]);
+    server(&log, &log)
 }
 
 #[test]
@@ -76,7 +63,7 @@ fn a_directory_is_in_the_data_by_its_place_and_not_by_its_name() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_snapshot_leaves_the_room_of_the_disk_free() {
-    let service = service().await;
+    let service = service();
     let listed = service.listed().into_iter().next();
     let Some((_, IndexState::Hosted(hosted))) = listed else {
         panic!("an index");
@@ -105,7 +92,7 @@ async fn a_snapshot_leaves_the_room_of_the_disk_free() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn an_index_that_was_deleted_after_the_list_was_made_is_no_failure() {
-    let service = service().await;
+    let service = service();
     let listed = service.listed().into_iter().next();
     let Some((_, IndexState::Hosted(hosted))) = listed else {
         panic!("an index");
@@ -127,7 +114,7 @@ async fn an_index_that_was_deleted_after_the_list_was_made_is_no_failure() {
 /// Two snapshots fail: their directory is a file.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn snapshots_are_counted_by_their_outcome() {
-    let (service, metrics, runtime) = (service().await, Metrics::new(true), Handle::current());
+    let (service, metrics, runtime) = (service(), Metrics::new(true), Handle::current());
     let (file, directory) = (NamedTempFile::new().unwrap(), tempfile::tempdir().unwrap());
     let schedules = [file.path(), file.path(), directory.path()].map(|path| schedule(path, 1));
     let counted = metrics.clone();

@@ -13,7 +13,6 @@ use std::{
 use futures_util::{StreamExt, stream::FuturesUnordered};
 use sha2::{Digest, Sha256};
 use tokio::{net::TcpStream, sync::oneshot, time::timeout};
-use wayfold_proto::v1;
 use zenoh::{Config, Wait, bytes::Encoding, qos::CongestionControl, query::ReplyError};
 
 use super::*;
@@ -23,7 +22,8 @@ use crate::{
     log::MemoryLog,
     observe::Metrics,
     registry::{Registry, RegistryOptions},
-    service::{Call, Limits, Service},
+    service::{Limits, Service},
+    testing::{arm, log_with, server},
     verbs::Verb,
 };
 
@@ -215,23 +215,15 @@ async fn every_key_refuses_a_query_without_a_right_token() {
 }
 
 /// A service with the index `arm`, and its uid.
-async fn service_with_index() -> (Service, String) {
-    let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
-    let service = Service::new(registry, Limits::default());
-    service.set_ready();
-    let create = v1::CreateIndexRequest {
-        name: "arm".into(),
-        space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
-        ..Default::default()
-    };
-    let created = service.create_index(&Call::default(), create).await;
-    let index = created.unwrap().index.unwrap();
-    (service, index.revision.unwrap().uid)
+fn service_with_index() -> (Service, String) {
+    let entry = arm();
+    let log = log_with(&entry, &[]);
+    (server(&log, &log), entry.uid.to_string())
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_bytes_of_a_query_are_those_of_its_selector_and_attachment_too() {
-    let (service, uid) = service_with_index().await;
+    let (service, uid) = service_with_index();
     let (face, robot, _) = face_and_robot(service, Identities::default()).await;
     let padding = "0".repeat(50_000);
     // It waits for a revision that never comes.
@@ -273,7 +265,7 @@ fn all_turns(face: &ZenohFace) -> [CallTurns; 2] {
 async fn calls_of_administration_of_one_link_leave_places_to_another() {
     let mut settings = crate::config::Config::default();
     settings.zenoh.max_calls = 4;
-    let (service, _) = service_with_index().await;
+    let (service, _) = service_with_index();
     let (face, robot, _) = face_and_robot_with(settings, service, Identities::default()).await;
     let busy = all_turns(&face);
     let lists = (0..4).map(|_| ask(&robot, "wayfold/v1/list", None));
@@ -294,7 +286,7 @@ async fn calls_of_administration_of_one_link_leave_places_to_another() {
 async fn calls_that_wait_leave_places_to_administration() {
     let mut settings = crate::config::Config::default();
     settings.zenoh.max_calls = 1;
-    let (service, uid) = service_with_index().await;
+    let (service, uid) = service_with_index();
     let (face, robot, _) = face_and_robot_with(settings, service, Identities::default()).await;
     // It waits for a revision that never comes.
     let payload = format!(r#"{{"ids": [0], "min_revision": {{"uid": "{uid}", "number": 1}}}}"#);
@@ -313,7 +305,7 @@ async fn calls_that_wait_leave_places_to_administration() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_call_of_administration_that_waits_for_a_turn_ends_at_its_deadline() {
-    let (service, _) = service_with_index().await;
+    let (service, _) = service_with_index();
     let (face, robot, _) = face_and_robot(service, Identities::default()).await;
     let busy = all_turns(&face);
     let refused = ask(&robot, "wayfold/v1/list?timeout_ms=50", None).await;
@@ -326,7 +318,7 @@ async fn a_call_of_administration_that_waits_for_a_turn_ends_at_its_deadline() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_query_that_waits_needs_room_at_its_turn() {
-    let (service, _) = service_with_index().await;
+    let (service, _) = service_with_index();
     let (face, robot, _) = face_and_robot(service, Identities::default()).await;
     let admission = face.queries.shared.admission.clone();
     let busy = all_turns(&face);
@@ -354,7 +346,7 @@ async fn administration_is_not_refused_for_its_wait() {
         settings.admission.queue_target_ms,
         settings.admission.burst_ms,
     ) = (0, 0);
-    let (service, _) = service_with_index().await;
+    let (service, _) = service_with_index();
     let (face, robot, _) = face_and_robot_with(settings, service, Identities::default()).await;
     let busy = all_turns(&face);
     let asking = async {

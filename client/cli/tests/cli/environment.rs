@@ -19,7 +19,7 @@ fn an_empty_variable_counts_as_unset() {
     assert!(output.status.success(), "{output:?}");
 }
 
-/// An error names no option that nobody typed.
+/// An error names only options that the caller typed.
 #[test]
 fn an_error_names_the_variable_that_gave_the_value() {
     let error = |args: &[&str], variables: &[(&str, &str)]| {

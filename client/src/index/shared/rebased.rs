@@ -12,7 +12,7 @@ use crate::index::local::NewRow;
 /// The content of a point: its tag and its row.
 pub(super) type Content = (u64, Vec<f64>);
 
-/// The content that an id shows: copies for each of thousands of pending writes would keep searches waiting.
+/// The content that an id shows, borrowed: a copy for each of thousands of pending writes would delay searches.
 type Shown<'a> = (u64, &'a [f64]);
 
 /// One id with pending writes.

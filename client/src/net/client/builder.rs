@@ -72,7 +72,7 @@ impl ClientBuilder {
     ///
     /// `uri` may name several servers that share their indices, with commas between them: the client uses the first
     /// that answers, and goes on at the next one when that is unavailable. Reads still see no older revision of an index
-    /// than the client has seen before, and a [`Watch`](crate::Watch) goes on after the last mutation that it has told.
+    /// than the client has seen before, and a [`Watch`](crate::Watch) continues after the last mutation that it reported.
     ///
     /// # Errors
     /// [`Error::Address`]; [`Error::Argument`]: a token that is none; [`Error::Handshake`] if the only server and this
@@ -207,8 +207,8 @@ async fn first_answer(channel: Channel) -> Result<(), Status> {
 
 const CALL: &str = "connect";
 
-/// The bytes of answers that may wait on a connection: those of 64 streams that nobody reads, of 2 MiB each, so that a
-/// few of them do not stop the other calls.
+/// A connection holds at most this many bytes of unread answers. Each stream holds up to 2 MiB, so 63 unread streams do
+/// not stop the other calls.
 const MAX_UNREAD_BYTES: u32 = 128 * 1024 * 1024;
 
 /// True if TLS refused what the server sent: rustls reports nothing else as invalid data.

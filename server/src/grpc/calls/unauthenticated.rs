@@ -34,7 +34,7 @@ const REFLECTION: &str = "/grpc.reflection.";
 /// The bytes of a stream for reflection that wait for the service.
 const MAX_WAITING_BYTES: usize = 64 * 1024;
 
-/// Each part of them holds this many bytes beside its own.
+/// Each part of these bytes takes this many more in memory.
 const PART_BYTES: usize = 64;
 
 /// True for the paths of health and reflection.

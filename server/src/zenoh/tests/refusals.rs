@@ -6,7 +6,7 @@ use crate::verbs::MAX_DYNAMIC_BYTES;
 /// A refusal keeps its query, and so a selector that is as long as a message.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_link_that_reads_no_refusals_keeps_no_long_selectors() {
-    let (service, _) = service_with_index().await;
+    let (service, _) = service_with_index();
     let (face, robot, _) = face_and_robot(service, Identities::default()).await;
     // Zenoh calls it on the thread that reads the link, and so reads no more until `open` is dropped.
     let (open, gate) = mpsc::channel::<()>();
@@ -38,7 +38,7 @@ async fn a_link_that_reads_no_refusals_keeps_no_long_selectors() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn large_attachments_selectors_and_texts_are_refused() {
-    let (service, _) = service_with_index().await;
+    let (service, _) = service_with_index();
     let (face, robot, _) = face_and_robot(service, Identities::default()).await;
     let info = "wayfold/v1/arm/info";
     let attachment = |bytes: usize| format!("traceparent={}", "0".repeat(bytes - 12));

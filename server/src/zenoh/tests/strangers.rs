@@ -31,7 +31,7 @@ struct Setting {
 
 impl Setting {
     async fn at_the_port() -> Self {
-        let (service, _) = service_with_index().await;
+        let (service, _) = service_with_index();
         let (face, other, _) = face_and_robot(service, Identities::default()).await;
         let locator = &face.locators().await[0];
         Self {
@@ -70,7 +70,7 @@ impl Setting {
         let mut settings = crate::config::Config::default();
         settings.zenoh.listen = "tcp/127.0.0.1:0".into();
         settings.zenoh.config = behind.to_string();
-        let (service, _) = service_with_index().await;
+        let (service, _) = service_with_index();
         let shared = FaceContext::new(&settings, service, Identities::default());
         let face = ZenohFace::open(&settings.zenoh, shared, false).await;
         Self {

@@ -9,7 +9,7 @@ use wayfold_proto::v1;
 use super::{CALL, Messages};
 use crate::{Error, IndexHandle, net::connections::Connection};
 
-/// No failure of the server that it leaves.
+/// The client has left a server that did not fail.
 #[derive(Debug, thiserror::Error)]
 #[error("the client has gone to another server")]
 struct Moved;
