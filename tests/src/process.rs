@@ -160,21 +160,21 @@ impl Process {
     /// # Panics
     /// If it cannot be sent.
     pub fn signal(&self, signal: Signal) {
-        let name = match signal {
-            Signal::Terminate => "TERM",
-            Signal::Interrupt => "INT",
-            Signal::Kill => "KILL",
-            Signal::Pause => "STOP",
-            Signal::Resume => "CONT",
+        use rustix::process::{Pid, Signal as Number, WaitId, WaitIdOptions, kill_process, waitid};
+        let number = match signal {
+            Signal::Terminate => Number::TERM,
+            Signal::Interrupt => Number::INT,
+            Signal::Kill => Number::KILL,
+            Signal::Pause => Number::STOP,
+            Signal::Resume => Number::CONT,
         };
-        // The shell's own `kill`: the program is missing on small systems.
-        let status = Command::new("sh")
-            .args(["-c", &format!("kill -{name} {}", self.id())])
-            .status();
-        assert!(
-            status.is_ok_and(|status| status.success()),
-            "cannot send SIG{name}"
-        );
+        let id = Pid::from_child(&self.child);
+        kill_process(id, number).expect("the process gets the signal");
+        if let Signal::Pause = signal {
+            // On a loaded machine its threads run on for milliseconds.
+            let is_over = WaitIdOptions::STOPPED | WaitIdOptions::EXITED;
+            waitid(WaitId::Pid(id), is_over | WaitIdOptions::NOWAIT).expect("the process stops");
+        }
     }
 
     /// Closes its standard input and waits for its end.
