@@ -1,5 +1,7 @@
 //! Accepts a limited number of TCP connections, without Nagle's delay, and can cut each of them, or all at once.
 
+mod read_turns;
+
 use std::{
     io,
     pin::{Pin, pin},
@@ -18,6 +20,8 @@ use tokio::{
 use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 use tonic::transport::server::Connected;
 use tracing::{debug, warn};
+
+use read_turns::ReadTurns;
 
 use super::{
     connections::{Activity, Connections, Open},
@@ -38,17 +42,6 @@ const PREFACE_TIME: Duration = Duration::from_secs(10);
 
 /// Bytes of that preface.
 const PREFACE_BYTES: usize = 24;
-
-/// A connection that reads on after a shorter pause keeps up with its client, whatever that sends.
-const SHORT_PAUSE: Duration = Duration::from_millis(1);
-
-/// Bytes after which a connection lets others have their turn: about fifty small calls. HTTP/2 asks for more after each call
-/// that it hands on, so one poll of its task may read several times as many.
-const MAX_READ_BYTES: usize = 8 * 1024;
-
-/// The limit instead while the bytes bring no new call, as in a large request: the arrival of its bytes is no delay of the
-/// server.
-const MAX_BODY_BYTES: usize = 64 * 1024;
 
 /// Bytes that a connection writes before others have their turn.
 const MAX_WRITTEN_BYTES: usize = 64 * 1024;
@@ -76,11 +69,8 @@ pub(crate) fn incoming(
             let connection = Connection {
                 socket: Tls::accept(listener.tls.as_ref(), socket, client),
                 open,
-                read_bytes: 0,
-                read_calls: 0,
+                read_turns: ReadTurns::new(),
                 written_bytes: 0,
-                was_silent: true,
-                paused: None,
                 cut: Box::pin(own_cut.cancelled_owned()),
                 preface: Some((
                     PREFACE_BYTES,
@@ -129,16 +119,9 @@ fn concerns_one_connection(error: &io::Error) -> bool {
 pub(crate) struct Connection {
     socket: Socket,
     cut: Pin<Box<WaitForCancellationFutureOwned>>,
-    /// The bytes that were read since others had their turn.
-    read_bytes: usize,
-    /// The calls of the flow at the last turn of others.
-    read_calls: u64,
+    read_turns: ReadTurns,
     /// The bytes that were written since others had their turn.
     written_bytes: usize,
-    /// True if there was nothing to read.
-    was_silent: bool,
-    /// The time since which others have their turn.
-    paused: Option<Instant>,
     /// The bytes of the preface that are missing, and the end of the wait for them.
     preface: Option<(usize, Pin<Box<Sleep>>)>,
     /// Set once this side shuts down: the end of the wait for the bytes that are left.
@@ -226,38 +209,17 @@ impl AsyncRead for Connection {
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
         self.check(context)?;
-        let calls = self.open.activity().flow().calls();
-        let has_calls = calls != self.read_calls;
-        if self.read_bytes >= MAX_BODY_BYTES && !has_calls {
-            self.open.activity().flow().catch_up();
-        }
-        if self.read_bytes >= MAX_BODY_BYTES || self.read_bytes >= MAX_READ_BYTES && has_calls {
-            self.read_bytes = 0;
-            self.read_calls = calls;
-            self.paused = Some(Instant::now());
-            context.waker().wake_by_ref();
-            return Poll::Pending;
-        }
-        let paused = self.paused.take();
-        if paused.is_some_and(|since| since.elapsed() < SHORT_PAUSE) {
-            self.open.activity().flow().catch_up();
-        }
+        let this = &mut *self;
+        let flow = this.open.activity().flow();
+        ready!(this.read_turns.poll(flow, context));
         let before = buffer.filled().len();
-        let read = Pin::new(&mut self.socket).poll_read(context, buffer);
+        let read = Pin::new(&mut this.socket).poll_read(context, buffer);
         let came = buffer.filled().len() - before;
-        // Bytes after a silence have just arrived.
-        if read.is_pending() || self.was_silent {
-            self.open.activity().flow().catch_up();
-        }
-        self.was_silent = read.is_pending();
-        self.read_bytes = match self.was_silent {
-            true => 0,
-            false => self.read_bytes + came,
-        };
-        if let Some((missing, _)) = &mut self.preface {
+        this.read_turns.note(flow, read.is_ready().then_some(came));
+        if let Some((missing, _)) = &mut this.preface {
             *missing = missing.saturating_sub(came);
             if *missing == 0 {
-                self.preface = None;
+                this.preface = None;
             }
         }
         read
