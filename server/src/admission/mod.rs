@@ -232,7 +232,7 @@ impl Flow {
     }
 
     /// The time since then.
-    fn behind(&self, now: Instant) -> Duration {
+    pub(crate) fn behind(&self, now: Instant) -> Duration {
         match self.caught_up_ns.load(Relaxed) {
             UNKNOWN => Duration::ZERO,
             since => now.saturating_duration_since(self.opened + Duration::from_nanos(since)),

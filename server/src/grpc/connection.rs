@@ -17,11 +17,14 @@ use tokio::{
     task::yield_now,
     time::{Instant, Sleep, sleep_until, timeout},
 };
-use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
+use tokio_util::{
+    either::Either,
+    sync::{CancellationToken, WaitForCancellationFutureOwned},
+};
 use tonic::transport::server::Connected;
 use tracing::{debug, warn};
 
-use read_turns::ReadTurns;
+use read_turns::{Pauses, ReadTurns};
 
 use super::{
     connections::{Activity, Connections, Open},
@@ -54,8 +57,8 @@ pub(crate) fn incoming(
     cut: CancellationToken,
 ) -> impl Stream<Item = io::Result<Connection>> {
     stream::unfold(
-        (listener, connections, cut),
-        async |(listener, connections, cut)| {
+        (listener, connections, cut, Pauses::default()),
+        async |(listener, connections, cut, pauses)| {
             let (socket, own_cut, open) = loop {
                 let socket = accept(&listener.socket, &cut).await;
                 // A child token: all connections would contend for the lock of a shared one.
@@ -69,7 +72,7 @@ pub(crate) fn incoming(
             let connection = Connection {
                 socket: Tls::accept(listener.tls.as_ref(), socket, client),
                 open,
-                read_turns: ReadTurns::new(),
+                read_turns: ReadTurns::new(pauses.clone()),
                 written_bytes: 0,
                 cut: Box::pin(own_cut.cancelled_owned()),
                 preface: Some((
@@ -79,7 +82,7 @@ pub(crate) fn incoming(
                 flushing: None,
                 lingering: None,
             };
-            Some((Ok(connection), (listener, connections, cut)))
+            Some((Ok(connection), (listener, connections, cut, pauses)))
         },
     )
 }
@@ -215,7 +218,10 @@ impl AsyncRead for Connection {
         let before = buffer.filled().len();
         let read = Pin::new(&mut this.socket).poll_read(context, buffer);
         let came = buffer.filled().len() - before;
-        this.read_turns.note(flow, read.is_ready().then_some(came));
+        // A socket without TLS fills the buffer if it can.
+        let is_drained = matches!(this.socket, Either::Left(_)) && buffer.remaining() > 0;
+        this.read_turns
+            .note(flow, came, read.is_pending() || is_drained);
         if let Some((missing, _)) = &mut this.preface {
             *missing = missing.saturating_sub(came);
             if *missing == 0 {

@@ -5,7 +5,7 @@ use std::{
     pin::pin,
     sync::{
         Arc,
-        atomic::{AtomicBool, Ordering::Relaxed},
+        atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed},
     },
     task::{Context, Poll, Wake, Waker},
     time::Duration,
@@ -16,20 +16,23 @@ use tokio::{runtime::Handle, task::yield_now, time::Instant};
 
 use crate::admission::Flow;
 
-/// Bytes after which a connection pauses, if they bring calls: about as many small calls as it may have under way.
+/// Bytes after which a connection pauses, if they bring calls: about as many small calls as it may have under way, 32 by
+/// default.
 const MAX_CALL_BYTES: usize = 4 * 1024;
 
-/// The limit instead while the bytes bring no new call, as in a large request, and after a pause: what has come since the
-/// turn before is read at once, so that calls that their client has cancelled meanwhile cost little.
+/// The limit instead while the bytes bring no new call, as in a large request, and once few tasks waited at the end of a
+/// pause. A long turn reads the resets of cancelled calls together with these calls.
 const MAX_TURN_BYTES: usize = 64 * 1024;
 
-/// The tasks in the queue of all threads beyond which no connection begins a further turn. Each call is a task, a cancelled one
-/// too, and without this limit clients that cancel their calls let a hundred thousand wait, and health checks for seconds.
+/// The tasks in the queue of all threads beyond which a pause goes on. Each call is a task, a cancelled one too. Without this
+/// limit 95,000 cancelled calls were seen to wait, and health checks took seconds.
 const MAX_WAITING_TASKS: usize = 64;
 
-/// The longest pause: large requests arrive under any load. Callers with deadlines gain from a long one, as the connections
-/// whose turn it is are served so fast that no call waits in their clients.
-const MAX_PAUSE: Duration = Duration::from_secs(1);
+/// The longest pause. After it a connection reads one short turn under any load, and a large request arrives at 80 KiB a
+/// second. Shorter pauses answer fewer calls with deadlines in time: while some connections wait, those whose turn it is
+/// are served so fast that no call waits in their clients. It is shorter than the default of `admission.burst_ms`: a call
+/// that waited unread for that is refused if its turns are long.
+const MAX_PAUSE: Duration = Duration::from_millis(800);
 
 /// A connection that reads on after a shorter pause keeps up with its client, whatever that sends.
 const SHORT_PAUSE: Duration = Duration::from_millis(1);
@@ -38,22 +41,54 @@ const SHORT_PAUSE: Duration = Duration::from_millis(1);
 pub(super) struct ReadTurns {
     /// The bytes that were read in this turn.
     bytes: usize,
-    /// The calls of the flow at the begin of the last pause.
+    /// The calls of the flow when the last pause began.
     calls: u64,
     /// True if there was nothing to read.
     was_silent: bool,
-    /// True in a turn after a pause.
-    reads_on: bool,
+    /// True if the last pause ended because few tasks waited: this turn is long.
+    is_long: bool,
     pause: Option<Pause>,
+    /// The pauses of all connections.
+    pauses: Pauses,
 }
+
+/// The number of pauses. The tasks of these connections wait too, and must not wait for each other.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Pauses(Arc<AtomicUsize>);
 
 struct Pause {
     since: Instant,
     others: Arc<Others>,
+    all: Pauses,
+}
+
+impl Pause {
+    fn begin(all: &Pauses) -> Self {
+        all.0.fetch_add(1, Relaxed);
+        Self {
+            since: Instant::now(),
+            others: Others::begin(),
+            all: all.clone(),
+        }
+    }
+}
+
+impl Drop for Pause {
+    fn drop(&mut self) {
+        self.all.0.fetch_sub(1, Relaxed);
+    }
+}
+
+impl Pauses {
+    /// True while many other tasks wait.
+    fn is_busy(&self) -> bool {
+        let waiting = Handle::current().metrics().global_queue_depth();
+        waiting > MAX_WAITING_TASKS + self.0.load(Relaxed)
+    }
 }
 
 /// Tells when the runtime has looked for other tasks. HTTP/2 asks for bytes again after each call that it hands on, within
-/// one poll of its task, so that a pending read alone is no pause.
+/// one poll of its task, so that a pending read alone is no pause; and the task's own waker does not tell who has woken it.
 #[derive(Default)]
 struct Others {
     had_turns: AtomicBool,
@@ -84,13 +119,14 @@ impl Others {
 }
 
 impl ReadTurns {
-    pub(super) fn new() -> Self {
+    pub(super) fn new(pauses: Pauses) -> Self {
         Self {
             bytes: 0,
             calls: 0,
             was_silent: true,
-            reads_on: false,
+            is_long: false,
             pause: None,
+            pauses,
         }
     }
 
@@ -98,7 +134,7 @@ impl ReadTurns {
     pub(super) fn poll(&mut self, flow: &Flow, context: &Context<'_>) -> Poll<()> {
         let calls = flow.calls();
         let has_calls = calls != self.calls;
-        let limit = match has_calls && !self.reads_on {
+        let limit = match has_calls && !self.is_long {
             true => MAX_CALL_BYTES,
             false => MAX_TURN_BYTES,
         };
@@ -109,48 +145,41 @@ impl ReadTurns {
             }
             self.bytes = 0;
             self.calls = calls;
-            self.pause = Some(Pause {
-                since: Instant::now(),
-                others: Others::begin(),
-            });
+            self.pause = Some(Pause::begin(&self.pauses));
         }
         if let Some(pause) = &mut self.pause {
             if !pause.others.had_turns(context) {
                 return Poll::Pending;
             }
-            let paused = pause.since.elapsed();
-            let is_busy = is_busy();
-            if paused < MAX_PAUSE && is_busy {
+            let (paused, is_busy) = (pause.since.elapsed(), self.pauses.is_busy());
+            if is_busy && paused < MAX_PAUSE {
                 pause.others = Others::begin();
-                pause.others.waits.register(context.waker());
+                if pause.others.had_turns(context) {
+                    context.waker().wake_by_ref();
+                }
                 return Poll::Pending;
             }
             if paused < SHORT_PAUSE {
                 flow.catch_up();
             }
             self.pause = None;
-            self.reads_on = !is_busy;
+            self.is_long = !is_busy;
         }
         Poll::Ready(())
     }
 
-    /// Notes that so many bytes were read; None if there were none to read.
-    pub(super) fn note(&mut self, flow: &Flow, bytes: Option<usize>) {
+    /// Notes a read of `bytes`, and whether nothing is left to read.
+    pub(super) fn note(&mut self, flow: &Flow, bytes: usize, is_all: bool) {
         // Bytes after a silence have just arrived.
-        if bytes.is_none() || self.was_silent {
+        if is_all || self.was_silent {
             flow.catch_up();
         }
-        self.was_silent = bytes.is_none();
-        match bytes {
-            Some(bytes) => self.bytes += bytes,
-            None => (self.bytes, self.reads_on) = (0, false),
+        self.was_silent = is_all;
+        self.bytes += bytes;
+        if is_all {
+            (self.bytes, self.is_long) = (0, false);
         }
     }
-}
-
-/// True while many tasks wait.
-fn is_busy() -> bool {
-    Handle::current().metrics().global_queue_depth() > MAX_WAITING_TASKS
 }
 
 #[cfg(test)]
