@@ -26,7 +26,7 @@ const MAX_TURN_BYTES: usize = 64 * 1024;
 
 /// The tasks in the queue of all threads beyond which a pause goes on. Each call is a task, a cancelled one too. Without this
 /// limit 95,000 cancelled calls were seen to wait, and health checks took seconds.
-const MAX_WAITING_TASKS: usize = 64;
+const MAX_WAITING_TASKS: usize = 16;
 
 /// The longest pause. After it a connection reads one short turn under any load, and a large request arrives at 80 KiB a
 /// second. Shorter pauses answer fewer calls with deadlines in time: while some connections wait, those whose turn it is
