@@ -25,7 +25,7 @@ const MAX_CALL_BYTES: usize = 4 * 1024;
 const MAX_TURN_BYTES: usize = 64 * 1024;
 
 /// The tasks in the queue of all threads beyond which a pause goes on. Each call is a task, a cancelled one too. Without this
-/// limit 95,000 cancelled calls were seen to wait, and health checks took seconds.
+/// limit 89,000 cancelled calls were seen to wait, and health checks took seconds.
 const MAX_WAITING_TASKS: usize = 16;
 
 /// The longest pause. After it a connection reads one short turn under any load, and a large request arrives at 80 KiB a
