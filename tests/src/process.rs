@@ -171,7 +171,7 @@ impl Process {
         let id = Pid::from_child(&self.child);
         kill_process(id, number).expect("the process gets the signal");
         if let Signal::Pause = signal {
-            // On a loaded machine its threads run on for milliseconds.
+            // The threads of a process run on for milliseconds after the signal if the machine is loaded.
             let is_over = WaitIdOptions::STOPPED | WaitIdOptions::EXITED;
             waitid(WaitId::Pid(id), is_over | WaitIdOptions::NOWAIT).expect("the process stops");
         }

@@ -1,4 +1,4 @@
-//! The turns in which connections read: the calls that they bring must not pile up in the runtime.
+//! Each connection reads in turns, so that its calls do not pile up in the runtime.
 
 use std::{
     future::Future,
@@ -16,22 +16,21 @@ use tokio::{runtime::Handle, task::yield_now, time::Instant};
 
 use crate::admission::Flow;
 
-/// Bytes after which a connection pauses, if they bring calls: about as many small calls as it may have under way, 32 by
-/// default.
+/// A connection pauses after this many bytes of calls. They hold about 32 small calls, the default of
+/// `grpc.max_calls_per_connection`.
 const MAX_CALL_BYTES: usize = 4 * 1024;
 
-/// The limit instead while the bytes bring no new call, as in a large request, and once few tasks waited at the end of a
-/// pause. A long turn reads the resets of cancelled calls together with these calls.
+/// A connection pauses after this many bytes of a large request, and in a long turn. A long turn reads the resets of
+/// cancelled calls together with these calls.
 const MAX_TURN_BYTES: usize = 64 * 1024;
 
-/// The tasks in the queue of all threads beyond which a pause goes on. Each call is a task, a cancelled one too. Without this
-/// limit 89,000 cancelled calls were seen to wait, and health checks took seconds.
+/// A pause continues while more tasks than this wait in the global queue of the runtime. Each call is a task, a cancelled
+/// one too. Without this limit up to 89,000 tasks waited, and health checks took seconds.
 const MAX_WAITING_TASKS: usize = 16;
 
-/// The longest pause. After it a connection reads one short turn under any load, and a large request arrives at 80 KiB a
-/// second. Shorter pauses answer fewer calls with deadlines in time: while some connections wait, those whose turn it is
-/// are served so fast that no call waits in their clients. It is shorter than the default of `admission.burst_ms`: a call
-/// that waited unread for that is refused if its turns are long.
+/// The longest pause. After it a connection reads one short turn under any load, so a large request still arrives at
+/// about 80 KiB a second. Shorter pauses answer fewer calls with deadlines in time. The pause is shorter than the default
+/// of `admission.burst_ms`, because admission refuses a long call that waited unread for that time.
 const MAX_PAUSE: Duration = Duration::from_millis(800);
 
 /// A connection that reads on after a shorter pause keeps up with its client, whatever that sends.
@@ -39,11 +38,11 @@ const SHORT_PAUSE: Duration = Duration::from_millis(1);
 
 /// The turns of one connection.
 pub(super) struct ReadTurns {
-    /// The bytes that were read in this turn.
+    /// The bytes of this turn.
     bytes: usize,
     /// The calls of the flow when the last pause began.
     calls: u64,
-    /// True if there was nothing to read.
+    /// True if the last read left nothing to read.
     was_silent: bool,
     /// True if the last pause ended because few tasks waited: this turn is long.
     is_long: bool,
@@ -52,7 +51,7 @@ pub(super) struct ReadTurns {
     pauses: Pauses,
 }
 
-/// The number of pauses. The tasks of these connections wait too, and must not wait for each other.
+/// The number of paused connections. Their tasks are in the queue too, and must not wait for each other.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Pauses(Arc<AtomicUsize>);
 
@@ -87,8 +86,9 @@ impl Pauses {
     }
 }
 
-/// Tells when the runtime has looked for other tasks. HTTP/2 asks for bytes again after each call that it hands on, within
-/// one poll of its task, so that a pending read alone is no pause; and the task's own waker does not tell who has woken it.
+/// A flag that the runtime sets once other tasks had their turns. HTTP/2 polls the connection again after each call that
+/// it hands on, within one poll of its task, so a pending read alone is no pause. The task's own waker does not tell who
+/// called it.
 #[derive(Default)]
 struct Others {
     had_turns: AtomicBool,
@@ -103,11 +103,11 @@ impl Wake for Others {
 }
 
 impl Others {
-    /// Lets others have their turns.
+    /// Asks the runtime to run other tasks.
     fn begin() -> Arc<Self> {
         let others = Arc::new(Self::default());
         let waker = Waker::from(Arc::clone(&others));
-        // Its waker is called once the runtime has looked for bytes.
+        // The runtime calls this waker after it has polled for I/O.
         let _ = pin!(yield_now()).poll(&mut Context::from_waker(&waker));
         others
     }

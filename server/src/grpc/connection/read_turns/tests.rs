@@ -11,7 +11,7 @@ use tokio::time::advance;
 use super::*;
 use crate::{admission::Admission, config::Config};
 
-/// A connection that has read so many bytes, with a call or without.
+/// Returns the turns and the flow of a connection that has read `bytes`. A call has come if `has_calls`.
 fn after(bytes: usize, has_calls: bool) -> (ReadTurns, Arc<Flow>) {
     let flow = Admission::new(&Config::default().admission, 1, 0).open();
     let mut turns = ReadTurns::new(Pauses::default());
@@ -26,7 +26,7 @@ async fn may_read(turns: &mut ReadTurns, flow: &Flow) -> bool {
     poll_fn(|context| Poll::Ready(turns.poll(flow, context).is_ready())).await
 }
 
-/// Lets so many tasks wait in the queue of all threads.
+/// Adds `tasks` tasks to the global queue of the runtime.
 fn let_tasks_wait(tasks: usize) {
     let runtime = Handle::current();
     let spawn = move || {
@@ -50,7 +50,7 @@ async fn a_connection_pauses_after_calls_sooner_than_within_a_large_request() {
     }
 }
 
-/// HTTP/2 asks for bytes again and again within one poll.
+/// HTTP/2 polls the connection several times within one poll of its task.
 #[tokio::test]
 async fn a_pause_lasts_until_others_had_their_turns() {
     let (mut turns, flow) = after(MAX_CALL_BYTES, true);
@@ -93,7 +93,7 @@ async fn a_turn_after_a_pause_is_long() {
     assert!(!may_read(&mut turns, &flow).await);
 }
 
-/// Otherwise a server with a thousand paused connections would wait for them.
+/// A thousand paused connections fill the global queue by themselves.
 #[tokio::test]
 async fn pauses_do_not_wait_for_each_other() {
     const OTHERS: usize = 100;
@@ -104,14 +104,14 @@ async fn pauses_do_not_wait_for_each_other() {
     let_tasks_wait(MAX_WAITING_TASKS + OTHERS + 2);
     assert!(!may_read(&mut turns, &flow).await);
     yield_now().await;
-    // Those that still wait are fewer than the pauses, which include its own.
+    // Fewer tasks wait now than the limit and the pauses allow.
     let_tasks_wait(1);
     assert!(may_read(&mut turns, &flow).await);
     drop(others);
     assert_eq!(turns.pauses.0.load(Relaxed), 0);
 }
 
-/// True if the connection is known to have read everything after the begin of `work`.
+/// True if `work` notes that the connection has read everything.
 async fn catches_up(flow: &Flow, work: impl Future) -> bool {
     flow.catch_up();
     let now = std::time::Instant::now;
