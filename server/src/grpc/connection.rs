@@ -24,7 +24,7 @@ use tokio_util::{
 use tonic::transport::server::Connected;
 use tracing::{debug, warn};
 
-use read_turns::{Pauses, ReadTurns};
+use read_turns::ReadTurns;
 
 use super::{
     connections::{Activity, Connections, Open},
@@ -57,8 +57,8 @@ pub(crate) fn incoming(
     cut: CancellationToken,
 ) -> impl Stream<Item = io::Result<Connection>> {
     stream::unfold(
-        (listener, connections, cut, Pauses::default()),
-        async |(listener, connections, cut, pauses)| {
+        (listener, connections, cut),
+        async |(listener, connections, cut)| {
             let (socket, own_cut, open) = loop {
                 let socket = accept(&listener.socket, &cut).await;
                 // A child token: all connections would contend for the lock of a shared one.
@@ -69,10 +69,11 @@ pub(crate) fn incoming(
                 }
             };
             let client = Some(open.activity().client());
+            let read_queue = Arc::clone(open.activity().read_queue());
             let connection = Connection {
                 socket: Tls::accept(listener.tls.as_ref(), socket, client),
                 open,
-                read_turns: ReadTurns::new(pauses.clone()),
+                read_turns: ReadTurns::new(read_queue),
                 written_bytes: 0,
                 cut: Box::pin(own_cut.cancelled_owned()),
                 preface: Some((
@@ -82,7 +83,7 @@ pub(crate) fn incoming(
                 flushing: None,
                 lingering: None,
             };
-            Some((Ok(connection), (listener, connections, cut, pauses)))
+            Some((Ok(connection), (listener, connections, cut)))
         },
     )
 }

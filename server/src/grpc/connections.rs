@@ -27,7 +27,7 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
-use super::tls::Client;
+use super::{read_queue::ReadQueue, tls::Client};
 use crate::{
     admission::{Admission, Flow},
     identity::ClientCertificate,
@@ -68,6 +68,7 @@ pub(super) struct Connections {
     /// The free places of streams for reflection.
     reflecting: Arc<Semaphore>,
     admission: Admission,
+    read_queue: Arc<ReadQueue>,
     /// The time since which new connections have found no room.
     full_since: Mutex<Option<Instant>>,
 }
@@ -134,8 +135,14 @@ impl Connections {
             max_streams,
             reflecting: Arc::new(Semaphore::new(MAX_REFLECTING)),
             admission,
+            read_queue: Arc::default(),
             full_since: Mutex::default(),
         })
+    }
+
+    /// The queue in which they wait to read.
+    pub(super) fn read_queue(&self) -> &Arc<ReadQueue> {
+        &self.read_queue
     }
 
     /// Waits for a place, which an idle connection gives up if there is no other. None if its network has the most
@@ -335,6 +342,11 @@ impl Activity {
     /// The place of the certificate.
     pub(super) fn client(&self) -> Client {
         Arc::clone(&self.state.certificate)
+    }
+
+    /// The queue in which it waits to read.
+    pub(super) fn read_queue(&self) -> &Arc<ReadQueue> {
+        &self.connections.read_queue
     }
 
     /// The flow of its calls.

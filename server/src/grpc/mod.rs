@@ -13,6 +13,7 @@ mod member_client;
 mod member_service;
 mod message_reader;
 mod point_service;
+mod read_queue;
 mod refusals;
 mod request_body;
 mod rpcs;
@@ -116,6 +117,10 @@ pub(crate) async fn serve(
     let watched = Arc::clone(&connections);
     let _watching = AbortOnDropHandle::new(tokio::spawn(async move {
         watched.cut_unread(send_timeout).await;
+    }));
+    let read_queue = Arc::clone(connections.read_queue());
+    let _reading = AbortOnDropHandle::new(tokio::spawn(async move {
+        read_queue.give_turns().await;
     }));
     let of_members = (callers == Callers::Members).then(|| MemberFace {
         service: shared.service.clone(),

@@ -1,137 +1,67 @@
-//! Each connection reads in turns, so that its calls do not pile up in the runtime.
+//! The turns of a connection in the [queue](crate::grpc::read_queue) of those that wait to read.
 
 use std::{
-    future::Future,
-    pin::pin,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed},
-    },
-    task::{Context, Poll, Wake, Waker},
+    pin::Pin,
+    sync::Arc,
+    task::{Context, Poll, ready},
     time::Duration,
 };
 
-use futures_util::task::AtomicWaker;
-use tokio::{runtime::Handle, task::yield_now, time::Instant};
+use tokio::{sync::oneshot::Receiver, time::Instant};
 
-use crate::admission::Flow;
+use crate::{
+    admission::Flow,
+    grpc::read_queue::{ReadQueue, Turn},
+};
 
-/// A connection pauses after this many bytes of calls. They hold about 32 small calls, the default of
+/// A connection waits for a turn after this many bytes of calls. They hold about 32 small calls, the default of
 /// `grpc.max_calls_per_connection`.
 const MAX_CALL_BYTES: usize = 4 * 1024;
 
-/// A connection pauses after this many bytes of a large request, and in a long turn. A long turn reads the resets of
-/// cancelled calls together with these calls.
+/// A connection waits for a turn after this many bytes of a large request, and in a long turn. A long turn reads the
+/// resets of cancelled calls together with these calls.
 const MAX_TURN_BYTES: usize = 64 * 1024;
-
-/// A pause continues while more tasks than this wait in the global queue of the runtime. Each call is a task, a cancelled
-/// one too. Without this limit up to 89,000 tasks waited, and health checks took seconds.
-const MAX_WAITING_TASKS: usize = 16;
-
-/// The longest pause. After it a connection reads one short turn under any load, so a large request still arrives at
-/// about 80 KiB a second. Shorter pauses answer fewer calls with deadlines in time. The pause is shorter than the default
-/// of `admission.burst_ms`, because admission refuses a long call that waited unread for that time.
-const MAX_PAUSE: Duration = Duration::from_millis(800);
 
 /// A connection that reads on after a shorter pause keeps up with its client, whatever that sends.
 const SHORT_PAUSE: Duration = Duration::from_millis(1);
 
+/// A connection takes no turns while it sends less than [`MAX_CALL_BYTES`] in this time, and everything was read.
+const LIGHT_TIME: Duration = Duration::from_millis(200);
+
 /// The turns of one connection.
 pub(super) struct ReadTurns {
+    queue: Arc<ReadQueue>,
+    is_long: bool,
+    /// The time since which the connection is late.
+    late_since: Option<Instant>,
+    /// The begin of this turn.
+    began: Instant,
     /// The bytes of this turn.
     bytes: usize,
     /// The calls of the flow when the last pause began.
     calls: u64,
     /// True if the last read left nothing to read.
     was_silent: bool,
-    /// True if the last pause ended because few tasks waited: this turn is long.
-    is_long: bool,
-    pause: Option<Pause>,
-    /// The pauses of all connections.
-    pauses: Pauses,
-}
-
-/// The number of paused connections. Their tasks are in the queue too, and must not wait for each other.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Pauses(Arc<AtomicUsize>);
-
-struct Pause {
-    since: Instant,
-    others: Arc<Others>,
-    all: Pauses,
-}
-
-impl Pause {
-    fn begin(all: &Pauses) -> Self {
-        all.0.fetch_add(1, Relaxed);
-        Self {
-            since: Instant::now(),
-            others: Others::begin(),
-            all: all.clone(),
-        }
-    }
-}
-
-impl Drop for Pause {
-    fn drop(&mut self) {
-        self.all.0.fetch_sub(1, Relaxed);
-    }
-}
-
-impl Pauses {
-    /// True while many other tasks wait.
-    fn is_busy(&self) -> bool {
-        let waiting = Handle::current().metrics().global_queue_depth();
-        waiting > MAX_WAITING_TASKS + self.0.load(Relaxed)
-    }
-}
-
-/// A flag that the runtime sets once other tasks had their turns. HTTP/2 polls the connection again after each call that
-/// it hands on, within one poll of its task, so a pending read alone is no pause. The task's own waker does not tell who
-/// called it.
-#[derive(Default)]
-struct Others {
-    had_turns: AtomicBool,
-    waits: AtomicWaker,
-}
-
-impl Wake for Others {
-    fn wake(self: Arc<Self>) {
-        self.had_turns.store(true, Relaxed);
-        self.waits.wake();
-    }
-}
-
-impl Others {
-    /// Asks the runtime to run other tasks.
-    fn begin() -> Arc<Self> {
-        let others = Arc::new(Self::default());
-        let waker = Waker::from(Arc::clone(&others));
-        // The runtime calls this waker after it has polled for I/O.
-        let _ = pin!(yield_now()).poll(&mut Context::from_waker(&waker));
-        others
-    }
-
-    fn had_turns(&self, context: &Context<'_>) -> bool {
-        self.waits.register(context.waker());
-        self.had_turns.load(Relaxed)
-    }
+    /// The begin of the wait for the next turn, and that turn.
+    pause: Option<(Instant, Receiver<Turn>)>,
 }
 
 impl ReadTurns {
-    pub(super) fn new(pauses: Pauses) -> Self {
+    pub(super) fn new(queue: Arc<ReadQueue>) -> Self {
         Self {
+            queue,
+            is_long: false,
+            late_since: None,
+            began: Instant::now(),
             bytes: 0,
             calls: 0,
             was_silent: true,
-            is_long: false,
             pause: None,
-            pauses,
         }
     }
 
     /// Ready if the connection may read.
-    pub(super) fn poll(&mut self, flow: &Flow, context: &Context<'_>) -> Poll<()> {
+    pub(super) fn poll(&mut self, flow: &Flow, context: &mut Context<'_>) -> Poll<()> {
         let calls = flow.calls();
         let has_calls = calls != self.calls;
         let limit = match has_calls && !self.is_long {
@@ -145,27 +75,26 @@ impl ReadTurns {
             }
             self.bytes = 0;
             self.calls = calls;
-            self.pause = Some(Pause::begin(&self.pauses));
+            self.pause = Some((Instant::now(), self.queue.enter(self.late_since)));
         }
-        if let Some(pause) = &mut self.pause {
-            if !pause.others.had_turns(context) {
-                return Poll::Pending;
-            }
-            let (paused, is_busy) = (pause.since.elapsed(), self.pauses.is_busy());
-            if is_busy && paused < MAX_PAUSE {
-                pause.others = Others::begin();
-                if pause.others.had_turns(context) {
-                    context.waker().wake_by_ref();
-                }
-                return Poll::Pending;
-            }
-            if paused < SHORT_PAUSE {
+        if let Some((since, turn)) = &mut self.pause {
+            // The queue outlives its connections.
+            let turn = ready!(Pin::new(turn).poll(context)).unwrap_or(Turn::Long);
+            if since.elapsed() < SHORT_PAUSE {
                 flow.catch_up();
             }
             self.pause = None;
-            self.is_long = !is_busy;
+            self.begin(turn);
         }
         Poll::Ready(())
+    }
+
+    fn begin(&mut self, turn: Turn) {
+        (self.is_long, self.late_since) = match turn {
+            Turn::Long => (true, None),
+            Turn::Short { late_since } => (false, late_since),
+        };
+        self.began = Instant::now();
     }
 
     /// Notes a read of `bytes`, and whether nothing is left to read.
@@ -176,8 +105,9 @@ impl ReadTurns {
         }
         self.was_silent = is_all;
         self.bytes += bytes;
-        if is_all {
-            (self.bytes, self.is_long) = (0, false);
+        if is_all && (self.began.elapsed() >= LIGHT_TIME || !ReadQueue::is_busy()) {
+            (self.bytes, self.is_long, self.late_since) = (0, false, None);
+            self.began = Instant::now();
         }
     }
 }

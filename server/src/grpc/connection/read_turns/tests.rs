@@ -1,20 +1,17 @@
-//! Pauses after calls and after large requests, and their ends.
+//! Pauses after calls and after large requests.
 
-use std::{
-    future::{poll_fn, ready},
-    sync::Arc,
-    thread,
-};
+use std::future::poll_fn;
 
-use tokio::time::advance;
+use tokio::{task::yield_now, time::advance};
+use tokio_util::task::AbortOnDropHandle;
 
 use super::*;
-use crate::{admission::Admission, config::Config};
+use crate::{admission::Admission, config::Config, grpc::read_queue::let_tasks_wait};
 
 /// Returns the turns and the flow of a connection that has read `bytes`. A call has come if `has_calls`.
 fn after(bytes: usize, has_calls: bool) -> (ReadTurns, Arc<Flow>) {
     let flow = Admission::new(&Config::default().admission, 1, 0).open();
-    let mut turns = ReadTurns::new(Pauses::default());
+    let mut turns = ReadTurns::new(Arc::default());
     if has_calls {
         drop(flow.turns());
     }
@@ -26,15 +23,10 @@ async fn may_read(turns: &mut ReadTurns, flow: &Flow) -> bool {
     poll_fn(|context| Poll::Ready(turns.poll(flow, context).is_ready())).await
 }
 
-/// Adds `tasks` tasks to the global queue of the runtime.
-fn let_tasks_wait(tasks: usize) {
-    let runtime = Handle::current();
-    let spawn = move || {
-        for _ in 0..tasks {
-            runtime.spawn(ready(()));
-        }
-    };
-    thread::spawn(spawn).join().unwrap();
+/// Gives the turns of the connection.
+fn giving(turns: &ReadTurns) -> AbortOnDropHandle<()> {
+    let queue = Arc::clone(&turns.queue);
+    AbortOnDropHandle::new(tokio::spawn(async move { queue.give_turns().await }))
 }
 
 #[tokio::test]
@@ -47,44 +39,14 @@ async fn a_connection_pauses_after_calls_sooner_than_within_a_large_request() {
     ] {
         let (mut turns, flow) = after(bytes, has_calls);
         assert_eq!(may_read(&mut turns, &flow).await, !pauses, "{bytes}");
+        assert!(pauses || turns.pause.is_none());
     }
-}
-
-/// HTTP/2 polls the connection several times within one poll of its task.
-#[tokio::test]
-async fn a_pause_lasts_until_others_had_their_turns() {
-    let (mut turns, flow) = after(MAX_CALL_BYTES, true);
-    let other = tokio::spawn(ready(()));
-    let asked = poll_fn(|context| {
-        let asked = [(); 3].map(|()| turns.poll(&flow, context).is_pending());
-        Poll::Ready(asked)
-    });
-    assert_eq!(asked.await, [true; 3]);
-    poll_fn(|context| turns.poll(&flow, context)).await;
-    assert!(other.is_finished());
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_pause_lasts_while_many_tasks_wait_but_not_for_ever() {
-    let (mut turns, flow) = after(MAX_CALL_BYTES, true);
-    assert!(!may_read(&mut turns, &flow).await);
-    for _ in 0..3 {
-        yield_now().await;
-        let_tasks_wait(MAX_WAITING_TASKS + 2);
-        assert!(!may_read(&mut turns, &flow).await);
-    }
-    advance(MAX_PAUSE).await;
-    let_tasks_wait(MAX_WAITING_TASKS + 2);
-    assert!(may_read(&mut turns, &flow).await);
-    // A turn under load is short.
-    drop(flow.turns());
-    turns.note(&flow, MAX_CALL_BYTES, false);
-    assert!(!may_read(&mut turns, &flow).await);
 }
 
 #[tokio::test]
 async fn a_turn_after_a_pause_is_long() {
     let (mut turns, flow) = after(MAX_CALL_BYTES, true);
+    let _giving = giving(&turns);
     poll_fn(|context| turns.poll(&flow, context)).await;
     drop(flow.turns());
     turns.note(&flow, MAX_TURN_BYTES - 1, false);
@@ -93,22 +55,27 @@ async fn a_turn_after_a_pause_is_long() {
     assert!(!may_read(&mut turns, &flow).await);
 }
 
-/// A thousand paused connections fill the global queue by themselves.
-#[tokio::test]
-async fn pauses_do_not_wait_for_each_other() {
-    const OTHERS: usize = 100;
-    let (mut turns, flow) = after(MAX_CALL_BYTES, true);
-    let others: Vec<_> = (0..OTHERS).map(|_| Pause::begin(&turns.pauses)).collect();
-    assert!(!may_read(&mut turns, &flow).await);
-    yield_now().await;
-    let_tasks_wait(MAX_WAITING_TASKS + OTHERS + 2);
-    assert!(!may_read(&mut turns, &flow).await);
-    yield_now().await;
-    // Fewer tasks wait now than the limit and the pauses allow.
-    let_tasks_wait(1);
+#[tokio::test(start_paused = true)]
+async fn a_connection_that_sends_little_never_pauses_and_one_that_sends_much_does_under_load() {
+    for (time, is_light) in [(LIGHT_TIME, true), (LIGHT_TIME / 2, false)] {
+        let (mut turns, flow) = after(0, true);
+        for _ in 0..2 {
+            let_tasks_wait(100);
+            drop(flow.turns());
+            turns.note(&flow, MAX_CALL_BYTES / 2, true);
+            advance(time).await;
+        }
+        assert_eq!(may_read(&mut turns, &flow).await, is_light);
+    }
+    // Without load, neither does.
+    while ReadQueue::is_busy() {
+        yield_now().await;
+    }
+    let (mut turns, flow) = after(0, true);
+    for _ in 0..2 {
+        turns.note(&flow, MAX_CALL_BYTES, true);
+    }
     assert!(may_read(&mut turns, &flow).await);
-    drop(others);
-    assert_eq!(turns.pauses.0.load(Relaxed), 0);
 }
 
 /// True if `work` notes that the connection has read everything.
@@ -142,6 +109,7 @@ async fn a_connection_is_behind_from_the_last_time_that_it_had_read_everything()
         let paused = catches_up(&flow, async {
             assert!(!may_read(&mut turns, &flow).await);
             advance(pause).await;
+            let _giving = giving(&turns);
             poll_fn(|context| turns.poll(&flow, context)).await;
         });
         assert_eq!(paused.await, expected, "{pause:?}");

@@ -1,0 +1,176 @@
+//! The connections of a listener that wait to read.
+//!
+//! A connection that sends much reads in turns, so that its calls do not pile up in the runtime: what waits, waits in
+//! sockets. A turn is given while few tasks wait for a thread, and goes to the connection that came last. Under overload
+//! some connections are then read as fast as they send, and the calls of the others wait and expire. If all were read in
+//! the same measure, all calls would come late.
+//!
+//! A connection that has waited for [`MAX_WAIT`] is late. It has a short turn in each such time, and in every [`ROTATION`]
+//! the one that has been late for the longest returns to the others.
+
+use std::{collections::VecDeque, time::Duration};
+
+use parking_lot::Mutex;
+use tokio::{
+    runtime::Handle,
+    sync::{
+        Notify,
+        oneshot::{self, Receiver, Sender},
+    },
+    task::yield_now,
+    time::Instant,
+};
+
+/// No turn is given while more tasks than this wait in the global queue of the runtime. Each call is a task, a cancelled
+/// one too. Without this limit up to 89,000 tasks waited, and health checks took seconds.
+const MAX_WAITING_TASKS: usize = 16;
+
+/// The longest wait. After it a connection has a short turn under any load, so a large request still arrives at about
+/// 80 KiB a second. It is shorter than the default of `admission.burst_ms`, because admission refuses a long call that
+/// waited unread for that time.
+const MAX_WAIT: Duration = Duration::from_millis(800);
+
+/// The first calls of a connection that was late come late too, so these connections return one by one.
+const ROTATION: Duration = Duration::from_millis(100);
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct ReadQueue {
+    waiting: Mutex<Waiting>,
+    has_come: Notify,
+}
+
+#[derive(Debug)]
+struct Waiting {
+    /// In the order in which they came.
+    in_time: VecDeque<Waiter>,
+    /// In the order of their next short turns.
+    late: VecDeque<Waiter>,
+    /// The last time that a late connection returned.
+    rotated_at: Instant,
+}
+
+#[derive(Debug)]
+struct Waiter {
+    since: Instant,
+    late_since: Option<Instant>,
+    granted: Sender<Turn>,
+}
+
+/// The right to read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Turn {
+    Long,
+    /// The connection is late.
+    Short {
+        late_since: Option<Instant>,
+    },
+}
+
+impl Default for ReadQueue {
+    fn default() -> Self {
+        let waiting = Waiting {
+            in_time: VecDeque::new(),
+            late: VecDeque::new(),
+            rotated_at: Instant::now(),
+        };
+        Self {
+            waiting: Mutex::new(waiting),
+            has_come: Notify::new(),
+        }
+    }
+}
+
+impl ReadQueue {
+    /// True while no turn is given.
+    pub(super) fn is_busy() -> bool {
+        Handle::current().metrics().global_queue_depth() > MAX_WAITING_TASKS
+    }
+
+    /// Waits for a turn. `late_since` is of the last turn.
+    pub(super) fn enter(&self, late_since: Option<Instant>) -> Receiver<Turn> {
+        let (granted, receiver) = oneshot::channel();
+        let waiter = Waiter {
+            since: Instant::now(),
+            late_since,
+            granted,
+        };
+        self.waiting.lock().push(waiter);
+        self.has_come.notify_one();
+        receiver
+    }
+
+    /// Gives turns, as many at a time as the runtime has threads, and lets other tasks run before.
+    pub(super) async fn give_turns(&self) {
+        let threads = Handle::current().metrics().num_workers();
+        loop {
+            self.has_come.notified().await;
+            while !self.waiting.lock().is_empty() {
+                yield_now().await;
+                for _ in 0..threads {
+                    let is_busy = Self::is_busy();
+                    if !self.give_turn(is_busy) || is_busy {
+                        break;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Gives the next turn. False if no connection may have one.
+    fn give_turn(&self, is_busy: bool) -> bool {
+        let (mut waiting, now) = (self.waiting.lock(), Instant::now());
+        while let Some((waiter, turn)) = waiting.next(is_busy, now) {
+            // A connection that has ended needs none.
+            if waiter.granted.send(turn).is_ok() {
+                return true;
+            }
+        }
+        false
+    }
+}
+
+impl Waiting {
+    fn is_empty(&self) -> bool {
+        self.in_time.is_empty() && self.late.is_empty()
+    }
+
+    fn push(&mut self, waiter: Waiter) {
+        match waiter.late_since {
+            Some(_) => self.late.push_back(waiter),
+            None => self.in_time.push_back(waiter),
+        }
+    }
+
+    fn next(&mut self, is_busy: bool, now: Instant) -> Option<(Waiter, Turn)> {
+        let is_due = |waiter: &Waiter| now.duration_since(waiter.since) >= MAX_WAIT;
+        while self.in_time.front().is_some_and(is_due) {
+            let mut waiter = self.in_time.pop_front()?;
+            waiter.late_since = Some(now);
+            self.push(waiter);
+        }
+        if now.duration_since(self.rotated_at) >= ROTATION {
+            let late = self.late.iter().enumerate();
+            let first = late.min_by_key(|(_, waiter)| waiter.late_since);
+            if let Some((first, _)) = first {
+                self.rotated_at = now;
+                return Some((self.late.remove(first)?, Turn::Long));
+            }
+        }
+        if self.late.front().is_some_and(is_due) {
+            let waiter = self.late.pop_front()?;
+            let late_since = waiter.late_since;
+            return Some((waiter, Turn::Short { late_since }));
+        }
+        if is_busy {
+            return None;
+        }
+        let next = self.in_time.pop_back().or_else(|| self.late.pop_front());
+        Some((next?, Turn::Long))
+    }
+}
+
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+pub(super) use tests::let_tasks_wait;
