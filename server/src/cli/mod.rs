@@ -92,15 +92,9 @@ fn fail(error: &dyn Error, status: u8) -> ExitCode {
 /// The most threads for the store, merges and other blocking work: tokio's default.
 const BLOCKING_THREADS: usize = 512;
 
-/// A thread takes every fourth task from the queue of all threads. Tasks that do not fit into its own queue wait there, health
-/// checks among them, and the runtime's own interval would keep them for hundreds of milliseconds under load. An interval of
-/// two answers fewer calls with short deadlines in time.
-const QUEUE_INTERVAL: u32 = 4;
-
 fn serve(config: Config) -> Result<(), Box<dyn Error>> {
     files::check_limit(&config);
     let mut threads = runtime::Builder::new_multi_thread();
-    threads.global_queue_interval(QUEUE_INTERVAL);
     if config.runtime.workers > 0 {
         threads.worker_threads(config.runtime.workers);
     }

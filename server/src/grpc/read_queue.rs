@@ -5,10 +5,10 @@
 //! some connections are then read as fast as they send, and the calls of the others wait and expire. If all were read in
 //! the same measure, all calls would come late.
 //!
-//! A connection that has waited for [`MAX_WAIT`] is late. It has a short turn in each such time, and in every [`ROTATION`]
-//! the one that has been late for the longest returns to the others.
+//! A connection that has waited for [`MAX_WAIT`] is late. It has a turn in each such time, or when no other connection
+//! waits. In every [`ROTATION`] the one that has been late for the longest returns to the others.
 
-use std::{collections::VecDeque, time::Duration};
+use std::{collections::VecDeque, future::poll_fn, mem, task::Poll, time::Duration};
 
 use parking_lot::Mutex;
 use tokio::{
@@ -17,7 +17,6 @@ use tokio::{
         Notify,
         oneshot::{self, Receiver, Sender},
     },
-    task::yield_now,
     time::Instant,
 };
 
@@ -25,13 +24,14 @@ use tokio::{
 /// one too. Without this limit up to 89,000 tasks waited, and health checks took seconds.
 const MAX_WAITING_TASKS: usize = 16;
 
-/// The longest wait. After it a connection has a short turn under any load, so a large request still arrives at about
-/// 80 KiB a second. It is shorter than the default of `admission.burst_ms`, because admission refuses a long call that
+/// The longest wait. After it a connection has a turn under any load, so a large request still arrives at about 80 KiB a
+/// second. It is shorter than the default of `admission.burst_ms`, because admission refuses a long call that
 /// waited unread for that time.
 const MAX_WAIT: Duration = Duration::from_millis(800);
 
-/// The first calls of a connection that was late come late too, so these connections return one by one.
-const ROTATION: Duration = Duration::from_millis(100);
+/// Late connections return one by one, since each takes the place of another. At 100 ms they would change so often that
+/// half as many calls with short deadlines are answered in time.
+const ROTATION: Duration = Duration::from_secs(1);
 
 /// See the module.
 #[derive(Debug)]
@@ -44,7 +44,7 @@ pub(super) struct ReadQueue {
 struct Waiting {
     /// In the order in which they came.
     in_time: VecDeque<Waiter>,
-    /// In the order of their next short turns.
+    /// In the order of their next turns.
     late: VecDeque<Waiter>,
     /// The last time that a late connection returned.
     rotated_at: Instant,
@@ -59,12 +59,9 @@ struct Waiter {
 
 /// The right to read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Turn {
-    Long,
-    /// The connection is late.
-    Short {
-        late_since: Option<Instant>,
-    },
+pub(super) struct Turn {
+    /// The time since which the connection is late.
+    pub(super) late_since: Option<Instant>,
 }
 
 impl Default for ReadQueue {
@@ -87,7 +84,7 @@ impl ReadQueue {
         Handle::current().metrics().global_queue_depth() > MAX_WAITING_TASKS
     }
 
-    /// Waits for a turn. `late_since` is of the last turn.
+    /// Waits for a turn. `late_since` is that of the last turn.
     pub(super) fn enter(&self, late_since: Option<Instant>) -> Receiver<Turn> {
         let (granted, receiver) = oneshot::channel();
         let waiter = Waiter {
@@ -106,7 +103,7 @@ impl ReadQueue {
         loop {
             self.has_come.notified().await;
             while !self.waiting.lock().is_empty() {
-                yield_now().await;
+                run_others().await;
                 for _ in 0..threads {
                     let is_busy = Self::is_busy();
                     if !self.give_turn(is_busy) || is_busy {
@@ -120,7 +117,10 @@ impl ReadQueue {
     /// Gives the next turn. False if no connection may have one.
     fn give_turn(&self, is_busy: bool) -> bool {
         let (mut waiting, now) = (self.waiting.lock(), Instant::now());
-        while let Some((waiter, turn)) = waiting.next(is_busy, now) {
+        while let Some(waiter) = waiting.next(is_busy, now) {
+            let turn = Turn {
+                late_since: waiter.late_since,
+            };
             // A connection that has ended needs none.
             if waiter.granted.send(turn).is_ok() {
                 return true;
@@ -142,7 +142,7 @@ impl Waiting {
         }
     }
 
-    fn next(&mut self, is_busy: bool, now: Instant) -> Option<(Waiter, Turn)> {
+    fn next(&mut self, is_busy: bool, now: Instant) -> Option<Waiter> {
         let is_due = |waiter: &Waiter| now.duration_since(waiter.since) >= MAX_WAIT;
         while self.in_time.front().is_some_and(is_due) {
             let mut waiter = self.in_time.pop_front()?;
@@ -154,20 +154,33 @@ impl Waiting {
             let first = late.min_by_key(|(_, waiter)| waiter.late_since);
             if let Some((first, _)) = first {
                 self.rotated_at = now;
-                return Some((self.late.remove(first)?, Turn::Long));
+                let mut waiter = self.late.remove(first)?;
+                waiter.late_since = None;
+                return Some(waiter);
             }
         }
         if self.late.front().is_some_and(is_due) {
-            let waiter = self.late.pop_front()?;
-            let late_since = waiter.late_since;
-            return Some((waiter, Turn::Short { late_since }));
+            return self.late.pop_front();
         }
-        if is_busy {
-            return None;
+        match is_busy {
+            true => None,
+            false => self.in_time.pop_back().or_else(|| self.late.pop_front()),
         }
-        let next = self.in_time.pop_back().or_else(|| self.late.pop_front());
-        Some((next?, Turn::Long))
     }
+}
+
+/// Lets the tasks run that wait for this thread. The runtime would look for bytes too before it resumes a task that
+/// yields.
+async fn run_others() {
+    let mut has_waited = false;
+    poll_fn(|context| match mem::replace(&mut has_waited, true) {
+        true => Poll::Ready(()),
+        false => {
+            context.waker().wake_by_ref();
+            Poll::Pending
+        }
+    })
+    .await;
 }
 
 #[cfg(test)]

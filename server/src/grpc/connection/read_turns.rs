@@ -18,9 +18,8 @@ use crate::{
 /// `grpc.max_calls_per_connection`.
 const MAX_CALL_BYTES: usize = 4 * 1024;
 
-/// A connection waits for a turn after this many bytes of a large request, and in a long turn. A long turn reads the
-/// resets of cancelled calls together with these calls.
-const MAX_TURN_BYTES: usize = 64 * 1024;
+/// A connection waits for a turn after this many bytes of a large request.
+const MAX_REQUEST_BYTES: usize = 64 * 1024;
 
 /// A connection that reads on after a shorter pause keeps up with its client, whatever that sends.
 const SHORT_PAUSE: Duration = Duration::from_millis(1);
@@ -31,7 +30,6 @@ const LIGHT_TIME: Duration = Duration::from_millis(200);
 /// The turns of one connection.
 pub(super) struct ReadTurns {
     queue: Arc<ReadQueue>,
-    is_long: bool,
     /// The time since which the connection is late.
     late_since: Option<Instant>,
     /// The begin of this turn.
@@ -50,7 +48,6 @@ impl ReadTurns {
     pub(super) fn new(queue: Arc<ReadQueue>) -> Self {
         Self {
             queue,
-            is_long: false,
             late_since: None,
             began: Instant::now(),
             bytes: 0,
@@ -64,36 +61,33 @@ impl ReadTurns {
     pub(super) fn poll(&mut self, flow: &Flow, context: &mut Context<'_>) -> Poll<()> {
         let calls = flow.calls();
         let has_calls = calls != self.calls;
-        let limit = match has_calls && !self.is_long {
+        let limit = match has_calls {
             true => MAX_CALL_BYTES,
-            false => MAX_TURN_BYTES,
+            false => MAX_REQUEST_BYTES,
         };
         if self.bytes >= limit {
             // The arrival of a large request is no delay of the server.
             if !has_calls {
                 flow.catch_up();
             }
-            self.bytes = 0;
-            self.calls = calls;
+            (self.bytes, self.calls) = (0, calls);
             self.pause = Some((Instant::now(), self.queue.enter(self.late_since)));
         }
         if let Some((since, turn)) = &mut self.pause {
             // The queue outlives its connections.
-            let turn = ready!(Pin::new(turn).poll(context)).unwrap_or(Turn::Long);
+            let turn = ready!(Pin::new(turn).poll(context));
             if since.elapsed() < SHORT_PAUSE {
                 flow.catch_up();
             }
             self.pause = None;
-            self.begin(turn);
+            self.begin(turn.ok().and_then(|turn| turn.late_since));
         }
         Poll::Ready(())
     }
 
-    fn begin(&mut self, turn: Turn) {
-        (self.is_long, self.late_since) = match turn {
-            Turn::Long => (true, None),
-            Turn::Short { late_since } => (false, late_since),
-        };
+    fn begin(&mut self, late_since: Option<Instant>) {
+        self.bytes = 0;
+        self.late_since = late_since;
         self.began = Instant::now();
     }
 
@@ -106,8 +100,7 @@ impl ReadTurns {
         self.was_silent = is_all;
         self.bytes += bytes;
         if is_all && (self.began.elapsed() >= LIGHT_TIME || !ReadQueue::is_busy()) {
-            (self.bytes, self.is_long, self.late_since) = (0, false, None);
-            self.began = Instant::now();
+            self.begin(None);
         }
     }
 }

@@ -3,9 +3,11 @@
 use std::{future::ready, pin::pin, sync::Arc, thread};
 
 use futures_util::poll;
-use tokio::time::advance;
+use tokio::{task::yield_now, time::advance};
 
 use super::*;
+
+const IN_TIME: Turn = Turn { late_since: None };
 
 /// The connections that have the next turns, by their places in `entered`.
 fn turns(queue: &ReadQueue, is_busy: bool, entered: &mut [Receiver<Turn>]) -> Vec<(usize, Turn)> {
@@ -23,31 +25,44 @@ async fn the_connection_that_came_last_reads_first_while_few_tasks_wait() {
     let queue = ReadQueue::default();
     let mut entered = [(); 3].map(|()| queue.enter(None));
     assert_eq!(turns(&queue, true, &mut entered), []);
-    let long = [2, 1, 0].map(|number| (number, Turn::Long));
-    assert_eq!(turns(&queue, false, &mut entered), long);
+    let expected = [2, 1, 0].map(|number| (number, IN_TIME));
+    assert_eq!(turns(&queue, false, &mut entered), expected);
 }
 
 #[tokio::test(start_paused = true)]
-async fn late_connections_have_short_turns_under_load_and_return_one_by_one() {
+async fn a_late_connection_has_a_turn_under_any_load_and_when_no_other_waits() {
     let queue = ReadQueue::default();
     let mut entered = [(); 3].map(|()| queue.enter(None));
     advance(MAX_WAIT).await;
     let late_since = Some(Instant::now());
-    let short = |number| (number, Turn::Short { late_since });
-    let expected = [(0, Turn::Long), short(1), short(2)];
+    let late = Turn { late_since };
+    let expected = [0, 1, 2].map(|number| (number, late));
     assert_eq!(turns(&queue, true, &mut entered), expected);
-    // The first has been late for as long as the second, and came back later.
-    let mut entered = [2, 1].map(|_| queue.enter(late_since));
-    let later = late_since.map(|since| since + ROTATION / 2);
-    let mut last = queue.enter(later);
-    advance(ROTATION).await;
-    assert_eq!(turns(&queue, true, &mut entered), [(0, Turn::Long)]);
-    advance(ROTATION).await;
-    assert_eq!(turns(&queue, true, &mut entered), [(1, Turn::Long)]);
-    assert!(last.try_recv().is_err());
-    // Without load nothing waits.
-    assert!(queue.give_turn(false));
-    assert_eq!(last.try_recv(), Ok(Turn::Long));
+    let mut entered = [late_since, None].map(|late_since| queue.enter(late_since));
+    assert_eq!(turns(&queue, true, &mut entered), []);
+    let expected = [(1, IN_TIME), (0, late)];
+    assert_eq!(turns(&queue, false, &mut entered), expected);
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_connection_that_has_been_late_for_the_longest_returns_first() {
+    let queue = ReadQueue::default();
+    let now = Instant::now();
+    let mut since = vec![3, 1, 2];
+    for first in [1, 2, 3] {
+        let late = |seconds: &u64| Some(now + Duration::from_secs(*seconds));
+        let enter = |seconds| queue.enter(late(seconds));
+        let mut entered: Vec<_> = since.iter().map(enter).collect();
+        advance(ROTATION).await;
+        let turns = turns(&queue, true, &mut entered);
+        assert_eq!(turns.len(), since.len());
+        for (number, turn) in turns {
+            let seconds = since[number];
+            let late_since = late(&seconds).filter(|_| seconds != first);
+            assert_eq!(turn, Turn { late_since });
+        }
+        since.retain(|seconds| *seconds != first);
+    }
 }
 
 #[tokio::test(start_paused = true)]
@@ -56,7 +71,7 @@ async fn a_connection_that_has_ended_takes_no_turn() {
     let mut granted = queue.enter(None);
     drop(queue.enter(None));
     assert!(queue.give_turn(false));
-    assert_eq!(granted.try_recv(), Ok(Turn::Long));
+    assert_eq!(granted.try_recv(), Ok(IN_TIME));
     assert!(!queue.give_turn(false));
     assert!(queue.waiting.lock().is_empty());
 }
@@ -88,5 +103,5 @@ async fn turns_wait_until_few_tasks_wait() {
         yield_now().await;
     }
     assert!(poll!(giving.as_mut()).is_pending());
-    assert_eq!(granted.try_recv(), Ok(Turn::Long));
+    assert_eq!(granted.try_recv(), Ok(IN_TIME));
 }

@@ -34,8 +34,8 @@ async fn a_connection_pauses_after_calls_sooner_than_within_a_large_request() {
     for (bytes, has_calls, pauses) in [
         (MAX_CALL_BYTES - 1, true, false),
         (MAX_CALL_BYTES, true, true),
-        (MAX_TURN_BYTES - 1, false, false),
-        (MAX_TURN_BYTES, false, true),
+        (MAX_REQUEST_BYTES - 1, false, false),
+        (MAX_REQUEST_BYTES, false, true),
     ] {
         let (mut turns, flow) = after(bytes, has_calls);
         assert_eq!(may_read(&mut turns, &flow).await, !pauses, "{bytes}");
@@ -44,12 +44,14 @@ async fn a_connection_pauses_after_calls_sooner_than_within_a_large_request() {
 }
 
 #[tokio::test]
-async fn a_turn_after_a_pause_is_long() {
+async fn a_pause_ends_with_a_turn_and_the_next_one_comes_after_as_much() {
     let (mut turns, flow) = after(MAX_CALL_BYTES, true);
+    assert!(!may_read(&mut turns, &flow).await);
+    assert!(!may_read(&mut turns, &flow).await);
     let _giving = giving(&turns);
     poll_fn(|context| turns.poll(&flow, context)).await;
     drop(flow.turns());
-    turns.note(&flow, MAX_TURN_BYTES - 1, false);
+    turns.note(&flow, MAX_CALL_BYTES - 1, false);
     assert!(may_read(&mut turns, &flow).await);
     turns.note(&flow, 1, false);
     assert!(!may_read(&mut turns, &flow).await);
@@ -115,7 +117,7 @@ async fn a_connection_is_behind_from_the_last_time_that_it_had_read_everything()
         assert_eq!(paused.await, expected, "{pause:?}");
     }
     // The arrival of a large request is no delay of the server.
-    let (mut turns, flow) = after(MAX_TURN_BYTES, false);
+    let (mut turns, flow) = after(MAX_REQUEST_BYTES, false);
     let paused = catches_up(&flow, async {
         assert!(!may_read(&mut turns, &flow).await);
     });
