@@ -9,6 +9,9 @@ use wayfold_tests::figures::quantile_ms;
 
 use crate::{report::Figures, wire::Outcome};
 
+/// The time from the begin of a phase until the queue of the server stands, about.
+const RAMP: Duration = Duration::from_secs(2);
+
 /// The outcomes of the calls of one phase.
 #[derive(Debug)]
 pub(crate) struct Tally {
@@ -25,6 +28,8 @@ pub(crate) struct Tally {
     in_time: u64,
     /// The times of the answers with status OK.
     accepted: Vec<Duration>,
+    /// Those of the calls that were due after [`RAMP`].
+    accepted_later: Vec<Duration>,
     refused: BTreeMap<i32, u64>,
     expired: u64,
     reset: BTreeMap<u32, u64>,
@@ -44,6 +49,7 @@ impl Tally {
             not_sent: 0,
             in_time: 0,
             accepted: Vec::new(),
+            accepted_later: Vec::new(),
             refused: BTreeMap::new(),
             expired: 0,
             reset: BTreeMap::new(),
@@ -61,6 +67,9 @@ impl Tally {
                 let now = Instant::now();
                 self.in_time += u64::from(now <= self.end);
                 self.accepted.push(now - due);
+                if due + self.length >= self.end + RAMP {
+                    self.accepted_later.push(now - due);
+                }
             }
             Outcome::Status(code) => *self.refused.entry(code.into()).or_default() += 1,
             Outcome::Expired => self.expired += 1,
@@ -112,6 +121,7 @@ impl Tally {
     /// Sorts the times.
     pub(crate) fn finish(mut self) -> Self {
         self.accepted.sort();
+        self.accepted_later.sort();
         self
     }
 
@@ -149,6 +159,8 @@ impl Tally {
         }
         figures.add("accepted p50, ms", self.quantile(0.5));
         figures.add("accepted p99, ms", self.quantile(0.99));
+        let later = quantile_ms(&self.accepted_later, 0.99);
+        figures.add("accepted p99 after 2 s, ms", later);
         if self.offered * 100 < self.due * 98 {
             figures.add(
                 "GENERATOR TOO SLOW: of the rate",
