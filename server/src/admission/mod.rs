@@ -11,7 +11,7 @@ mod turns;
 use std::{
     sync::{
         Arc, LazyLock,
-        atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed},
+        atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::Relaxed},
     },
     thread::available_parallelism,
     time::{Duration, Instant},
@@ -65,6 +65,9 @@ pub struct AdmissionConfig {
 /// A flow holds little if it holds at most this part of all bytes, or two calls.
 const SMALL_PARTS: usize = 1024;
 
+/// The time of a call that would rather be refused than wait for a second.
+const SHORT_TIME: Duration = Duration::from_secs(1);
+
 /// See the module. Clones share it.
 #[derive(Clone, Debug)]
 pub(crate) struct Admission {
@@ -99,6 +102,8 @@ pub(crate) struct Flow {
     admin: Option<Arc<Flow>>,
     /// The calls that have come.
     calls: AtomicU64,
+    /// True if the last one has a short deadline.
+    is_hurried: AtomicBool,
     /// Those that hold bytes.
     under_way: AtomicUsize,
     opened: Instant,
@@ -199,6 +204,7 @@ impl Flow {
             permits: Arc::new(ClientPermits::new(*MAX_STORED_READS / 2)),
             admin,
             calls: AtomicU64::new(0),
+            is_hurried: AtomicBool::new(false),
             under_way: AtomicUsize::new(0),
             opened: Instant::now(),
             caught_up_ns: AtomicU64::new(UNKNOWN),
@@ -218,6 +224,17 @@ impl Flow {
     /// The number of calls that have come.
     pub(crate) fn calls(&self) -> u64 {
         self.calls.load(Relaxed)
+    }
+
+    /// Notes the time that a call has, unless it has the default.
+    pub(crate) fn note_time(&self, time: Option<Duration>) {
+        let is_hurried = time.is_some_and(|time| time <= SHORT_TIME);
+        self.is_hurried.store(is_hurried, Relaxed);
+    }
+
+    /// True if its last call has a short deadline.
+    pub(crate) fn is_hurried(&self) -> bool {
+        self.is_hurried.load(Relaxed)
     }
 
     /// Counts a call whose request did not arrive in time.

@@ -47,3 +47,17 @@ async fn calls_of_administration_wait_as_long_as_they_must() {
     list.await.unwrap();
     create.await.unwrap();
 }
+
+#[test]
+fn a_flow_whose_last_call_has_a_short_deadline_is_hurried() {
+    let flow = Admission::new(&Config::default().admission, 1, 0).open();
+    for (time, is_hurried) in [
+        (Some(SHORT_TIME), true),
+        (Some(SHORT_TIME + Duration::from_nanos(1)), false),
+        (Some(Duration::ZERO), true),
+        (None, false),
+    ] {
+        flow.note_time(time);
+        assert_eq!(flow.is_hurried(), is_hurried, "{time:?}");
+    }
+}

@@ -315,6 +315,8 @@ impl CallsLayer {
         check_caller(call)?;
         let deadline = deadline::read(request.headers(), arrived);
         call.deadline = deadline.map_err(|problem| refusals::malformed_timeout(&problem))?;
+        let time = call.deadline.map(|deadline| deadline - arrived);
+        held.flow().note_time(time);
         let activity = request.extensions().get::<Activity>();
         let stream = activity.filter(|_| rpc.lasts).map(Activity::stream);
         if matches!(stream, Some(None)) {

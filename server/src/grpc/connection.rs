@@ -69,7 +69,7 @@ pub(crate) fn incoming(
                 }
             };
             let client = Some(open.activity().client());
-            let read_queue = Arc::clone(open.activity().read_queue());
+            let read_queue = Arc::clone(connections.read_queue());
             let connection = Connection {
                 socket: Tls::accept(listener.tls.as_ref(), socket, client),
                 open,

@@ -344,11 +344,6 @@ impl Activity {
         Arc::clone(&self.state.certificate)
     }
 
-    /// The queue in which it waits to read.
-    pub(super) fn read_queue(&self) -> &Arc<ReadQueue> {
-        &self.connections.read_queue
-    }
-
     /// The flow of its calls.
     pub(super) fn flow(&self) -> &Arc<Flow> {
         &self.state.flow

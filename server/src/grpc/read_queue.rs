@@ -1,12 +1,13 @@
 //! The connections of a listener that wait to read.
 //!
 //! A connection that sends much reads in turns, so that its calls do not pile up in the runtime: what waits, waits in
-//! sockets. A turn is given while few tasks wait for a thread, and goes to the connection that came last. Under overload
-//! some connections are then read as fast as they send, and the calls of the others wait and expire. If all were read in
-//! the same measure, all calls would come late.
+//! sockets. A turn is given while few tasks wait for a thread. Among patient connections it goes to the one that came first,
+//! and among those whose calls have short deadlines to the one that came last. Under overload some of these are then read
+//! as fast as they send, and the calls of the others expire. If all were read in the same measure, all calls would come
+//! late.
 //!
-//! A connection that has waited for [`MAX_WAIT`] is late. It has a turn in each such time, or when no other connection
-//! waits. In every [`ROTATION`] the one that has been late for the longest returns to the others.
+//! A connection that has waited for [`MAX_WAIT`] is late. It has a turn every [`MAX_WAIT`], and whenever all that wait are
+//! late. Every [`ROTATION`] the one that has been late for the longest returns to the others.
 
 use std::{collections::VecDeque, future::poll_fn, mem, task::Poll, time::Duration};
 
@@ -17,6 +18,7 @@ use tokio::{
         Notify,
         oneshot::{self, Receiver, Sender},
     },
+    task::yield_now,
     time::Instant,
 };
 
@@ -24,9 +26,9 @@ use tokio::{
 /// one too. Without this limit up to 89,000 tasks waited, and health checks took seconds.
 const MAX_WAITING_TASKS: usize = 16;
 
-/// The longest wait. After it a connection has a turn under any load, so a large request still arrives at about 80 KiB a
-/// second. It is shorter than the default of `admission.burst_ms`, because admission refuses a long call that
-/// waited unread for that time.
+/// The longest wait of a few hundred connections. After it a connection has a turn under any load, so a large request still
+/// arrives at about 80 KiB a second. It is shorter than the default of `admission.burst_ms`, because admission refuses a
+/// long call that waited unread for that time.
 const MAX_WAIT: Duration = Duration::from_millis(800);
 
 /// Late connections return one by one, since each takes the place of another. At 100 ms they would change so often that
@@ -42,10 +44,13 @@ pub(super) struct ReadQueue {
 
 #[derive(Debug)]
 struct Waiting {
-    /// In the order in which they came.
-    in_time: VecDeque<Waiter>,
-    /// In the order of their next turns.
+    /// In the order in which they came, as all of these.
+    patient: VecDeque<Waiter>,
+    /// Those whose calls have short deadlines.
+    hurried: VecDeque<Waiter>,
     late: VecDeque<Waiter>,
+    /// True if the last turn was of a patient connection: the two kinds take turns.
+    was_patient: bool,
     /// The last time that a late connection returned.
     rotated_at: Instant,
 }
@@ -53,22 +58,19 @@ struct Waiting {
 #[derive(Debug)]
 struct Waiter {
     since: Instant,
+    is_hurried: bool,
     late_since: Option<Instant>,
-    granted: Sender<Turn>,
-}
-
-/// The right to read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Turn {
-    /// The time since which the connection is late.
-    pub(super) late_since: Option<Instant>,
+    /// Takes the time since which the connection is late.
+    granted: Sender<Option<Instant>>,
 }
 
 impl Default for ReadQueue {
     fn default() -> Self {
         let waiting = Waiting {
-            in_time: VecDeque::new(),
+            patient: VecDeque::new(),
+            hurried: VecDeque::new(),
             late: VecDeque::new(),
+            was_patient: false,
             rotated_at: Instant::now(),
         };
         Self {
@@ -84,11 +86,16 @@ impl ReadQueue {
         Handle::current().metrics().global_queue_depth() > MAX_WAITING_TASKS
     }
 
-    /// Waits for a turn. `late_since` is that of the last turn.
-    pub(super) fn enter(&self, late_since: Option<Instant>) -> Receiver<Turn> {
+    /// Waits for a turn, which tells the time since which the connection is late. `late_since` is that of the last turn.
+    pub(super) fn enter(
+        &self,
+        is_hurried: bool,
+        late_since: Option<Instant>,
+    ) -> Receiver<Option<Instant>> {
         let (granted, receiver) = oneshot::channel();
         let waiter = Waiter {
             since: Instant::now(),
+            is_hurried,
             late_since,
             granted,
         };
@@ -103,7 +110,11 @@ impl ReadQueue {
         loop {
             self.has_come.notified().await;
             while !self.waiting.lock().is_empty() {
-                run_others().await;
+                match Self::is_busy() {
+                    // Then the task leaves its thread to the tasks of the global queue.
+                    true => yield_now().await,
+                    false => run_others().await,
+                }
                 for _ in 0..threads {
                     let is_busy = Self::is_busy();
                     if !self.give_turn(is_busy) || is_busy {
@@ -118,11 +129,8 @@ impl ReadQueue {
     fn give_turn(&self, is_busy: bool) -> bool {
         let (mut waiting, now) = (self.waiting.lock(), Instant::now());
         while let Some(waiter) = waiting.next(is_busy, now) {
-            let turn = Turn {
-                late_since: waiter.late_since,
-            };
             // A connection that has ended needs none.
-            if waiter.granted.send(turn).is_ok() {
+            if waiter.granted.send(waiter.late_since).is_ok() {
                 return true;
             }
         }
@@ -132,24 +140,35 @@ impl ReadQueue {
 
 impl Waiting {
     fn is_empty(&self) -> bool {
-        self.in_time.is_empty() && self.late.is_empty()
+        self.patient.is_empty() && self.hurried.is_empty() && self.late.is_empty()
     }
 
     fn push(&mut self, waiter: Waiter) {
-        match waiter.late_since {
-            Some(_) => self.late.push_back(waiter),
-            None => self.in_time.push_back(waiter),
+        match waiter {
+            Waiter {
+                late_since: Some(_),
+                ..
+            } => self.late.push_back(waiter),
+            Waiter {
+                is_hurried: true, ..
+            } => self.hurried.push_back(waiter),
+            _ => self.patient.push_back(waiter),
         }
     }
 
     fn next(&mut self, is_busy: bool, now: Instant) -> Option<Waiter> {
         let is_due = |waiter: &Waiter| now.duration_since(waiter.since) >= MAX_WAIT;
-        while self.in_time.front().is_some_and(is_due) {
-            let mut waiter = self.in_time.pop_front()?;
-            waiter.late_since = Some(now);
-            self.push(waiter);
+        for in_time in [&mut self.patient, &mut self.hurried] {
+            while in_time.front().is_some_and(is_due) {
+                let mut waiter = in_time.pop_front()?;
+                waiter.late_since = Some(now);
+                let later = |late: &Waiter| late.since <= waiter.since;
+                let place = self.late.partition_point(later);
+                self.late.insert(place, waiter);
+            }
         }
         if now.duration_since(self.rotated_at) >= ROTATION {
+            self.late.retain(|waiter| !waiter.granted.is_closed());
             let late = self.late.iter().enumerate();
             let first = late.min_by_key(|(_, waiter)| waiter.late_since);
             if let Some((first, _)) = first {
@@ -162,9 +181,14 @@ impl Waiting {
         if self.late.front().is_some_and(is_due) {
             return self.late.pop_front();
         }
-        match is_busy {
-            true => None,
-            false => self.in_time.pop_back().or_else(|| self.late.pop_front()),
+        if is_busy {
+            return None;
+        }
+        self.was_patient =
+            !self.patient.is_empty() && (!self.was_patient || self.hurried.is_empty());
+        match self.was_patient {
+            true => self.patient.pop_front(),
+            false => self.hurried.pop_back().or_else(|| self.late.pop_front()),
         }
     }
 }

@@ -9,10 +9,7 @@ use std::{
 
 use tokio::{sync::oneshot::Receiver, time::Instant};
 
-use crate::{
-    admission::Flow,
-    grpc::read_queue::{ReadQueue, Turn},
-};
+use crate::{admission::Flow, grpc::read_queue::ReadQueue};
 
 /// A connection waits for a turn after this many bytes of calls. They hold about 32 small calls, the default of
 /// `grpc.max_calls_per_connection`.
@@ -24,7 +21,8 @@ const MAX_REQUEST_BYTES: usize = 64 * 1024;
 /// A connection that reads on after a shorter pause keeps up with its client, whatever that sends.
 const SHORT_PAUSE: Duration = Duration::from_millis(1);
 
-/// A connection takes no turns while it sends less than [`MAX_CALL_BYTES`] in this time, and everything was read.
+/// Under load, a connection takes no turns while it sends less than [`MAX_CALL_BYTES`] in this time and all of it is read.
+/// Without load it takes none if all is read.
 const LIGHT_TIME: Duration = Duration::from_millis(200);
 
 /// The turns of one connection.
@@ -41,7 +39,7 @@ pub(super) struct ReadTurns {
     /// True if the last read left nothing to read.
     was_silent: bool,
     /// The begin of the wait for the next turn, and that turn.
-    pause: Option<(Instant, Receiver<Turn>)>,
+    pause: Option<(Instant, Receiver<Option<Instant>>)>,
 }
 
 impl ReadTurns {
@@ -71,16 +69,19 @@ impl ReadTurns {
                 flow.catch_up();
             }
             (self.bytes, self.calls) = (0, calls);
-            self.pause = Some((Instant::now(), self.queue.enter(self.late_since)));
+            let turn = self.queue.enter(flow.is_hurried(), self.late_since);
+            self.pause = Some((Instant::now(), turn));
         }
         if let Some((since, turn)) = &mut self.pause {
             // The queue outlives its connections.
             let turn = ready!(Pin::new(turn).poll(context));
-            if since.elapsed() < SHORT_PAUSE {
-                flow.catch_up();
+            match since.elapsed() < SHORT_PAUSE {
+                true => flow.catch_up(),
+                // What is read next may have waited.
+                false => self.was_silent = false,
             }
             self.pause = None;
-            self.begin(turn.ok().and_then(|turn| turn.late_since));
+            self.begin(turn.ok().flatten());
         }
         Poll::Ready(())
     }

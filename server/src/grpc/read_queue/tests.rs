@@ -1,65 +1,89 @@
-//! The order of the turns, and their end under load.
+//! The order of the turns, under load and without.
 
 use std::{future::ready, pin::pin, sync::Arc, thread};
 
 use futures_util::poll;
-use tokio::{task::yield_now, time::advance};
+use tokio::time::advance;
 
 use super::*;
 
-const IN_TIME: Turn = Turn { late_since: None };
+type Entered = Receiver<Option<Instant>>;
 
-/// The connections that have the next turns, by their places in `entered`.
-fn turns(queue: &ReadQueue, is_busy: bool, entered: &mut [Receiver<Turn>]) -> Vec<(usize, Turn)> {
+/// The connections that have the next turns, by their places in `entered`, and the times since which they are late.
+fn turns(
+    queue: &ReadQueue,
+    is_busy: bool,
+    entered: &mut [Entered],
+) -> Vec<(usize, Option<Instant>)> {
     let mut turns = Vec::new();
     while queue.give_turn(is_busy) {
         for (number, granted) in entered.iter_mut().enumerate() {
-            turns.extend(granted.try_recv().map(|turn| (number, turn)));
+            turns.extend(granted.try_recv().map(|late_since| (number, late_since)));
         }
     }
     turns
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_connection_that_came_last_reads_first_while_few_tasks_wait() {
-    let queue = ReadQueue::default();
-    let mut entered = [(); 3].map(|()| queue.enter(None));
-    assert_eq!(turns(&queue, true, &mut entered), []);
-    let expected = [2, 1, 0].map(|number| (number, IN_TIME));
-    assert_eq!(turns(&queue, false, &mut entered), expected);
+async fn patient_connections_read_in_their_order_and_hurried_ones_in_the_other() {
+    for (are_hurried, expected) in [
+        ([false, false, false, false], [0, 1, 2, 3]),
+        ([true, true, true, true], [3, 2, 1, 0]),
+        // The two kinds take turns.
+        ([true, false, true, false], [1, 2, 3, 0]),
+    ] {
+        let queue = ReadQueue::default();
+        let mut entered = are_hurried.map(|is_hurried| queue.enter(is_hurried, None));
+        assert_eq!(turns(&queue, true, &mut entered), []);
+        let expected = expected.map(|number| (number, None));
+        assert_eq!(turns(&queue, false, &mut entered), expected);
+    }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_late_connection_has_a_turn_under_any_load_and_when_no_other_waits() {
+async fn a_late_connection_has_a_turn_under_any_load_and_when_all_are_late() {
+    for is_hurried in [false, true] {
+        let queue = ReadQueue::default();
+        let mut entered = [(); 3].map(|()| queue.enter(is_hurried, None));
+        advance(MAX_WAIT).await;
+        let late_since = Some(Instant::now());
+        let expected = [0, 1, 2].map(|number| (number, late_since));
+        assert_eq!(turns(&queue, true, &mut entered), expected);
+        let mut entered = [late_since, None].map(|late_since| queue.enter(is_hurried, late_since));
+        assert_eq!(turns(&queue, true, &mut entered), []);
+        let expected = [(1, None), (0, late_since)];
+        assert_eq!(turns(&queue, false, &mut entered), expected);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_connection_that_becomes_late_waits_for_none_that_came_after_it() {
     let queue = ReadQueue::default();
-    let mut entered = [(); 3].map(|()| queue.enter(None));
-    advance(MAX_WAIT).await;
-    let late_since = Some(Instant::now());
-    let late = Turn { late_since };
-    let expected = [0, 1, 2].map(|number| (number, late));
+    let mut entered = vec![queue.enter(false, None)];
+    advance(MAX_WAIT / 2).await;
+    entered.push(queue.enter(false, Some(Instant::now())));
+    advance(MAX_WAIT / 2).await;
+    let expected = [(0, Some(Instant::now()))];
     assert_eq!(turns(&queue, true, &mut entered), expected);
-    let mut entered = [late_since, None].map(|late_since| queue.enter(late_since));
-    assert_eq!(turns(&queue, true, &mut entered), []);
-    let expected = [(1, IN_TIME), (0, late)];
-    assert_eq!(turns(&queue, false, &mut entered), expected);
 }
 
 #[tokio::test(start_paused = true)]
 async fn the_connection_that_has_been_late_for_the_longest_returns_first() {
     let queue = ReadQueue::default();
     let now = Instant::now();
+    let late = |seconds| Some(now + Duration::from_secs(seconds));
     let mut since = vec![3, 1, 2];
     for first in [1, 2, 3] {
-        let late = |seconds: &u64| Some(now + Duration::from_secs(*seconds));
-        let enter = |seconds| queue.enter(late(seconds));
+        // One that has ended does not return.
+        drop(queue.enter(false, Some(now)));
+        let enter = |seconds: &u64| queue.enter(false, late(*seconds));
         let mut entered: Vec<_> = since.iter().map(enter).collect();
         advance(ROTATION).await;
         let turns = turns(&queue, true, &mut entered);
         assert_eq!(turns.len(), since.len());
-        for (number, turn) in turns {
+        for (number, late_since) in turns {
             let seconds = since[number];
-            let late_since = late(&seconds).filter(|_| seconds != first);
-            assert_eq!(turn, Turn { late_since });
+            assert_eq!(late_since, late(seconds).filter(|_| seconds != first));
         }
         since.retain(|seconds| *seconds != first);
     }
@@ -68,10 +92,10 @@ async fn the_connection_that_has_been_late_for_the_longest_returns_first() {
 #[tokio::test(start_paused = true)]
 async fn a_connection_that_has_ended_takes_no_turn() {
     let queue = ReadQueue::default();
-    let mut granted = queue.enter(None);
-    drop(queue.enter(None));
+    drop(queue.enter(false, None));
+    let mut granted = queue.enter(false, None);
     assert!(queue.give_turn(false));
-    assert_eq!(granted.try_recv(), Ok(IN_TIME));
+    assert_eq!(granted.try_recv(), Ok(None));
     assert!(!queue.give_turn(false));
     assert!(queue.waiting.lock().is_empty());
 }
@@ -91,7 +115,7 @@ pub(crate) fn let_tasks_wait(tasks: usize) {
 async fn turns_wait_until_few_tasks_wait() {
     let queue = Arc::new(ReadQueue::default());
     let mut giving = pin!(queue.give_turns());
-    let mut granted = queue.enter(None);
+    let mut granted = queue.enter(false, None);
     assert!(poll!(giving.as_mut()).is_pending());
     for _ in 0..3 {
         let_tasks_wait(MAX_WAITING_TASKS + 1);
@@ -102,6 +126,8 @@ async fn turns_wait_until_few_tasks_wait() {
     while ReadQueue::is_busy() {
         yield_now().await;
     }
-    assert!(poll!(giving.as_mut()).is_pending());
-    assert_eq!(granted.try_recv(), Ok(IN_TIME));
+    while granted.try_recv().is_err() {
+        assert!(poll!(giving.as_mut()).is_pending());
+        yield_now().await;
+    }
 }

@@ -2,7 +2,7 @@
 
 use std::future::poll_fn;
 
-use tokio::{task::yield_now, time::advance};
+use tokio::{sync::oneshot, task::yield_now, time::advance};
 use tokio_util::task::AbortOnDropHandle;
 
 use super::*;
@@ -80,6 +80,26 @@ async fn a_connection_that_sends_little_never_pauses_and_one_that_sends_much_doe
     assert!(may_read(&mut turns, &flow).await);
 }
 
+#[tokio::test(start_paused = true)]
+async fn a_connection_stays_late_until_it_sends_little() {
+    let (mut turns, flow) = after(0, true);
+    let late_since = Some(Instant::now());
+    let (granted, turn) = oneshot::channel();
+    granted.send(late_since).unwrap();
+    turns.pause = Some((Instant::now(), turn));
+    let _giving = giving(&turns);
+    for _ in 0..2 {
+        poll_fn(|context| turns.poll(&flow, context)).await;
+        assert_eq!(turns.late_since, late_since);
+        drop(flow.turns());
+        turns.note(&flow, MAX_CALL_BYTES, false);
+    }
+    poll_fn(|context| turns.poll(&flow, context)).await;
+    advance(LIGHT_TIME).await;
+    turns.note(&flow, 1, true);
+    assert_eq!(turns.late_since, None);
+}
+
 /// True if `work` notes that the connection has read everything.
 async fn catches_up(flow: &Flow, work: impl Future) -> bool {
     flow.catch_up();
@@ -116,6 +136,17 @@ async fn a_connection_is_behind_from_the_last_time_that_it_had_read_everything()
         });
         assert_eq!(paused.await, expected, "{pause:?}");
     }
+    // After a pause, bytes may have waited although everything was read before.
+    let (mut turns, flow) = after(MAX_CALL_BYTES, true);
+    turns.was_silent = true;
+    let paused = catches_up(&flow, async {
+        assert!(!may_read(&mut turns, &flow).await);
+        advance(SHORT_PAUSE).await;
+        let _giving = giving(&turns);
+        poll_fn(|context| turns.poll(&flow, context)).await;
+        turns.note(&flow, 1, false);
+    });
+    assert!(!paused.await);
     // The arrival of a large request is no delay of the server.
     let (mut turns, flow) = after(MAX_REQUEST_BYTES, false);
     let paused = catches_up(&flow, async {
