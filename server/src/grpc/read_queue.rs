@@ -6,8 +6,8 @@
 //! as fast as they send, and the calls of the others expire. If all were read in the same measure, all calls would come
 //! late.
 //!
-//! A connection that has waited for [`MAX_WAIT`] is late. It has a turn every [`MAX_WAIT`], and whenever all that wait are
-//! late. Every [`ROTATION`] the one that has been late for the longest returns to the others.
+//! A connection that has waited for [`MAX_WAIT`] is late. It has a turn every [`MAX_WAIT`], and more turns while only late
+//! connections wait. Every [`ROTATION`] the one that has been late for the longest returns to the others.
 
 use std::{collections::VecDeque, future::poll_fn, mem, task::Poll, time::Duration};
 
@@ -26,13 +26,13 @@ use tokio::{
 /// one too. Without this limit up to 89,000 tasks waited, and health checks took seconds.
 const MAX_WAITING_TASKS: usize = 16;
 
-/// The longest wait of a few hundred connections. After it a connection has a turn under any load, so a large request still
-/// arrives at about 80 KiB a second. It is shorter than the default of `admission.burst_ms`, because admission refuses a
-/// long call that waited unread for that time.
+/// The longest wait while at most a few hundred connections are late. After it a connection has a turn under any load, so a
+/// large request still arrives at about 80 KiB a second. The wait is shorter than the default of `admission.burst_ms`,
+/// because admission refuses a long call that waited unread for that time.
 const MAX_WAIT: Duration = Duration::from_millis(800);
 
-/// Late connections return one by one, since each takes the place of another. At 100 ms they would change so often that
-/// half as many calls with short deadlines are answered in time.
+/// Late connections return one by one, because each takes the place of another. With an interval of 100 ms half as many
+/// calls with short deadlines were answered in time.
 const ROTATION: Duration = Duration::from_secs(1);
 
 /// See the module.
@@ -42,9 +42,9 @@ pub(super) struct ReadQueue {
     has_come: Notify,
 }
 
+/// Each list is in the order in which its connections came.
 #[derive(Debug)]
 struct Waiting {
-    /// In the order in which they came, as all of these.
     patient: VecDeque<Waiter>,
     /// Those whose calls have short deadlines.
     hurried: VecDeque<Waiter>,
@@ -111,7 +111,7 @@ impl ReadQueue {
             self.has_come.notified().await;
             while !self.waiting.lock().is_empty() {
                 match Self::is_busy() {
-                    // Then the task leaves its thread to the tasks of the global queue.
+                    // While this task waits, its thread runs the tasks of the global queue.
                     true => yield_now().await,
                     false => run_others().await,
                 }
@@ -144,16 +144,12 @@ impl Waiting {
     }
 
     fn push(&mut self, waiter: Waiter) {
-        match waiter {
-            Waiter {
-                late_since: Some(_),
-                ..
-            } => self.late.push_back(waiter),
-            Waiter {
-                is_hurried: true, ..
-            } => self.hurried.push_back(waiter),
-            _ => self.patient.push_back(waiter),
-        }
+        let list = match (waiter.late_since, waiter.is_hurried) {
+            (Some(_), _) => &mut self.late,
+            (None, true) => &mut self.hurried,
+            (None, false) => &mut self.patient,
+        };
+        list.push_back(waiter);
     }
 
     fn next(&mut self, is_busy: bool, now: Instant) -> Option<Waiter> {
@@ -162,8 +158,8 @@ impl Waiting {
             while in_time.front().is_some_and(is_due) {
                 let mut waiter = in_time.pop_front()?;
                 waiter.late_since = Some(now);
-                let later = |late: &Waiter| late.since <= waiter.since;
-                let place = self.late.partition_point(later);
+                let is_before = |late: &Waiter| late.since <= waiter.since;
+                let place = self.late.partition_point(is_before);
                 self.late.insert(place, waiter);
             }
         }
