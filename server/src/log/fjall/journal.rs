@@ -241,9 +241,12 @@ mod tests {
                     .any(|found| found == value)
             );
             numbers.push(*number);
-            // Enough zeros that fjall begins another file when it moves them out.
-            keyspace.insert("much", vec![0; 65_000_000]).unwrap();
-            keyspace.rotate_memtable_and_wait().unwrap();
+            // Enough zeros that fjall begins another file when it moves them out. A thread of its own may begin with that
+            // before the first call, which does not wait then; the second one waits for both.
+            for zeros in [65_000_000, 1] {
+                keyspace.insert("much", vec![0; zeros]).unwrap();
+                keyspace.rotate_memtable_and_wait().unwrap();
+            }
         }
         assert!(numbers.is_sorted_by(|a, b| a < b), "{numbers:?}");
     }
