@@ -65,7 +65,7 @@ pub struct AdmissionConfig {
 /// A flow holds little if it holds at most this part of all bytes, or two calls.
 const SMALL_PARTS: usize = 1024;
 
-/// The time of a call that would rather be refused than wait for a second.
+/// A call with at most this time makes its flow hurried.
 const SHORT_TIME: Duration = Duration::from_secs(1);
 
 /// See the module. Clones share it.
@@ -102,7 +102,7 @@ pub(crate) struct Flow {
     admin: Option<Arc<Flow>>,
     /// The calls that have come.
     calls: AtomicU64,
-    /// True if the last one has a short deadline.
+    /// True if the last one that was admitted has a short deadline.
     is_hurried: AtomicBool,
     /// Those that hold bytes.
     under_way: AtomicUsize,
@@ -226,13 +226,13 @@ impl Flow {
         self.calls.load(Relaxed)
     }
 
-    /// Notes the time that a call has, unless it has the default.
+    /// Notes the time that the request of a call gives it.
     pub(crate) fn note_time(&self, time: Option<Duration>) {
         let is_hurried = time.is_some_and(|time| time <= SHORT_TIME);
         self.is_hurried.store(is_hurried, Relaxed);
     }
 
-    /// True if its last call has a short deadline.
+    /// True if its last call that was admitted has a short deadline.
     pub(crate) fn is_hurried(&self) -> bool {
         self.is_hurried.load(Relaxed)
     }

@@ -6,8 +6,9 @@
 //! as fast as they send, and the calls of the others expire. If all were read in the same measure, all calls would come
 //! late.
 //!
-//! A connection that has waited for [`MAX_WAIT`] is late. It has a turn every [`MAX_WAIT`], and more turns while only late
-//! connections wait. Every [`ROTATION`] the one that has been late for the longest returns to the others.
+//! After [`MAX_WAIT`] a connection has a turn under any load. One with short deadlines is late from then on: it has a turn
+//! every [`MAX_WAIT`], and more turns while only late connections wait. Every [`ROTATION`] the one that has been late for
+//! the longest returns to the others.
 
 use std::{collections::VecDeque, future::poll_fn, mem, task::Poll, time::Duration};
 
@@ -22,8 +23,8 @@ use tokio::{
     time::Instant,
 };
 
-/// No turn is given while more tasks than this wait in the global queue of the runtime. Each call is a task, a cancelled
-/// one too. Without this limit up to 89,000 tasks waited, and health checks took seconds.
+/// While more tasks than this wait in the global queue of the runtime, only connections that have waited for [`MAX_WAIT`]
+/// have turns. Each call is a task, a cancelled one too. Without this limit up to 89,000 tasks waited, and health checks took seconds.
 const MAX_WAITING_TASKS: usize = 16;
 
 /// The longest wait while at most a few hundred connections are late. After it a connection has a turn under any load, so a
@@ -48,8 +49,9 @@ struct Waiting {
     patient: VecDeque<Waiter>,
     /// Those whose calls have short deadlines.
     hurried: VecDeque<Waiter>,
+    /// Those that are late, and patient ones that have waited for as long.
     late: VecDeque<Waiter>,
-    /// True if the last turn was of a patient connection: the two kinds take turns.
+    /// True if the first of `patient` had the last turn that was for `patient` or `hurried`: the two take turns.
     was_patient: bool,
     /// The last time that a late connection returned.
     rotated_at: Instant,
@@ -81,7 +83,7 @@ impl Default for ReadQueue {
 }
 
 impl ReadQueue {
-    /// True while no turn is given.
+    /// True while only connections that have waited for long have turns.
     pub(super) fn is_busy() -> bool {
         Handle::current().metrics().global_queue_depth() > MAX_WAITING_TASKS
     }
@@ -104,7 +106,7 @@ impl ReadQueue {
         receiver
     }
 
-    /// Gives turns, as many at a time as the runtime has threads, and lets other tasks run before.
+    /// Gives turns, one at a time under load, otherwise one for each thread of the runtime, and lets other tasks run before.
     pub(super) async fn give_turns(&self) {
         let threads = Handle::current().metrics().num_workers();
         loop {
@@ -157,7 +159,7 @@ impl Waiting {
         for in_time in [&mut self.patient, &mut self.hurried] {
             while in_time.front().is_some_and(is_due) {
                 let mut waiter = in_time.pop_front()?;
-                waiter.late_since = Some(now);
+                waiter.late_since = waiter.is_hurried.then_some(now);
                 let is_before = |late: &Waiter| late.since <= waiter.since;
                 let place = self.late.partition_point(is_before);
                 self.late.insert(place, waiter);
@@ -166,6 +168,7 @@ impl Waiting {
         if now.duration_since(self.rotated_at) >= ROTATION {
             self.late.retain(|waiter| !waiter.granted.is_closed());
             let late = self.late.iter().enumerate();
+            let late = late.filter(|(_, waiter)| waiter.late_since.is_some());
             let first = late.min_by_key(|(_, waiter)| waiter.late_since);
             if let Some((first, _)) = first {
                 self.rotated_at = now;

@@ -143,6 +143,32 @@ async fn a_request_for_health_that_does_not_arrive_is_counted() {
     assert!(shared.admission.refused(0).contains(&("TOO_SLOW", 1)));
 }
 
+#[tokio::test]
+async fn the_flow_of_calls_with_short_deadlines_is_hurried() {
+    let shared = shared();
+    let connections = Connections::new(1, 1, shared.admission.clone());
+    let connection = connections.open(None, CancellationToken::new()).await;
+    let connection = connection.unwrap();
+    let layer = CallsLayer::new(
+        &Config::default().grpc,
+        shared.clone(),
+        Callers::Clients,
+        TaskTracker::new(),
+    );
+    let mut calls = layer.layer(Answering(|| Response::new(Body::empty())));
+    for (timeout, is_hurried) in [(Some("500m"), true), (Some("5S"), false), (None, false)] {
+        let mut request = Request::post("/wayfold.v1.PointService/Knn");
+        if let Some(timeout) = timeout {
+            request = request.header("grpc-timeout", timeout);
+        }
+        let request = request.extension(connection.activity().clone());
+        let answer = calls.call(request.body(Body::empty()).unwrap()).await;
+        answer.unwrap();
+        let flow = connection.activity().flow();
+        assert_eq!(flow.is_hurried(), is_hurried, "{timeout:?}");
+    }
+}
+
 /// A client that reads nothing leaves the first frame where it is: the connection asks for it once there is room to send.
 #[tokio::test]
 async fn an_answer_is_counted_from_the_time_it_is_made() {

@@ -41,13 +41,14 @@ async fn patient_connections_read_in_their_order_and_hurried_ones_in_the_other()
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_late_connection_has_a_turn_under_any_load_and_when_all_are_late() {
+async fn a_connection_has_a_turn_under_any_load_after_a_while() {
     for is_hurried in [false, true] {
         let queue = ReadQueue::default();
         let mut entered = [(); 3].map(|()| queue.enter(is_hurried, None));
         advance(MAX_WAIT).await;
         let late_since = Some(Instant::now());
-        let expected = [0, 1, 2].map(|number| (number, late_since));
+        let late = late_since.filter(|_| is_hurried);
+        let expected = [0, 1, 2].map(|number| (number, late));
         assert_eq!(turns(&queue, true, &mut entered), expected);
         let mut entered = [late_since, None].map(|late_since| queue.enter(is_hurried, late_since));
         assert_eq!(turns(&queue, true, &mut entered), []);
@@ -59,9 +60,9 @@ async fn a_late_connection_has_a_turn_under_any_load_and_when_all_are_late() {
 #[tokio::test(start_paused = true)]
 async fn a_connection_that_becomes_late_waits_for_none_that_came_after_it() {
     let queue = ReadQueue::default();
-    let mut entered = vec![queue.enter(false, None)];
+    let mut entered = vec![queue.enter(true, None)];
     advance(MAX_WAIT / 2).await;
-    entered.push(queue.enter(false, Some(Instant::now())));
+    entered.push(queue.enter(true, Some(Instant::now())));
     advance(MAX_WAIT / 2).await;
     let expected = [(0, Some(Instant::now()))];
     assert_eq!(turns(&queue, true, &mut entered), expected);
@@ -75,12 +76,15 @@ async fn the_connection_that_has_been_late_for_the_longest_returns_first() {
     let mut since = vec![3, 1, 2];
     for first in [1, 2, 3] {
         // One that has ended does not return.
-        drop(queue.enter(false, Some(now)));
-        let enter = |seconds: &u64| queue.enter(false, late(*seconds));
+        drop(queue.enter(true, Some(now)));
+        // A patient one has a turn like the others.
+        let mut patient = queue.enter(false, None);
+        let enter = |seconds: &u64| queue.enter(true, late(*seconds));
         let mut entered: Vec<_> = since.iter().map(enter).collect();
         advance(ROTATION).await;
         let turns = turns(&queue, true, &mut entered);
         assert_eq!(turns.len(), since.len());
+        assert_eq!(patient.try_recv(), Ok(None));
         for (number, late_since) in turns {
             let seconds = since[number];
             assert_eq!(late_since, late(seconds).filter(|_| seconds != first));

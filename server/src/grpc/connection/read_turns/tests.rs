@@ -84,6 +84,7 @@ async fn a_connection_that_sends_little_never_pauses_and_one_that_sends_much_doe
 async fn a_connection_stays_late_until_it_sends_little() {
     let (mut turns, flow) = after(0, true);
     let late_since = Some(Instant::now());
+    flow.note_time(Some(Duration::ZERO));
     let (granted, turn) = oneshot::channel();
     granted.send(late_since).unwrap();
     turns.pause = Some((Instant::now(), turn));
