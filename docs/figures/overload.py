@@ -10,17 +10,24 @@ UNREAD = {"16 StreamKnn of 128": "16 unread `StreamKnn` of 128 answers", "250 Kn
 def compact(raw):
     """The figures of the table, of those that the program wrote."""
     mib = lambda scenario, when: raw[scenario][when]["resident memory, MiB"]
+    after = lambda scenario: mib(scenario, "10 s after") / mib(scenario, "before")
     goodput = {rows: raw[f"goodput, Knn of {rows} rows"] for rows in (200, 1)}
     phases = [f"{rate} {callers}" for rate in RATES for callers in ("patient", "500 ms")]
     health = lambda rows: [goodput[rows][phase]["health p99, ms"] for phase in phases]
     peak = {f"{callers}, {rows} rows": [goodput[rows][f"{rate} {callers}"]["of the peak"] for rate in RATES]
             for rows in goodput for callers in ("patient", "500 ms")}
     heavy = raw["heavy, others"]
+    healths = [part["health p99, ms"] for table in raw.values() if isinstance(table, dict)
+               for part in table.values() if "health p99, ms" in part]
+    memories = [name for name in raw if name.endswith("memory")]
     refused = raw["silent, 17 connections with 256 headers each: others"]["during"]
     patient = [f"{rate} patient" for rate in RATES]
     return {
         "of_the_peak": peak,
         "later_p99_ms": [goodput[200][phase]["accepted p99 after 2 s, ms"] for phase in patient],
+        "one_row_p99_ms": [goodput[1][phase]["accepted p99, ms"] for phase in patient],
+        "most_health_p99_ms": max(healths),
+        "memory_after": {name: after(name) for name in memories},
         "accepted_p99_ms": [goodput[200][phase]["accepted p99, ms"] for phase in ("one at a time", *patient)],
         "health_p99_ms": {f"{rows} rows": [min(health(rows)), max(health(rows))] for rows in goodput},
         "beside_p99_ms": [heavy[part]["bystander p99, ms"] for part in ("during", "before")],
@@ -68,7 +75,10 @@ def column(got):
         "the same for one row, patient; with deadlines": parts("patient, 1 rows", "500 ms, 1 rows"),
         "p99 of accepted calls, 200 rows, patient: one at a time; twice, four times the peak; without the first two seconds":
             "; ".join([*alone, *accepted, *later]),
-        "p99 of health, 200 rows; one row": "; ".join(ms(got["health_p99_ms"][rows], " to ") for rows in ("200 rows", "1 rows")),
+        "the same, one row: twice, four times the peak": ms(got["one_row_p99_ms"]) if "one_row_p99_ms" in got else "–",
+        "p99 of health, 200 rows; one row; the most of all scenarios": "; ".join(
+            [*(ms(got["health_p99_ms"][rows], " to ") for rows in ("200 rows", "1 rows")),
+             ms([got["most_health_p99_ms"]]) if "most_health_p99_ms" in got else "–"]),
         "one caller's p99 beside 250 `Knn` of 10,000 neighbours × 4 on another connection; alone":
             "; ".join(ms([one]) for one in got["beside_p99_ms"]),
         "64 workers at once every second, 60 % of the capacity: refused": f"{got['burst_refused']:,.0f}",
@@ -78,6 +88,8 @@ def column(got):
         "17 connections with 256 headers each: a caller is refused": f"{refused:,.0f}" + (f" of {calls:,.0f}" if calls else ""),
         "600 queries over Zenoh of a caller that left: processor time; memory at most, MiB":
             f"{got['left']['processor_s']:.1f} s; {tenths(got['left']['mib'])}",
+        "memory 10 s after each of these loads, over that before, at most":
+            f"{max(got['memory_after'].values()):.2f}" if "memory_after" in got else "–",
     }
 
 

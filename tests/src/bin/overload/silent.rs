@@ -53,12 +53,14 @@ fn measure<F>(
     bystander.part("before");
     pause(arguments.length() / 2);
     bystander.part("during");
+    let memory = server.memory();
     let figures = apart(hold(server.address)).join();
     bystander.part("after");
-    pause(arguments.length() / 2);
+    let memory = memory.after_the_load();
     let mut table = Table::default();
     table.column("a new client", figures.expect("the generator's thread"));
     report.table(name, &table);
+    report.table(&format!("{name}: memory"), &memory);
     report.table(&format!("{name}: others"), &bystander.finish());
 }
 
