@@ -24,7 +24,8 @@ use tokio::{
 };
 
 /// While more tasks than this wait in the global queue of the runtime, only connections that have waited for [`MAX_WAIT`]
-/// have turns. Each call is a task, a cancelled one too. Without this limit up to 89,000 tasks waited, and health checks took seconds.
+/// have turns. Each call is a task, a cancelled one too. Without this limit up to 89,000 tasks waited, and health checks
+/// took seconds.
 const MAX_WAITING_TASKS: usize = 16;
 
 /// The longest wait while at most a few hundred connections are late. After it a connection has a turn under any load, so a
@@ -51,7 +52,7 @@ struct Waiting {
     hurried: VecDeque<Waiter>,
     /// Those that are late, and patient ones that have waited for as long.
     late: VecDeque<Waiter>,
-    /// True if the first of `patient` had the last turn that was for `patient` or `hurried`: the two take turns.
+    /// True if a connection of `patient` had a turn after the last one of `hurried`: the two lists take turns.
     was_patient: bool,
     /// The last time that a late connection returned.
     rotated_at: Instant,
@@ -88,7 +89,7 @@ impl ReadQueue {
         Handle::current().metrics().global_queue_depth() > MAX_WAITING_TASKS
     }
 
-    /// Waits for a turn, which tells the time since which the connection is late. `late_since` is that of the last turn.
+    /// Waits for a turn, which tells the time since which the connection is late. `late_since` is that of its last turn.
     pub(super) fn enter(
         &self,
         is_hurried: bool,
