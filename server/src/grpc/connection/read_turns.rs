@@ -77,7 +77,7 @@ impl ReadTurns {
             let turn = ready!(Pin::new(turn).poll(context));
             match since.elapsed() < SHORT_PAUSE {
                 true => flow.catch_up(),
-                // What is read next may have waited.
+                // The next bytes may have waited in the socket.
                 false => self.was_silent = false,
             }
             self.pause = None;
