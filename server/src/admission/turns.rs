@@ -196,7 +196,9 @@ impl Turns {
         }
         let granted = state.enqueue(turn.flow, stage, now);
         drop(state);
-        turn.took = Duration::ZERO;
+        // Its work is charged already.
+        turn.turns = None;
+        self.release(turn.flow, turn.size, Duration::ZERO, now);
         TurnRequest::Waits(granted)
     }
 
