@@ -1,0 +1,167 @@
+"""The stock client of an overloaded server; `tests/overload/run` starts it."""
+
+import argparse
+import asyncio
+import collections
+import random
+import sys
+import tempfile
+import time
+
+import grpc
+
+from processes import MAX_WAIT_S, Server, generate_stubs
+
+CONNECTIONS = 50
+POINTS = 2_000
+ROWS = 200
+K = 10
+DEADLINE_S = 0.5
+# A round asks for more than the server can answer before the deadline: 2,000 calls at once.
+ROUNDS = 5
+CALLS_OF_ROUND = 40
+# The calls that measure what the server can answer are under way all the time.
+CALLS_OF_PEAK = 64
+TICK_S = 0.005
+ALLOWED = {grpc.StatusCode.OK, grpc.StatusCode.RESOURCE_EXHAUSTED, grpc.StatusCode.DEADLINE_EXCEEDED}
+
+
+class Clients:
+    """Connections that ask for the neighbours of stored points, each of which is its own nearest one."""
+
+    def __init__(self, address, modules):
+        self.indexes_pb, self.points_pb, self.types_pb, indexes_grpc, points_grpc = modules
+        options = [("grpc.use_local_subchannel_pool", 1), ("grpc.enable_retries", 0)]
+        self.channels = [grpc.aio.insecure_channel(address, options) for _ in range(CONNECTIONS + 1)]
+        *asking, self.bystander = self.channels
+        self.indexes = indexes_grpc.IndexServiceStub(self.bystander)
+        self.points = [points_grpc.PointServiceStub(channel) for channel in asking]
+        self.outcomes = collections.Counter()
+
+    async def fill(self):
+        await self.indexes.CreateIndex(self.indexes_pb.CreateIndexRequest(name="arm", space_text="R3"))
+        numbers = random.Random(7)
+        coordinates = [numbers.random() for _ in range(POINTS * 3)]
+        states = self.types_pb.States(row_count=POINTS, coordinates=coordinates)
+        await self.points[0].Insert(self.points_pb.InsertRequest(index_name="arm", states=states, ids=range(POINTS)))
+        states = self.types_pb.States(row_count=ROWS, coordinates=coordinates[: ROWS * 3])
+        self.request = self.points_pb.KnnRequest(index_name="arm", states=states, k=K)
+
+    async def ask(self, connection: int, deadline_s: float = DEADLINE_S) -> bool:
+        """Asks once, and counts the outcome; true if it was answered in time."""
+        try:
+            answer = await self.points[connection].Knn(self.request, timeout=deadline_s)
+        except grpc.aio.AioRpcError as error:
+            self.outcomes[error.code()] += 1
+            assert error.code() in ALLOWED, error
+            if error.code() is grpc.StatusCode.RESOURCE_EXHAUSTED:
+                details = dict(error.trailing_metadata())["grpc-status-details-bin"]
+                assert b"google.rpc.RetryInfo" in details, "a refusal does not say when to retry"
+            return False
+        self.outcomes[grpc.StatusCode.OK] += 1
+        assert list(answer.neighbors.ids[::K]) == list(range(ROWS)), "a point is not the nearest of itself"
+        return True
+
+    async def health(self):
+        """Asks for the server's health until it is cancelled, and yields the seconds that each answer took."""
+        # The empty request means the whole server, and the answer is field 1: SERVING.
+        check = self.bystander.unary_unary("/grpc.health.v1.Health/Check")
+        while True:
+            began = time.monotonic()
+            assert await check(b"", timeout=MAX_WAIT_S) == b"\x08\x01", "the server does not serve"
+            yield time.monotonic() - began
+            await asyncio.sleep(TICK_S)
+
+    async def connection_ends(self):
+        """Ends once a connection ends."""
+        await asyncio.gather(*(channel.channel_ready() for channel in self.channels))
+        ready = grpc.ChannelConnectivity.READY
+        ends = [asyncio.create_task(channel.wait_for_state_change(ready)) for channel in self.channels]
+        await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+
+
+async def overload(clients: Clients):
+    """Rounds of calls that come at once. Most of those with a short deadline are cancelled by the client."""
+    for number in range(ROUNDS):
+        deadlines = [DEADLINE_S, MAX_WAIT_S] * (CALLS_OF_ROUND // 2)
+        calls = [clients.ask(connection, deadline) for deadline in deadlines for connection in range(CONNECTIONS)]
+        answered = sum(await asyncio.gather(*calls))
+        assert answered > 0, f"nothing was answered in round {number}"
+    assert clients.outcomes[grpc.StatusCode.RESOURCE_EXHAUSTED] > 0, "nothing was refused"
+
+
+async def peak(clients: Clients, seconds: float) -> float:
+    """The calls a second that the server answers if as many are always under way."""
+    until = time.monotonic() + seconds
+
+    async def ask_on(connection: int) -> int:
+        answered = 0
+        while time.monotonic() < until:
+            answered += await clients.ask(connection)
+        return answered
+
+    return sum(await asyncio.gather(*(ask_on(number % CONNECTIONS) for number in range(CALLS_OF_PEAK)))) / seconds
+
+
+async def goodput(clients: Clients, rate: float, seconds: float) -> tuple[float, float]:
+    """The calls a second that were sent at this rate at most, and those that were answered in time."""
+    began, calls = time.monotonic(), []
+    while (passed := time.monotonic() - began) < seconds:
+        due = range(len(calls), int(rate * passed))
+        calls += [asyncio.create_task(clients.ask(number % CONNECTIONS)) for number in due]
+        await asyncio.sleep(TICK_S)
+    return len(calls) / seconds, sum(await asyncio.gather(*calls)) / seconds
+
+
+async def beside_health(clients: Clients, work):
+    """Awaits `work` while others ask for the health; returns its result and the time of nine in ten of them."""
+    took = []
+
+    async def ask_on():
+        async for seconds in clients.health():
+            took.append(seconds)
+
+    asking = asyncio.create_task(ask_on())
+    working = asyncio.create_task(work)
+    await asyncio.wait([asking, working], return_when=asyncio.FIRST_COMPLETED)
+    assert asking.cancel() or asking.result(), "the health ended"
+    assert took, "the health was not answered once"
+    return await working, sorted(took)[len(took) * 9 // 10]
+
+
+async def run(address: str, modules, seconds: float):
+    clients = Clients(address, modules)
+    await clients.fill()
+    ended = asyncio.create_task(clients.connection_ends())
+    _, health = await beside_health(clients, overload(clients))
+    assert not ended.done(), "the server ended a connection"
+    print(", ".join(f"{code.name} {count}" for code, count in clients.outcomes.items()), f"health {health * 1e3:.1f} ms")
+    if seconds:
+        most, health = await beside_health(clients, peak(clients, seconds))
+        print(f"peak {most:.0f}/s, health's p90 {health * 1e3:.1f} ms")
+        for factor in (2, 4):
+            (sent, answered), health = await beside_health(clients, goodput(clients, factor * most, seconds))
+            share = f"{answered / most:.2f} of the peak"
+            print(f"sent {sent:.0f}/s, answered {answered:.0f}/s in time, {share}, health's p90 {health * 1e3:.1f} ms")
+    ended.cancel()
+    for channel in clients.channels:
+        await channel.close()
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--server", required=True, help="the server's binary")
+    parser.add_argument("--seconds", type=float, default=0, help="how long to measure each load after the test")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as directory:
+        modules = generate_stubs(directory, "index_service", "point_service")
+        with Server(arguments.server) as server:
+            asyncio.run(run(server.address, modules, arguments.seconds))
+    print("The overloaded server answered in time, and refused the rest.")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except (AssertionError, RuntimeError, grpc.RpcError) as error:
+        sys.exit(f"error: {error}")
