@@ -12,6 +12,7 @@ use std::{
     io::{self, Write},
     path::Path,
     process::ExitCode,
+    time::Duration,
 };
 
 use clap::Parser;
@@ -92,6 +93,9 @@ fn fail(error: &dyn Error, status: u8) -> ExitCode {
 /// The most threads for the store, merges and other blocking work: tokio's default.
 const BLOCKING_THREADS: usize = 512;
 
+/// A thread of these that has no work ends after this time, so that the memory which it holds is given back soon.
+const THREAD_KEEP_ALIVE: Duration = Duration::from_secs(1);
+
 fn serve(config: Config) -> Result<(), Box<dyn Error>> {
     files::check_limit(&config);
     let mut threads = runtime::Builder::new_multi_thread();
@@ -100,6 +104,7 @@ fn serve(config: Config) -> Result<(), Box<dyn Error>> {
     }
     let waiting = zenoh::max_senders(&config.zenoh);
     threads.max_blocking_threads(BLOCKING_THREADS.saturating_add(waiting));
+    threads.thread_keep_alive(THREAD_KEEP_ALIVE);
     let runtime = threads.enable_all().build()?;
     let ended = runtime.block_on(listen_and_serve(config));
     // Tasks that still run belong to calls that were cut.
