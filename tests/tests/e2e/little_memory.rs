@@ -4,9 +4,14 @@
 use std::{path::Path, time::Duration};
 
 use tokio::time::timeout;
-use tonic::{Code, Status};
+use tonic::{Code, Status, transport::Channel};
+use tonic_health::pb::{
+    HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
+};
 use wayfold::{Client, RetryPolicy};
-use wayfold_proto::v1::{InsertRequest, ListIndexesRequest};
+use wayfold_proto::v1::{
+    CreateIndexRequest, InsertRequest, ListIndexesRequest, create_index_request::SpaceForm,
+};
 use wayfold_tests::{
     Refusal, ServerProcess, Signal, States, Stubs, figures::anonymous_bytes, row_states, server,
 };
@@ -116,4 +121,29 @@ async fn a_full_server_refuses_inserts_and_serves_what_it_can_after_a_start() {
     assert_eq!(inserts.stubs.describe("arm").await.point_count, ROWS as u64);
     let finished = server.stop(Signal::Terminate);
     assert_eq!(finished.status.code(), Some(0), "{}", finished.stderr);
+}
+
+#[tokio::test]
+async fn health_tells_reading_and_writing_apart() {
+    let server = server!("--data", "memory"; ("WAYFOLD_MEMORY__LIMIT_BYTES", "1048576"));
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let created = stubs.indexes.create_index(CreateIndexRequest {
+        name: "arm".to_owned(),
+        space_form: Some(SpaceForm::SpaceText("R2".to_owned())),
+        ..Default::default()
+    });
+    let refusal = Refusal::of(&created.await.unwrap_err());
+    assert_eq!(refusal.reason, "MEMORY_FULL");
+    let channel = Channel::from_shared(server.uri().to_owned()).unwrap();
+    let mut health = HealthClient::new(channel.connect().await.unwrap());
+    let mut status = async |name: &str| {
+        let service = name.to_owned();
+        let answer = health.check(HealthCheckRequest { service }).await;
+        answer.unwrap().into_inner().status()
+    };
+    assert_eq!(status("wayfold.writing").await, ServingStatus::NotServing);
+    for name in ["", "wayfold.reading", "wayfold.indices"] {
+        assert_eq!(status(name).await, ServingStatus::Serving, "{name}");
+    }
+    server.stop(Signal::Terminate);
 }
