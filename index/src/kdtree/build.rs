@@ -18,7 +18,7 @@ use crate::{
 };
 
 /// The number of points sampled to find the coordinate in which a larger set spreads most.
-const SAMPLE: usize = 256;
+const SAMPLE: usize = 64;
 
 impl KdTree {
     /// Acts like [`KdTree::new`], but takes points that were checked, and a space that several trees share.
