@@ -3,6 +3,7 @@
 import argparse
 import asyncio
 import collections
+import math
 import random
 import sys
 import tempfile
@@ -23,7 +24,9 @@ CALLS_OF_ROUND = 80
 # The calls that measure what the server can answer are under way all the time.
 CALLS_OF_PEAK = 64
 TICK_S = 0.005
-ALLOWED = {grpc.StatusCode.OK, grpc.StatusCode.RESOURCE_EXHAUSTED, grpc.StatusCode.DEADLINE_EXCEEDED}
+# The client ends each call at its deadline itself. With all processors busy it has been seen to forget one.
+MAX_LATE_S = 10
+MAX_TEST_S = 300
 
 
 class Clients:
@@ -39,9 +42,11 @@ class Clients:
         self.outcomes = collections.Counter()
 
     async def fill(self):
-        await self.indexes.CreateIndex(self.indexes_pb.CreateIndexRequest(name="arm", space_text="R6"))
+        """Stores the points, once all connections are open."""
+        await asyncio.gather(*(channel.channel_ready() for channel in self.channels))
+        await self.indexes.CreateIndex(self.indexes_pb.CreateIndexRequest(name="arm", space_text="R3*SO3"))
         numbers = random.Random(7)
-        rows = [[numbers.random() for _ in range(6)] for _ in range(POINTS)]
+        rows = [random_state(numbers) for _ in range(POINTS)]
         states = self.types_pb.States(row_count=POINTS, coordinates=sum(rows, []))
         await self.points[0].Insert(self.points_pb.InsertRequest(index_name="arm", states=states, ids=range(POINTS)))
         states = self.types_pb.States(row_count=ROWS, coordinates=sum(rows[:ROWS], []))
@@ -49,18 +54,28 @@ class Clients:
 
     async def ask(self, connection: int, deadline_s: float = DEADLINE_S) -> bool:
         """Asks once, and counts the outcome; true if it was answered in time."""
+        is_short = deadline_s == DEADLINE_S
         try:
             answer = await self.points[connection].Knn(self.request, timeout=deadline_s)
         except grpc.aio.AioRpcError as error:
-            self.outcomes[error.code()] += 1
-            assert error.code() in ALLOWED, error
+            self.outcomes[error.code().name] += 1
             if error.code() is grpc.StatusCode.RESOURCE_EXHAUSTED:
-                details = dict(error.trailing_metadata())["grpc-status-details-bin"]
+                details = dict(error.trailing_metadata()).get("grpc-status-details-bin", b"")
                 assert b"google.rpc.RetryInfo" in details, "a refusal does not say when to retry"
+            else:
+                assert is_short and error.code() is grpc.StatusCode.DEADLINE_EXCEEDED, error
             return False
-        self.outcomes[grpc.StatusCode.OK] += 1
+        self.outcomes["OK"] += 1
         assert list(answer.neighbors.ids[::K]) == list(range(ROWS)), "a point is not the nearest of itself"
         return True
+
+    async def answered(self, calls: list[asyncio.Task]) -> int:
+        """Waits for calls with short deadlines; returns how many were answered."""
+        ended, forgotten = await asyncio.wait(calls, timeout=DEADLINE_S + MAX_LATE_S)
+        self.outcomes["forgotten"] += len(forgotten)
+        for call in forgotten:
+            call.cancel()
+        return sum(call.result() for call in ended)
 
     async def health(self):
         """Asks for the server's health until it is cancelled, and yields the seconds that each answer took."""
@@ -74,43 +89,57 @@ class Clients:
 
     async def connection_ends(self):
         """Ends once a connection ends."""
-        await asyncio.gather(*(channel.channel_ready() for channel in self.channels))
         ready = grpc.ChannelConnectivity.READY
         ends = [asyncio.create_task(channel.wait_for_state_change(ready)) for channel in self.channels]
         await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
 
 
+def random_state(numbers: random.Random) -> list[float]:
+    """A position, and a rotation as a unit quaternion."""
+    quaternion = [numbers.gauss(0, 1) for _ in range(4)]
+    return [numbers.random() for _ in range(3)] + [number / math.hypot(*quaternion) for number in quaternion]
+
+
 async def overload(clients: Clients):
     """Rounds of calls that come at once. Most of those with a short deadline are cancelled by the client."""
     for number in range(ROUNDS):
-        deadlines = [DEADLINE_S, MAX_WAIT_S] * (CALLS_OF_ROUND // 2)
-        calls = [clients.ask(connection, deadline) for deadline in deadlines for connection in range(CONNECTIONS)]
-        answered = sum(await asyncio.gather(*calls))
+        short, patient = [], []
+        for _ in range(CALLS_OF_ROUND // 2):
+            for connection in range(CONNECTIONS):
+                short.append(asyncio.create_task(clients.ask(connection)))
+                patient.append(asyncio.create_task(clients.ask(connection, MAX_WAIT_S)))
+        answered = sum(await asyncio.gather(*patient)) + await clients.answered(short)
         assert answered > 0, f"nothing was answered in round {number}"
-    assert clients.outcomes[grpc.StatusCode.RESOURCE_EXHAUSTED] > 0, "nothing was refused"
+    assert clients.outcomes["RESOURCE_EXHAUSTED"] > 0, "nothing was refused"
+
+
+async def is_answered(clients: Clients, number: int, until: float) -> bool:
+    """Asks over the next connection; true if it was answered in time and before the end of the measurement."""
+    return await clients.ask(number % CONNECTIONS) and time.monotonic() < until
 
 
 async def peak(clients: Clients, seconds: float) -> float:
     """The calls a second that the server answers if as many are always under way."""
     until = time.monotonic() + seconds
 
-    async def ask_on(connection: int) -> int:
+    async def ask_on(number: int) -> int:
         answered = 0
         while time.monotonic() < until:
-            answered += await clients.ask(connection)
+            answered += await is_answered(clients, number, until)
         return answered
 
-    return sum(await asyncio.gather(*(ask_on(number % CONNECTIONS) for number in range(CALLS_OF_PEAK)))) / seconds
+    return sum(await asyncio.gather(*(ask_on(number) for number in range(CALLS_OF_PEAK)))) / seconds
 
 
 async def goodput(clients: Clients, rate: float, seconds: float) -> tuple[float, float]:
     """The calls a second that were sent at this rate at most, and those that were answered in time."""
     began, calls = time.monotonic(), []
+    until = began + seconds
     while (passed := time.monotonic() - began) < seconds:
         due = range(len(calls), int(rate * passed))
-        calls += [asyncio.create_task(clients.ask(number % CONNECTIONS)) for number in due]
+        calls += [asyncio.create_task(is_answered(clients, number, until)) for number in due]
         await asyncio.sleep(TICK_S)
-    return len(calls) / seconds, sum(await asyncio.gather(*calls)) / seconds
+    return len(calls) / seconds, await clients.answered(calls) / seconds
 
 
 async def beside_health(clients: Clients, work):
@@ -135,7 +164,7 @@ async def run(address: str, modules, seconds: float):
     ended = asyncio.create_task(clients.connection_ends())
     await beside_health(clients, overload(clients))
     assert not ended.done(), "the server ended a connection"
-    print(", ".join(f"{code.name} {count}" for code, count in clients.outcomes.items()))
+    print(", ".join(f"{outcome} {count}" for outcome, count in clients.outcomes.items()))
     if seconds:
         most, health = await beside_health(clients, peak(clients, seconds))
         print(f"peak {most:.0f}/s, health's p90 {health * 1e3:.1f} ms")
@@ -143,6 +172,7 @@ async def run(address: str, modules, seconds: float):
             (sent, answered), health = await beside_health(clients, goodput(clients, factor * most, seconds))
             share = f"{answered / most:.2f} of the peak"
             print(f"sent {sent:.0f}/s, answered {answered:.0f}/s in time, {share}, health's p90 {health * 1e3:.1f} ms")
+    assert not ended.done(), "the server ended a connection"
     ended.cancel()
     for channel in clients.channels:
         await channel.close()
@@ -156,12 +186,13 @@ def main():
     with tempfile.TemporaryDirectory() as directory:
         modules = generate_stubs(directory, "index_service", "point_service")
         with Server(arguments.server) as server:
-            asyncio.run(run(server.address, modules, arguments.seconds))
+            test = run(server.address, modules, arguments.seconds)
+            asyncio.run(asyncio.wait_for(test, MAX_TEST_S + 10 * arguments.seconds))
     print("The overloaded server answered in time, and refused the rest.")
 
 
 if __name__ == "__main__":
     try:
         main()
-    except (AssertionError, RuntimeError, grpc.RpcError) as error:
-        sys.exit(f"error: {error}")
+    except (AssertionError, OSError, RuntimeError, grpc.RpcError) as error:
+        sys.exit(f"error: {error or 'it took too long'}")
