@@ -17,7 +17,7 @@ use crate::{
     scan_policy::ScanPolicy,
 };
 
-/// The number of points sampled to find the coordinate in which a larger set spreads most.
+/// The least number of points of a larger set that are looked at to find the coordinate in which it spreads most.
 const SAMPLE: usize = 64;
 
 impl KdTree {
