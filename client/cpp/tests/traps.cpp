@@ -110,6 +110,22 @@ public:
     }
 };
 
+// Gears whose distance is not that of their numbers.
+class Gears : public ob::DiscreteStateSpace {
+public:
+    Gears() : DiscreteStateSpace(3, 9) {}
+    double distance(const ob::State *a, const ob::State *b) const override {
+        return equalStates(a, b) ? 0 : 1;
+    }
+};
+
+// A time whose distance is not that of its numbers.
+class Later : public ob::TimeStateSpace {
+public:
+    Later() { setBounds(500, 510); }
+    double distance(const ob::State *a, const ob::State *b) const override { return 2 * TimeStateSpace::distance(a, b); }
+};
+
 // Joints whose states have neither reals nor a serialized form: new ones are not set.
 class Opaque : public Joints {
 public:
@@ -216,6 +232,18 @@ void spaces_of_ones_own() {
         plan<og::RRT>([&](auto &planner) { wayfold::use(planner, "sum(R1^3)", write); }, std::make_shared<Unreachable>());
     });
     CHECK(infinite.find("distance of two states is inf") != std::string::npos);
+}
+
+// Bounds that lie far from 0, and a space without reals: a distance that is not ours is refused at once.
+void bounds_away_from_zero() {
+    const auto far = std::make_shared<Joints>();
+    far->setBounds(500, 510);
+    const std::vector<ob::StateSpacePtr> spaces{far, std::make_shared<Gears>(), std::make_shared<Later>()};
+    for (const ob::StateSpacePtr &space : spaces) {
+        og::pRRT planner(std::make_shared<ob::SpaceInformation>(space));
+        const auto refused = message_of<ompl::Exception>([&] { wayfold::use(planner); });
+        CHECK(refused.find("distance of two states") != std::string::npos);
+    }
 }
 
 // `use` reads no state that is not set. The planner's first states show a distance that is not ours.
@@ -358,6 +386,7 @@ int main() {
     decimal_comma();
     removed_elements();
     spaces_of_ones_own();
+    bounds_away_from_zero();
     spaces_that_only_a_sampler_sets();
     constrained_spaces();
     distances_with_costs();

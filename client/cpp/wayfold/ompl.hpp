@@ -109,6 +109,35 @@ inline bool is_settable(const ompl::base::StateSpace *space) {
     return space->getSerializationLength() > 0 || space->getValueLocations().size() >= space->getDimension();
 }
 
+// Sets a number to a random one within its bounds, if it has any.
+inline void draw(double &number, double low, double high, std::mt19937 &random) {
+    if (low < high && std::isfinite(high - low)) {
+        number = std::uniform_real_distribution<double>(low, high)(random);
+    }
+}
+
+// Does so with all numbers of a state: their bounds may be far from 0.
+inline void draw(const ompl::base::StateSpace *space, ompl::base::State *state, std::mt19937 &random) {
+    namespace ob = ompl::base;
+    if (const auto *wrapper = dynamic_cast<const ob::WrapperStateSpace *>(space)) {
+        draw(wrapper->getSpace().get(), state->as<ob::WrapperStateSpace::StateType>()->getState(), random);
+    } else if (const auto *compound = dynamic_cast<const ob::CompoundStateSpace *>(space)) {
+        for (unsigned int at = 0; at < compound->getSubspaceCount(); at++) {
+            draw(compound->getSubspace(at).get(), state->as<ob::CompoundState>()->components[at], random);
+        }
+    } else if (const auto *reals = dynamic_cast<const ob::RealVectorStateSpace *>(space)) {
+        const ob::RealVectorBounds &bounds = reals->getBounds();
+        for (unsigned int at = 0; at < space->getDimension(); at++) {
+            draw(state->as<ob::RealVectorStateSpace::StateType>()->values[at], bounds.low[at], bounds.high[at], random);
+        }
+    } else if (const auto *time = dynamic_cast<const ob::TimeStateSpace *>(space)) {
+        draw(state->as<ob::TimeStateSpace::StateType>()->position, time->getMinTimeBound(), time->getMaxTimeBound(), random);
+    } else if (const auto *integers = dynamic_cast<const ob::DiscreteStateSpace *>(space)) {
+        state->as<ob::DiscreteStateSpace::StateType>()->value =
+            std::uniform_int_distribution<int>(integers->getLowerBound(), integers->getUpperBound())(random);
+    }
+}
+
 // Compares the space's distance with ours before the planner runs: it might have threads then, which cannot throw. The
 // states are made without OMPL's samplers, whose seeds the planner's own samplers would miss.
 inline void check_space(const Context &context) {
@@ -130,10 +159,10 @@ inline void check_space(const Context &context) {
     for (std::size_t at = 0; at < count; at++) {
         states.emplace_back(space->allocState(), [&space](ompl::base::State *state) { space->freeState(state); });
         ompl::base::State *state = states.back().get();
-        // Integers have no place among the reals.
         space->deserialize(state, zeros.data());
         std::generate(reals.begin(), reals.end(), [&] { return uniform(random); });
         space->copyFromReals(state, reals);
+        draw(space.get(), state, random);
         space->enforceBounds(state);
         context.write(state, rows[at].data());
         for (std::size_t other = 0; other < at; other++) {
