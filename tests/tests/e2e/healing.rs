@@ -5,10 +5,12 @@ use std::time::Duration;
 
 use tokio::time::{Instant, interval, timeout};
 use tonic::Code;
+use tonic_health::pb::health_check_response::ServingStatus;
 use wayfold_proto::v1::{InsertRequest, ListIndexesRequest};
 use wayfold_tests::{Content, ServerProcess, Signal, Stubs, row_states};
 
 use crate::{
+    health::health,
     journal_loss::{Cluster, MAX_WAIT, insert, insert_until_acknowledged},
     metrics::figures,
 };
@@ -244,6 +246,9 @@ async fn a_server_ahead_of_another_history_stays_stopped() {
     }
     let indices = figures(&server.pages());
     assert_eq!(indices["wayfold_indices{state=\"damaged\"}"], 1.0);
+    let status = async |name| health(server.uri(), name).await;
+    assert_eq!(status("wayfold.indices").await, ServingStatus::NotServing);
+    assert_eq!(status("wayfold.reading").await, ServingStatus::Serving);
     refuse(&mut stubs, 3000).await;
     // The other one compares the two before it writes.
     refuse(&mut others, 2000).await;

@@ -4,10 +4,8 @@
 use std::{path::Path, time::Duration};
 
 use tokio::time::timeout;
-use tonic::{Code, Status, transport::Channel};
-use tonic_health::pb::{
-    HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
-};
+use tonic::{Code, Status};
+use tonic_health::pb::health_check_response::ServingStatus;
 use wayfold::{Client, RetryPolicy};
 use wayfold_proto::v1::{
     CreateIndexRequest, InsertRequest, ListIndexesRequest, create_index_request::SpaceForm,
@@ -16,7 +14,7 @@ use wayfold_tests::{
     Refusal, ServerProcess, Signal, States, Stubs, figures::anonymous_bytes, row_states, server,
 };
 
-use crate::metrics::figures;
+use crate::{health::health, metrics::figures};
 
 const MIB: u64 = 1024 * 1024;
 const LIMIT: u64 = 128 * MIB;
@@ -134,13 +132,7 @@ async fn health_tells_reading_and_writing_apart() {
     });
     let refusal = Refusal::of(&created.await.unwrap_err());
     assert_eq!(refusal.reason, "MEMORY_FULL");
-    let channel = Channel::from_shared(server.uri().to_owned()).unwrap();
-    let mut health = HealthClient::new(channel.connect().await.unwrap());
-    let mut status = async |name: &str| {
-        let service = name.to_owned();
-        let answer = health.check(HealthCheckRequest { service }).await;
-        answer.unwrap().into_inner().status()
-    };
+    let status = async |name| health(server.uri(), name).await;
     assert_eq!(status("wayfold.writing").await, ServingStatus::NotServing);
     for name in ["", "wayfold.reading", "wayfold.indices"] {
         assert_eq!(status(name).await, ServingStatus::Serving, "{name}");

@@ -15,6 +15,7 @@ mod crash;
 mod disk_failure;
 mod forwarding;
 mod healing;
+mod health;
 #[cfg(target_os = "linux")]
 mod idle_memory;
 mod journal_loss;
