@@ -3,6 +3,7 @@
 import argparse
 import asyncio
 import collections
+import itertools
 import math
 import os
 import random
@@ -24,6 +25,7 @@ ROUNDS = 3
 CALLS_OF_ROUND = 80
 # The calls that measure what the server can answer are under way all the time.
 CALLS_OF_PEAK = 64
+# The pace of the checks of health and of a load: nothing is waited for by it.
 TICK_S = 0.005
 # The client ends each call at its deadline itself. With all processors busy it has been seen to forget one.
 MAX_LATE_S = 10
@@ -48,9 +50,9 @@ class Clients:
         await self.indexes.CreateIndex(self.indexes_pb.CreateIndexRequest(name="arm", space_text="R3*SO3"))
         numbers = random.Random(7)
         rows = [random_state(numbers) for _ in range(POINTS)]
-        states = self.types_pb.States(row_count=POINTS, coordinates=sum(rows, []))
+        states = self.types_pb.States(row_count=POINTS, coordinates=itertools.chain(*rows))
         await self.points[0].Insert(self.points_pb.InsertRequest(index_name="arm", states=states, ids=range(POINTS)))
-        states = self.types_pb.States(row_count=ROWS, coordinates=sum(rows[:ROWS], []))
+        states = self.types_pb.States(row_count=ROWS, coordinates=itertools.chain(*rows[:ROWS]))
         self.request = self.points_pb.KnnRequest(index_name="arm", states=states, k=K)
 
     async def ask(self, connection: int, deadline_s: float = DEADLINE_S) -> bool:
