@@ -27,7 +27,7 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
-use super::{read_queue::ReadQueue, tls::Client};
+use super::{backlog::Backlogs, read_queue::ReadQueue, tls::Client};
 use crate::{
     admission::{Admission, Flow},
     identity::ClientCertificate,
@@ -92,6 +92,7 @@ struct State {
     /// Those of streams for reflection, and of requests for health that have not arrived whole.
     arriving: Arc<Semaphore>,
     unread: Mutex<UnreadFrames>,
+    backlogs: Arc<Backlogs>,
 }
 
 /// The answers that wait for a client to read them.
@@ -170,6 +171,7 @@ impl Connections {
                 frames: 0,
                 since: Instant::now(),
             }),
+            backlogs: Arc::default(),
         });
         self.open.lock().insert(number, Arc::clone(&state));
         let connections = Arc::clone(self);
@@ -347,6 +349,11 @@ impl Activity {
     /// The flow of its calls.
     pub(super) fn flow(&self) -> &Arc<Flow> {
         &self.state.flow
+    }
+
+    /// What its streams have not read.
+    pub(super) fn backlogs(&self) -> &Arc<Backlogs> {
+        &self.state.backlogs
     }
 
     /// The place of a lasting stream; None if the others of the connection have all.

@@ -1,6 +1,7 @@
 //! The gRPC face: translates `wayfold.v1` to calls of the service and holds no policy of its own. The client of the other
 //! members of a cluster is here too.
 
+mod backlog;
 mod body;
 mod calls;
 mod connection;
@@ -32,6 +33,7 @@ use tonic::transport::Server;
 use tonic_health::pb::health_server::HealthServer;
 use wayfold_proto::v1::{self, index_service_server::IndexServiceServer};
 
+use backlog::STREAM_WINDOW;
 use calls::CallsLayer;
 pub(crate) use calls::{Callers, token};
 use connections::Connections;
@@ -127,6 +129,7 @@ pub(crate) async fn serve(
     });
     Server::builder()
         .max_concurrent_streams(max_calls)
+        .initial_stream_window_size(STREAM_WINDOW)
         .http2_max_header_list_size(MAX_HEADER_BYTES)
         // A client that cancels many calls in a row keeps its connection.
         .http2_max_pending_accept_reset_streams(Some(MAX_PENDING_RESETS))

@@ -19,6 +19,7 @@ use tokio_util::sync::WaitForCancellationFutureOwned;
 use tonic::{Status, body::Body};
 
 use super::{
+    backlog::Backlog,
     connections::Activity,
     refusals::{self, MessageLimit},
 };
@@ -46,8 +47,10 @@ pub(super) struct RequestBody {
     limits: RequestLimits,
     held: Arc<HeldBytes>,
     activity: Option<Activity>,
-    /// True if the request is a stream: it holds the bytes of the message on its way in only.
+    /// True if the request is a stream: it holds the bytes of the message on its way in, and those that HTTP/2 holds.
     is_stream: bool,
+    /// That of a stream of a connection.
+    backlog: Option<Backlog>,
     messages: Messages,
     began: Instant,
     /// Set at the first wait for a message.
@@ -68,9 +71,11 @@ impl RequestBody {
         began: Instant,
         service: Service,
     ) -> Self {
+        let streaming = activity.as_ref().filter(|_| is_stream);
         Self {
             inner,
             limits,
+            backlog: streaming.map(|it| it.backlogs().open(Arc::clone(&held))),
             held,
             activity,
             is_stream,
@@ -155,7 +160,10 @@ impl HttpBody for RequestBody {
         context: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
         let this = &mut *self;
-        let polled = Pin::new(&mut this.inner).poll_frame(context);
+        let polled = match &mut this.backlog {
+            Some(backlog) => backlog.poll(context, &mut this.inner),
+            None => Pin::new(&mut this.inner).poll_frame(context),
+        };
         match &polled {
             Poll::Ready(Some(Ok(frame))) => {
                 if let Some(Err(status)) = frame.data_ref().map(|bytes| this.receive(bytes)) {

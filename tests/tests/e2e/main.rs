@@ -6,6 +6,7 @@
 )]
 
 mod access;
+mod backlog;
 mod cancellation;
 mod clients;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
