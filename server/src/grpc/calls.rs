@@ -231,7 +231,13 @@ where
             Some(None) => return Box::pin(pending()),
             begun => begun.flatten(),
         };
-        let flow = settings.flow(rpc, activity.as_ref());
+        let is_of_admin = rpc.is_of_indices() && rpc.is_unary();
+        if !is_of_admin && let Some(Err(limit)) = activity.as_ref().map(Activity::check_place) {
+            settings.shared.admission.count_excess();
+            let refused: Status = refusals::too_many_connections(limit).into();
+            return Box::pin(ready(Ok(refused.into_http())));
+        }
+        let flow = settings.flow(is_of_admin, activity.as_ref());
         // A call waits from its arrival on, not from the time that its task first runs.
         let mut turns = flow.turns();
         if turns.request().is_err() {
@@ -358,10 +364,10 @@ impl CallsLayer {
 
     /// The flow of a call: that of its connection, or that of the connection's short calls of administration, which other load
     /// does not close.
-    fn flow(&self, rpc: Rpc<'_>, activity: Option<&Activity>) -> Arc<Flow> {
+    fn flow(&self, is_of_admin: bool, activity: Option<&Activity>) -> Arc<Flow> {
         let flow =
             activity.map_or_else(|| self.shared.admission.open(), |it| Arc::clone(it.flow()));
-        match rpc.is_of_indices() && rpc.is_unary() {
+        match is_of_admin {
             true => Arc::clone(flow.admin()),
             false => flow,
         }

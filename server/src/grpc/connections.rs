@@ -1,17 +1,11 @@
-//! The open connections, and the choice of the one that makes room for another.
-//!
-//! A client that only holds connections cannot lock others out: once all places are taken, a new connection gets the
-//! place of one without a call under way. Connections that never made a call go first, then those whose last call is
-//! the longest ago. If all others have calls, the one that has been silent for the longest time goes, such as one with an
-//! idle stream. If none is silent either, one of the network that has the most connections goes after a while, or the new
-//! one if it is of that network. A client reconnects at its next call. Health and reflection are no calls of this kind.
+//! The open connections: their signs of life, their flows, and the places that they have.
 
 mod cut;
+mod places;
 
 use std::{
-    cmp::Reverse,
-    collections::{BTreeMap, HashMap},
-    net::{IpAddr, SocketAddr},
+    collections::BTreeMap,
+    net::SocketAddr,
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::SeqCst},
@@ -22,27 +16,17 @@ use std::{
 use parking_lot::Mutex;
 use tokio::{
     sync::{OwnedSemaphorePermit, Semaphore},
-    time::{Instant, timeout},
+    time::Instant,
 };
 use tokio_util::sync::CancellationToken;
-use tracing::debug;
+
+use places::{Place, Places};
 
 use super::{backlog::Backlogs, read_queue::ReadQueue, tls::Client};
 use crate::{
     admission::{Admission, Flow},
     identity::ClientCertificate,
 };
-
-/// A connection keeps its place for this long after it was opened and after a call: its client may be about to call,
-/// and the end of an answer is about to leave.
-const MIN_IDLE: Duration = Duration::from_millis(100);
-
-/// A connection with calls keeps its place for this long after its last sign of life: the beginning or end of a call, a
-/// part of a request that arrived, a part of an answer that left.
-const MAX_SILENCE: Duration = Duration::from_secs(10);
-
-/// A new connection waits for this long for one of those above. Then it gets a place of the network that has the most.
-const MAX_WAIT: Duration = Duration::from_secs(1);
 
 /// The streams for reflection of a connection, and its requests for health that have not arrived whole.
 pub(super) const MAX_ARRIVING: usize = 4;
@@ -59,7 +43,7 @@ const HAS_CALLED: u64 = 1 << 63;
 /// The open connections of a listener.
 #[derive(Debug)]
 pub(super) struct Connections {
-    places: Arc<Semaphore>,
+    places: Places,
     open: Mutex<BTreeMap<u64, Arc<State>>>,
     /// The number of connections and ended calls so far.
     events: AtomicU64,
@@ -69,8 +53,6 @@ pub(super) struct Connections {
     reflecting: Arc<Semaphore>,
     admission: Admission,
     read_queue: Arc<ReadQueue>,
-    /// The time since which new connections have found no room.
-    full_since: Mutex<Option<Instant>>,
 }
 
 #[derive(Debug)]
@@ -84,6 +66,8 @@ struct State {
     /// True while its client does not read an answer.
     is_stalled: AtomicBool,
     cut: CancellationToken,
+    /// None once it has ended.
+    place: Mutex<Option<Place>>,
     peer: Option<SocketAddr>,
     certificate: Client,
     flow: Arc<Flow>,
@@ -108,7 +92,6 @@ struct UnreadFrames {
 pub(super) struct Open {
     number: u64,
     activity: Activity,
-    _place: OwnedSemaphorePermit,
 }
 
 /// The calls of a connection.
@@ -130,14 +113,13 @@ impl Connections {
     /// Room for `limit` connections. Each is a flow and has at most `max_streams` lasting streams.
     pub(super) fn new(limit: usize, max_streams: usize, admission: Admission) -> Arc<Self> {
         Arc::new(Self {
-            places: Arc::new(Semaphore::new(limit.min(Semaphore::MAX_PERMITS))),
+            places: Places::new(limit),
             open: Mutex::default(),
             events: AtomicU64::new(0),
             max_streams,
             reflecting: Arc::new(Semaphore::new(MAX_REFLECTING)),
             admission,
             read_queue: Arc::default(),
-            full_since: Mutex::default(),
         })
     }
 
@@ -146,15 +128,13 @@ impl Connections {
         &self.read_queue
     }
 
-    /// Waits for a place, which an idle connection gives up if there is no other. None if its network has the most
-    /// connections, and none of them can be given up. `cut` ends the connection.
+    /// Waits for a [place](places). None if there is not even that of a guest. `cut` ends the connection.
     pub(super) async fn open(
         self: &Arc<Self>,
         peer: Option<SocketAddr>,
         cut: CancellationToken,
     ) -> Option<Open> {
         let place = self.place(peer).await?;
-        *self.full_since.lock() = None;
         let number = self.events.fetch_add(1, SeqCst);
         let state = Arc::new(State {
             calls: AtomicUsize::new(0),
@@ -162,6 +142,7 @@ impl Connections {
             active_at: Mutex::new(Instant::now()),
             is_stalled: AtomicBool::new(false),
             cut,
+            place: Mutex::new(Some(place)),
             peer,
             certificate: Client::default(),
             flow: self.admission.open(),
@@ -178,100 +159,7 @@ impl Connections {
         Some(Open {
             number,
             activity: Activity { connections, state },
-            _place: place,
         })
-    }
-
-    async fn place(&self, peer: Option<SocketAddr>) -> Option<OwnedSemaphorePermit> {
-        loop {
-            if let Ok(place) = Arc::clone(&self.places).try_acquire_owned() {
-                return Some(place);
-            }
-            let full_since = self.full_since();
-            if self.give_one_up() {
-                *self.full_since.lock() = None;
-            } else if full_since.elapsed() >= MAX_WAIT {
-                self.give_up_of_many(peer.map(network))?;
-                *self.full_since.lock() = None;
-            }
-            // The place of the connection that was given up, or of another that ends. If none ends in time, the next one
-            // is given up.
-            let free = Arc::clone(&self.places).acquire_owned();
-            if let Ok(Ok(place)) = timeout(MIN_IDLE, free).await {
-                return Some(place);
-            }
-        }
-    }
-
-    /// The time since which there was no room. The listener takes one connection after another, so the wait of the first
-    /// one counts for those behind it, for as long again.
-    fn full_since(&self) -> Instant {
-        let mut since = self.full_since.lock();
-        since.take_if(|since| since.elapsed() >= 2 * MAX_WAIT);
-        *since.get_or_insert_with(Instant::now)
-    }
-
-    /// Gives up the first connection without calls or, if that was opened or called just now, the one with calls that is
-    /// silent for the longest time. False if there is none.
-    fn give_one_up(&self) -> bool {
-        let open = self.open.lock();
-        let idle = open
-            .values()
-            .filter(|state| state.calls.load(SeqCst) == 0 && !state.is_stalled.load(SeqCst));
-        let first = idle.min_by_key(|state| state.rank.load(SeqCst));
-        // A younger one is waited for: one that has called does not leave in its place.
-        let idle = first.filter(|state| {
-            state.silence() >= MIN_IDLE
-                && (state.calls)
-                    .compare_exchange(0, GIVEN_UP, SeqCst, SeqCst)
-                    .is_ok()
-        });
-        let given_up = idle.or_else(|| {
-            let open = open.values().filter(|state| !state.cut.is_cancelled());
-            let silent = open.min_by_key(|state| *state.active_at.lock());
-            silent.filter(|state| state.silence() >= MAX_SILENCE)
-        });
-        if let Some(state) = given_up {
-            debug!(peer = ?state.peer, "an idle or silent connection makes room for another");
-            state.cut.cancel();
-        }
-        given_up.is_some()
-    }
-
-    /// Gives up a connection of the network that has the most, two at least: the one whose last call is the longest ago.
-    /// None if that is the network of the `newcomer`.
-    fn give_up_of_many(&self, newcomer: Option<IpAddr>) -> Option<()> {
-        let open = self.open.lock();
-        let mut networks: HashMap<IpAddr, (usize, Reverse<u64>, &State)> = HashMap::new();
-        for state in open.values().filter(|state| !state.cut.is_cancelled()) {
-            let Some(peer) = state.peer else { continue };
-            let rank = Reverse(state.rank.load(SeqCst));
-            let (count, first, of) = networks.entry(network(peer)).or_insert((0, rank, state));
-            *count += 1;
-            if rank > *first {
-                (*first, *of) = (rank, state);
-            }
-        }
-        let most = networks
-            .into_iter()
-            .max_by_key(|(_, (count, first, _))| (*count, *first));
-        if let Some((network, (_, _, state))) = most.filter(|(_, (count, ..))| *count > 1) {
-            if newcomer == Some(network) {
-                debug!(%network, "a connection of the network that has the most is refused");
-                return None;
-            }
-            debug!(peer = ?state.peer, "a connection of the network that has the most makes room for another");
-            state.cut.cancel();
-        }
-        Some(())
-    }
-}
-
-/// The network of a client: its address of IPv4, or the upper half of one of IPv6, since it may use all with that.
-fn network(peer: SocketAddr) -> IpAddr {
-    match peer.ip().to_canonical() {
-        IpAddr::V6(address) => IpAddr::V6((address.to_bits() >> 64 << 64).into()),
-        address => address,
     }
 }
 
@@ -295,7 +183,9 @@ impl Open {
 
 impl Drop for Open {
     fn drop(&mut self) {
-        self.activity.connections.open.lock().remove(&self.number);
+        let Activity { connections, state } = &self.activity;
+        connections.open.lock().remove(&self.number);
+        state.place.lock().take();
     }
 }
 

@@ -21,6 +21,7 @@ use crate::{
 const MAX_MESSAGE_BYTES: &str = "grpc.max_message_bytes";
 const MAX_INDEX_REQUEST: &str = "index_request_bytes";
 const ARRIVING: &str = "arriving_requests";
+const MAX_CONNECTIONS: &str = "grpc.max_connections";
 const MAX_CALLS: &str = "grpc.max_calls_per_connection";
 const RECEIVE_TIMEOUT_MS: &str = "grpc.receive_timeout_ms";
 
@@ -152,6 +153,15 @@ pub(crate) fn too_many_streams(max_calls: u32) -> Refusal {
          connection, or raise the setting"
     );
     busy("TOO_MANY_CALLS", message, MAX_CALLS, max_calls as usize)
+}
+
+/// The refusal of a call of a guest.
+pub(crate) fn too_many_connections(limit: usize) -> Refusal {
+    let message = format!(
+        "others have all {MAX_CONNECTIONS} = {limit}: until one ends, this one can ask for health, and list, create and \
+         delete indices"
+    );
+    busy("TOO_MANY_CALLS", message, MAX_CONNECTIONS, limit)
 }
 
 /// The refusal of a request for health or reflection while others of its connection, or of all, have the places.

@@ -15,6 +15,7 @@ mod crash;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod disk_failure;
 mod forwarding;
+mod guests;
 mod healing;
 mod health;
 #[cfg(target_os = "linux")]

@@ -3,10 +3,17 @@
 use std::pin::pin;
 
 use futures_util::poll;
-use tokio::time::advance;
+use tokio::time::{advance, timeout};
 
-use super::*;
+use super::{
+    places::{MAX_GUESTS, MAX_SILENCE, MAX_WAIT, MIN_IDLE},
+    *,
+};
 use crate::config::Config;
+
+fn is_guest(open: Option<&Open>) -> bool {
+    open.is_some_and(|open| open.activity().check_place().is_err())
+}
 
 /// Two connections fill the table. Each has a stream: one is silent, over the other an answer leaves now and then.
 #[tokio::test(start_paused = true)]
@@ -17,19 +24,19 @@ async fn a_silent_stream_makes_room_only_after_its_time() {
     let silent = connections.open(None, cuts[0].clone()).await.unwrap();
     let live = connections.open(None, cuts[1].clone()).await.unwrap();
     let _streams = [silent.activity().begin(), live.activity().begin()];
-    let mut third = pin!(connections.open(None, CancellationToken::new()));
+    let third = connections.open(None, CancellationToken::new()).await;
+    let is_guest = || is_guest(third.as_ref());
     let step = MAX_SILENCE / 10;
-    for _ in 0..9 {
-        assert!(poll!(third.as_mut()).is_pending());
+    while silent.activity().silence() < MAX_SILENCE {
+        assert!(is_guest());
         assert!(!cuts[0].is_cancelled());
         drop(live.activity().send());
         advance(step).await;
     }
-    advance(step).await;
-    assert!(poll!(third.as_mut()).is_pending());
+    assert!(is_guest());
     assert!(cuts[0].is_cancelled() && !cuts[1].is_cancelled());
     drop(silent);
-    assert!(third.await.is_some());
+    assert!(!is_guest());
     assert!(!cuts[1].is_cancelled());
 }
 
@@ -84,7 +91,7 @@ async fn the_network_with_the_most_connections_makes_room() {
         }
         advance(MIN_IDLE).await;
     }
-    assert!(own.await.is_none());
+    assert!(is_guest(own.await.as_ref()));
     assert_eq!(is_cut(&open), [false; 5]);
     assert!(poll!(newcomer.as_mut()).is_pending());
     assert_eq!(is_cut(&open), [false, false, false, true, false]);
@@ -94,7 +101,7 @@ async fn the_network_with_the_most_connections_makes_room() {
 
 /// The listener takes new connections one after another.
 #[tokio::test(start_paused = true)]
-async fn many_that_are_refused_do_not_keep_others_out() {
+async fn many_guests_do_not_keep_others_out() {
     let admission = Admission::new(&Config::default().admission, 1, 0);
     let connections = Connections::new(3, 1, admission);
     let open_one = |peer: &str| connections.open(peer.parse().ok(), CancellationToken::new());
@@ -104,22 +111,50 @@ async fn many_that_are_refused_do_not_keep_others_out() {
         let call = place.activity().begin();
         open.push((place, call));
     }
-    let refusals = async {
+    let mut guests = Vec::new();
+    let opening = async {
+        for _ in 0..MAX_GUESTS {
+            guests.push(open_one("192.0.2.1:4").await);
+        }
+        // All have just come.
         for _ in 0..20 {
             assert!(open_one("192.0.2.1:4").await.is_none());
         }
     };
-    timeout(2 * MAX_WAIT, refusals).await.expect("one wait");
+    timeout(2 * MAX_WAIT, opening).await.expect("one wait");
+    assert!(guests.iter().all(|guest| is_guest(guest.as_ref())));
     let mut newcomer = pin!(open_one("192.0.2.2:1"));
     assert!(poll!(newcomer.as_mut()).is_pending());
-    let cut = |(place, _): &(Open, _)| place.activity.state.cut.is_cancelled();
-    drop(open.remove(open.iter().position(cut).expect("one that is cut")));
+    let is_cut = |open: &Open| open.activity.state.cut.is_cancelled();
+    drop(open.remove(open.iter().position(|(open, _)| is_cut(open)).unwrap()));
     let newcomer = newcomer.await.unwrap();
     let _call = newcomer.activity().begin();
-    // One that comes long after the last refusal waits again.
-    assert!(open_one("192.0.2.1:4").await.is_none());
-    advance(MAX_WAIT).await;
-    assert!(poll!(pin!(open_one("192.0.2.1:4"))).is_pending());
+    // One that comes long after the last one waits again, and the first guest leaves for it.
+    let mut last = pin!(open_one("192.0.2.1:4"));
+    assert!(timeout(MAX_WAIT / 2, last.as_mut()).await.is_err());
+    assert!(last.await.is_none());
+    let cut: Vec<_> = guests.iter().flatten().map(is_cut).collect();
+    assert_eq!(cut.iter().position(|is_cut| *is_cut), Some(0));
+    assert_eq!(cut.iter().filter(|is_cut| **is_cut).count(), 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_guest_gets_the_place_of_one_that_ends() {
+    let admission = Admission::new(&Config::default().admission, 1, 0);
+    let connections = Connections::new(1, 1, admission);
+    let first = connections.open(None, CancellationToken::new()).await;
+    let first = first.unwrap();
+    let _call = first.activity().begin();
+    let waiting = connections.open(None, CancellationToken::new());
+    let guests = [
+        waiting.await,
+        connections.open(None, CancellationToken::new()).await,
+    ];
+    assert!(guests.iter().all(|guest| is_guest(guest.as_ref())));
+    drop(first);
+    assert!(!is_guest(guests[0].as_ref()));
+    assert!(is_guest(guests[1].as_ref()));
+    assert!(!is_guest(guests[0].as_ref()));
 }
 
 #[tokio::test(start_paused = true)]
@@ -136,15 +171,9 @@ async fn a_network_with_one_connection_makes_no_room() {
         let call = place.activity().begin();
         open.push((place, call, cut));
     }
-    let mut newcomer = pin!(connections.open("192.0.2.3:1".parse().ok(), CancellationToken::new()));
-    for _ in 0..20 {
-        assert!(poll!(newcomer.as_mut()).is_pending());
-        assert!(open.iter().all(|(.., cut)| !cut.is_cancelled()));
-        for (place, ..) in &open {
-            place.activity().note_arrival();
-        }
-        advance(MIN_IDLE).await;
-    }
+    let newcomer = connections.open("192.0.2.3:1".parse().ok(), CancellationToken::new());
+    assert!(is_guest(newcomer.await.as_ref()));
+    assert!(open.iter().all(|(.., cut)| !cut.is_cancelled()));
 }
 
 #[tokio::test(start_paused = true)]
@@ -154,13 +183,12 @@ async fn a_connection_that_does_not_read_its_answer_makes_room_only_after_its_ti
     let cut = CancellationToken::new();
     let first = connections.open(None, cut.clone()).await.unwrap();
     first.activity().set_stalled(true);
-    let mut second = pin!(connections.open(None, CancellationToken::new()));
-    for _ in 0..8 {
-        assert!(poll!(second.as_mut()).is_pending());
+    let second = connections.open(None, CancellationToken::new()).await;
+    while first.activity().silence() < MAX_SILENCE {
+        assert!(is_guest(second.as_ref()));
         assert!(!cut.is_cancelled());
         advance(MAX_SILENCE / 10).await;
     }
-    advance(MAX_SILENCE / 2).await;
-    assert!(poll!(second.as_mut()).is_pending());
+    assert!(is_guest(second.as_ref()));
     assert!(cut.is_cancelled());
 }
