@@ -91,8 +91,8 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Self::Error>;
 
-    /// Finds the neighbours of many rows, which stand one after the other: an answer each. There is one search for all
-    /// rows, or one for each.
+    /// Finds the neighbours of many rows, which stand one after the other: an answer each, and what it has read. There is
+    /// one search for all rows, or one for each.
     ///
     /// # Errors
     /// Those of [`NearestNeighbors::search`] for any row, or the index takes only one search a call.
@@ -100,7 +100,7 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
         &self,
         rows: &[f64],
         searches: &[ScaledSearch<'_>],
-    ) -> Result<Vec<Vec<Neighbor>>, Self::Error>;
+    ) -> Result<Vec<(Vec<Neighbor>, ReadRevision)>, Self::Error>;
 
     /// Stores a point. With a search, puts what it has found among the points before it into `found`. Returns the
     /// point's id.

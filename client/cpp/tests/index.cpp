@@ -86,8 +86,10 @@ int main() {
         queries.insert(queries.end(), rows[at].begin(), rows[at].end());
     }
     for (const auto &search : {wayfold::Search::k(3), wayfold::Search::within(1), wayfold::Search::within(0)}) {
-        const auto answers = index.search_many(queries.data(), 20, search);
+        std::uint64_t seen = 0;
+        const auto answers = index.search_many(queries.data(), 20, search, &seen);
         CHECK(answers.size() == 20 && answers[0].front().distance == 0);
+        CHECK(index.search(rows[0], wayfold::Search::k(1).since(seen)).empty());
         for (int at = 0; at < 20; at++) {
             CHECK(answers[at] == index.search(rows[at], search));
         }

@@ -281,9 +281,9 @@ public:
             wayfold_index_search(raw(), states, count, width_, &search.raw(), k, ids, distances, found, nullptr));
     }
     // Answers a search of many states, rows one after the other, which see the same points. A remote index divides more
-    // than 1,000 states, or a large answer, among calls, which may see different revisions.
-    std::vector<std::vector<Neighbor>> search_many(const double *states, std::size_t count,
-                                                   const Search &search) const {
+    // than 1,000 states, or a large answer, among calls, which may see different revisions; read_revision is the oldest.
+    std::vector<std::vector<Neighbor>> search_many(const double *states, std::size_t count, const Search &search,
+                                                   std::uint64_t *read_revision = nullptr) const {
         if (count == 0) {
             return {};
         }
@@ -295,7 +295,7 @@ public:
             ids.resize(count * capacity);
             distances.resize(count * capacity);
             detail::check(wayfold_index_search(raw(), states, count, width_, &search.raw(), capacity, ids.data(),
-                                               distances.data(), found.data(), nullptr));
+                                               distances.data(), found.data(), read_revision));
             const std::size_t most = *std::max_element(found.begin(), found.end());
             if (most <= capacity) {
                 break;

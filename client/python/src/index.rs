@@ -12,7 +12,7 @@ use pyo3::{
 };
 
 pub(crate) use self::calls::Form;
-use self::calls::{GivenId, IdsAndDistances, options};
+use self::calls::{GivenId, options};
 use crate::{
     content::Content,
     points::{
@@ -201,22 +201,22 @@ impl Index {
         self.found(state, &search.get().search)
     }
 
-    /// Answers a search of many states, which see the same points: their ids and their distances.
-    fn search_many<'py>(
+    /// Answers a search of many states, which see the same points.
+    fn search_many(
         &self,
-        states: &Bound<'py, PyAny>,
-        search: &Bound<'py, Search>,
-    ) -> PyResult<Vec<IdsAndDistances<'py>>> {
+        states: &Bound<'_, PyAny>,
+        search: &Bound<'_, Search>,
+    ) -> PyResult<Vec<SearchResult>> {
         let search = search.get().search;
         self.found_many(states, |index, rows| index.search_many(rows, &search))
     }
 
     /// Answers a search for each of many states, which see the same points. A remote index takes only one search.
-    fn search_each<'py>(
+    fn search_each(
         &self,
-        states: &Bound<'py, PyAny>,
-        searches: Vec<Bound<'py, Search>>,
-    ) -> PyResult<Vec<IdsAndDistances<'py>>> {
+        states: &Bound<'_, PyAny>,
+        searches: Vec<Bound<'_, Search>>,
+    ) -> PyResult<Vec<SearchResult>> {
         let searches: Vec<_> = searches.iter().map(|search| search.get().search).collect();
         self.found_many(states, |index, rows| index.search_each(rows, &searches))
     }

@@ -43,17 +43,13 @@ pub(crate) struct SearchResult {
 }
 
 impl SearchResult {
-    pub(crate) fn of(
-        py: Python<'_>,
-        neighbors: &[wayfold::Neighbor],
-        read_revision: u64,
-    ) -> SearchResult {
-        let (ids, distances) = columns(py, neighbors);
+    pub(crate) fn of(py: Python<'_>, found: &wayfold::SearchResult) -> SearchResult {
+        let (ids, distances) = columns(py, &found.neighbors);
         SearchResult {
             ids: ids.unbind(),
             distances: distances.unbind(),
-            read_revision,
-            count: neighbors.len(),
+            read_revision: found.read_revision.0,
+            count: found.neighbors.len(),
         }
     }
 }
@@ -102,8 +98,7 @@ pub(crate) struct InsertedPoint {
 
 impl InsertedPoint {
     pub(crate) fn of(py: Python<'_>, inserted: &wayfold::InsertedPoint) -> PyResult<InsertedPoint> {
-        let found = &inserted.neighbors;
-        let neighbors = SearchResult::of(py, &found.neighbors, found.read_revision.0);
+        let neighbors = SearchResult::of(py, &inserted.neighbors);
         Ok(InsertedPoint {
             id: inserted.id,
             neighbors: Py::new(py, neighbors)?,

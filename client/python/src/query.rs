@@ -10,7 +10,7 @@ use pyo3::{
     sync::PyOnceLock,
     types::{PyList, PyTuple},
 };
-use wayfold::{Error, Neighbor, Search};
+use wayfold::{Error, Neighbor, Search, SearchResult};
 
 use crate::{
     error::invalid,
@@ -75,7 +75,10 @@ pub(crate) fn nearest<'py>(
     let table = Table::with_room(rows, &ranks)?;
     let (distances, ids) = index.call(py, |index| {
         let found = search_many(index, &numbers, &search, workers)?;
-        Ok(table.fill(&ranks, found.iter().map(|row| within(row, bound))))
+        Ok(table.fill(
+            &ranks,
+            found.iter().map(|found| within(&found.neighbors, bound)),
+        ))
     })?;
     if !matches!(ranks, Ranks::First(1)) {
         shape.push(ranks.columns());
@@ -114,7 +117,8 @@ pub(crate) fn ball<'py>(
                 let greatest = radii.iter().copied().fold(0.0, f64::max);
                 let mut found = search_many(index, &numbers, &within(greatest), workers)?;
                 for (found, &radius) in found.iter_mut().zip(&radii) {
-                    found.truncate(found.partition_point(|near| near.distance <= radius));
+                    let neighbors = &mut found.neighbors;
+                    neighbors.truncate(neighbors.partition_point(|near| near.distance <= radius));
                 }
                 found
             }
@@ -126,8 +130,8 @@ pub(crate) fn ball<'py>(
                 })?
             }
         };
-        let ids = found.into_iter().map(|found: Vec<Neighbor>| {
-            let mut ids: Vec<u64> = found.iter().map(|found| found.id).collect();
+        let ids = found.into_iter().map(|found| {
+            let mut ids: Vec<u64> = found.ids().collect();
             if is_sorted {
                 ids.sort_unstable();
             }
@@ -289,7 +293,7 @@ fn search_many(
     rows: &[f64],
     search: &Search,
     workers: usize,
-) -> Result<Vec<Vec<Neighbor>>, Error> {
+) -> Result<Vec<SearchResult>, Error> {
     by_workers(index, rows, workers, |index, _, rows| {
         index.search_many(rows.chunks_exact(index.space().coordinates()), search)
     })
@@ -301,8 +305,8 @@ fn by_workers(
     index: &wayfold::Index,
     rows: &[f64],
     workers: usize,
-    answer: impl Fn(&wayfold::Index, Range<usize>, &[f64]) -> Result<Vec<Vec<Neighbor>>, Error> + Sync,
-) -> Result<Vec<Vec<Neighbor>>, Error> {
+    answer: impl Fn(&wayfold::Index, Range<usize>, &[f64]) -> Result<Vec<SearchResult>, Error> + Sync,
+) -> Result<Vec<SearchResult>, Error> {
     let width = index.space().coordinates();
     let count = rows.len() / width;
     if workers.min(count) <= 1 {

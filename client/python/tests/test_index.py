@@ -58,9 +58,10 @@ def test_searches() -> None:
     assert index.search([0.0, 0.0], wayfold.Search(3, tag=(0b11, 2))).ids.tolist() == [1]
     assert index.search([0.0, 0.0], wayfold.Search(k_factor=wayfold.Scaling.K_FACTOR)).ids.tolist() == [0, 1, 40]
     many = index.search_many([[0, 0], [5, 0]], wayfold.Search(1))
-    assert [ids.tolist() for ids, _ in many] == [[0], [40]]
+    assert [found.ids.tolist() for found in many] == [[0], [40]]
     each = index.search_each([[0, 0], [5, 0]], [wayfold.Search(2), wayfold.Search(radius=0.5)])
-    assert [(ids.tolist(), distances.tolist()) for ids, distances in each] == [([0, 1], [0.0, 1.0]), ([40], [0.0])]
+    assert [found.ids.tolist() for found in each] == [[0, 1], [40]]
+    assert [found.distances.tolist() for found in each] == [[0.0, 1.0], [0.0]]
     with pytest.raises(ValueError, match="searches: 1 of them for 2 states"):
         index.search_each([[0, 0], [5, 0]], [wayfold.Search(1)])
     with pytest.raises(ValueError, match="k, k_factor or radius"):

@@ -3,8 +3,8 @@
 use std::ops::Deref;
 
 use wayfold_index::{
-    Changes, Forest, ForestOptions, ForestSnapshot, Merge, Neighbor, NewPoint, Point, PointRef,
-    Points, ReadRevision, ScaledSearch, Search, Space,
+    Changes, Forest, ForestOptions, Merge, Neighbor, NewPoint, Point, PointRef, Points,
+    ReadRevision, ScaledSearch, Search, Space,
 };
 
 use super::history::History;
@@ -224,17 +224,19 @@ pub(super) fn search(
     Ok(read_revision)
 }
 
-/// Answers the searches in turn, one a row, in a snapshot.
+/// Answers the searches in turn, one a row, in a snapshot of the points.
 pub(super) fn search_many(
-    snapshot: &ForestSnapshot,
+    points: impl Deref<Target = LocalPoints>,
     rows: &[f64],
     searches: &[ScaledSearch<'_>],
-) -> Result<Vec<Vec<Neighbor>>, Error> {
+) -> Result<Vec<(Vec<Neighbor>, ReadRevision)>, Error> {
+    let (snapshot, read_revision) = (points.forest.snapshot(), points.read_revision());
+    drop(points);
     let rows = rows.chunks_exact(snapshot.space().coordinates());
     rows.zip(searches.iter().cycle())
         .map(|(row, scaled)| {
             let search = scaled.among(snapshot.len(), snapshot.space().dimension());
-            Ok(snapshot.search(row, &search)?.neighbors)
+            Ok((snapshot.search(row, &search)?.neighbors, read_revision))
         })
         .collect()
 }

@@ -131,9 +131,9 @@ impl NearestNeighbors for Memory {
         &self,
         rows: &[f64],
         searches: &[ScaledSearch<'_>],
-    ) -> Result<Vec<Vec<Neighbor>>, Error> {
-        let snapshot = self.read()?.points.forest.snapshot();
-        local::search_many(&snapshot, rows, searches)
+    ) -> Result<Vec<(Vec<Neighbor>, ReadRevision)>, Error> {
+        let points = RwLockReadGuard::map(self.read()?, |state| &state.points);
+        local::search_many(points, rows, searches)
     }
 
     fn insert(

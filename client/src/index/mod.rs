@@ -295,9 +295,9 @@ impl Index {
         &self,
         states: impl IntoIterator<Item = S>,
         search: &Search,
-    ) -> Result<Vec<Vec<Neighbor>>, Error> {
+    ) -> Result<Vec<SearchResult>, Error> {
         let scaled = search.scaled()?;
-        self.with_rows(states, |rows| self.form.search_many(rows, &[scaled]))
+        self.with_rows(states, |rows| self.ask_many(rows, &[scaled]))
     }
 
     /// Answers a search for each of many states, which see the same points. A remote index takes only one search.
@@ -309,7 +309,7 @@ impl Index {
         &self,
         states: impl IntoIterator<Item = S>,
         searches: &[Search],
-    ) -> Result<Vec<Vec<Neighbor>>, Error> {
+    ) -> Result<Vec<SearchResult>, Error> {
         let scaled: Vec<_> = searches
             .iter()
             .map(Search::scaled)
@@ -318,7 +318,7 @@ impl Index {
             let count = rows.len() / self.space().coordinates();
             match scaled.len() == count {
                 true if count == 0 => Ok(Vec::new()),
-                true => self.form.search_many(rows, &scaled),
+                true => self.ask_many(rows, &scaled),
                 false => Err(Error::Argument {
                     field: "searches",
                     problem: format!("{} of them for {count} states", scaled.len()),
@@ -380,5 +380,18 @@ impl Index {
         found: &mut Vec<Neighbor>,
     ) -> Result<ReadRevision, Error> {
         self.with_row(state, |row| self.form.search(row, scaled, found))
+    }
+
+    fn ask_many(
+        &self,
+        rows: &[f64],
+        searches: &[ScaledSearch<'_>],
+    ) -> Result<Vec<SearchResult>, Error> {
+        let found = self.form.search_many(rows, searches)?.into_iter();
+        let found = found.map(|(neighbors, read_revision)| SearchResult {
+            neighbors,
+            read_revision,
+        });
+        Ok(found.collect())
     }
 }

@@ -158,7 +158,7 @@ impl NearestNeighbors for Remote {
         &self,
         rows: &[f64],
         searches: &[ScaledSearch<'_>],
-    ) -> Result<Vec<Vec<Neighbor>>, Error> {
+    ) -> Result<Vec<(Vec<Neighbor>, ReadRevision)>, Error> {
         let [scaled] = searches else {
             return Err(Error::Argument {
                 field: "searches",
@@ -166,7 +166,9 @@ impl NearestNeighbors for Remote {
             });
         };
         let answer = self.ask(rows, scaled)?;
-        Ok(answer.rows().map(|row| row.iter().collect()).collect())
+        let revisions = (0..answer.len()).map(|i| ReadRevision(answer.revision_of(i).number));
+        let rows = answer.rows().map(|row| row.iter().collect());
+        Ok(rows.zip(revisions).collect())
     }
 
     fn insert(

@@ -26,6 +26,7 @@ mod little_memory;
 mod load;
 mod metrics;
 mod nats_access;
+mod nats_settings;
 mod no_missed_edge;
 mod origins;
 mod planners;

@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use client::{Index, Neighbor, ReadRevision, Search};
+use client::{Index, Neighbor, ReadRevision, Search, SearchResult};
 
 use super::{
     index::WayfoldIndex,
@@ -54,8 +54,8 @@ pub unsafe extern "C" fn wayfold_index_nearest(
 /// Answers a search of `count` states. Row i of `ids` and `distances`, of `capacity` numbers, gets the neighbours of
 /// state i, nearest first and at equal distances by id; `found[i]` is their number. If it exceeds `capacity`, the row has
 /// the nearest `capacity` of them. The rest of a row keeps its content. `ids` and `distances` may be null.
-/// `read_revision` gets the revision that the answer read, for `since` of a later search; it may be null, and must be
-/// unless there is one state.
+/// `read_revision` gets the revision that the answer read, for `since` of a later search, and the oldest one if a remote
+/// index divided the states among calls; it may be null, and keeps its content without a state.
 ///
 /// Thread-safe.
 ///
@@ -98,14 +98,12 @@ pub unsafe extern "C" fn wayfold_index_search(
                 }
             });
         }
-        if !read_revision.is_null() {
-            return Err(Failure::argument(
-                "read_revision",
-                "only a search of one state has it; pass null",
-            ));
-        }
         let answers = index.search_many(rows.chunks_exact(width), &search)?;
-        for (row, neighbors) in answers.iter().enumerate() {
+        if let Some(oldest) = answers.iter().map(|it| it.read_revision).min() {
+            // SAFETY: the caller's promise.
+            unsafe { copy(&[oldest.0], read_revision) };
+        }
+        for (row, SearchResult { neighbors, .. }) in answers.iter().enumerate() {
             let at = row * capacity;
             // SAFETY: the caller's promise; a null pointer stays null.
             unsafe {

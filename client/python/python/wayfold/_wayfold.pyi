@@ -256,13 +256,13 @@ class Index:
         """All points at distance `radius` or nearer, nearest first."""
     def search(self, state: _States, search: Search) -> SearchResult:
         """Answers any search."""
-    def search_many(self, states: _States, search: Search) -> list[tuple[_Ids, _Floats]]:
-        """Answers a search of many states, which see the same points: ids and distances of each.
+    def search_many(self, states: _States, search: Search) -> list[SearchResult]:
+        """Answers a search of many states, which see the same points.
 
         A remote index divides more than 1,000 states, or a large answer, among calls, which may see different
         revisions.
         """
-    def search_each(self, states: _States, searches: Sequence[Search]) -> list[tuple[_Ids, _Floats]]:
+    def search_each(self, states: _States, searches: Sequence[Search]) -> list[SearchResult]:
         """Answers a search for each of many states, which see the same points. A remote index takes only one search."""
     def scan(self) -> StoredPoints:
         """All points as they are now, by ascending id."""

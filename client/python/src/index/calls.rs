@@ -7,17 +7,16 @@ use std::{
     time::Duration,
 };
 
-use numpy::PyArray1;
 use pyo3::{
     exceptions::{PyOverflowError, PyRuntimeWarning},
     prelude::*,
 };
-use wayfold::{Error, InsertOptions, Neighbor};
+use wayfold::{Error, InsertOptions};
 
 use super::Index;
 use crate::{
     error::OrRaise,
-    points::{SearchResult, columns},
+    points::SearchResult,
     rows::{Rows, one_state, rows},
     space::names,
 };
@@ -32,9 +31,6 @@ pub(crate) enum Form {
     /// A server.
     Remote,
 }
-
-/// The neighbours of one state.
-pub(super) type IdsAndDistances<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
 
 /// An id as an argument; `None` for one that no point has, as the −1 that [`Index::query`] answers where it finds none.
 pub(super) struct GivenId(pub(super) Option<u64>);
@@ -199,23 +195,25 @@ impl Index {
     ) -> PyResult<SearchResult> {
         let (py, row) = (state.py(), self.one(state)?);
         let found = self.call(py, |index| index.search(&row[..], search))?;
-        Ok(SearchResult::of(
-            py,
-            &found.neighbors,
-            found.read_revision.0,
-        ))
+        Ok(SearchResult::of(py, &found))
     }
 
     /// Searches for the neighbours of many states.
-    pub(super) fn found_many<'py>(
+    pub(super) fn found_many(
         &self,
-        states: &Bound<'py, PyAny>,
-        search: impl FnOnce(&wayfold::Index, ChunksExact<'_, f64>) -> Result<Vec<Vec<Neighbor>>, Error>
+        states: &Bound<'_, PyAny>,
+        search: impl FnOnce(
+            &wayfold::Index,
+            ChunksExact<'_, f64>,
+        ) -> Result<Vec<wayfold::SearchResult>, Error>
         + Send,
-    ) -> PyResult<Vec<IdsAndDistances<'py>>> {
+    ) -> PyResult<Vec<SearchResult>> {
         let (py, rows) = (states.py(), self.rows(states)?);
         let rows = rows.numbers.chunks_exact(self.index.space().coordinates());
         let found = self.call(py, |index| search(index, rows))?;
-        Ok(found.iter().map(|found| columns(py, found)).collect())
+        Ok(found
+            .iter()
+            .map(|found| SearchResult::of(py, found))
+            .collect())
     }
 }

@@ -137,10 +137,9 @@ impl NearestNeighbors for SharedIndex {
         &self,
         rows: &[f64],
         searches: &[ScaledSearch<'_>],
-    ) -> Result<Vec<Vec<Neighbor>>, Error> {
+    ) -> Result<Vec<(Vec<Neighbor>, ReadRevision)>, Error> {
         self.core.check_readable()?;
-        let snapshot = self.core.points.read().forest.snapshot();
-        local::search_many(&snapshot, rows, searches)
+        local::search_many(self.core.points.read(), rows, searches)
     }
 
     fn insert(

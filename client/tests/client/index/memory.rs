@@ -79,14 +79,14 @@ fn searches_beside_a_writer_are_whole() {
             let counts = index
                 .search_many([[0.0; 2]; 3], &Search::within(1e6))
                 .unwrap();
-            assert!(counts.windows(2).all(|pair| pair[0].len() == pair[1].len()));
+            assert!(counts.windows(2).all(|pair| pair[0] == pair[1]));
             let searches = [
                 Search::within(1e6),
                 Search::within(2e6),
                 Search::within(3e6),
             ];
             let counts = index.search_each([[0.0; 2]; 3], &searches).unwrap();
-            assert!(counts.windows(2).all(|pair| pair[0].len() == pair[1].len()));
+            assert!(counts.windows(2).all(|pair| pair[0] == pair[1]));
         }
     });
     assert_eq!(index.len().unwrap(), 40_000);
@@ -107,7 +107,7 @@ fn each_state_has_its_own_search() {
     let states = [[10.2], [20.0], [30.0]];
     let found = index.search_each(states, &searches).unwrap();
     for ((state, search), found) in states.iter().zip(&searches).zip(found) {
-        assert_eq!(found, index.search(state, search).unwrap().neighbors);
+        assert_eq!(found, index.search(state, search).unwrap());
     }
     let error = index.search_each(states, &searches[..2]).unwrap_err();
     assert_eq!(error.to_string(), "searches: 2 of them for 3 states");

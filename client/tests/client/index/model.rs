@@ -322,7 +322,9 @@ impl Model {
         for (state, found) in states.iter().zip(found) {
             let search = wayfold_index::Search::nearest_k(7);
             let expected = self.points.search(&self.canonical(state), &search).unwrap();
-            assert_same(&found, &expected.neighbors);
+            assert_same(&found.neighbors, &expected.neighbors);
+            self.read_revisions
+                .push((found.read_revision, self.changes));
         }
     }
 

@@ -16,7 +16,11 @@ use parking_lot::Mutex;
 use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 use tracing::warn;
 
-use super::{NatsError, NatsOptions, message::PackPosition};
+use super::{
+    NatsError, NatsOptions,
+    message::PackPosition,
+    settings::{MIN_PAYLOAD, check_records},
+};
 use crate::log::{LogError, Uid};
 
 /// The number of streams that the indices share. Each has a leader of its own, so the work is spread over the servers
@@ -114,8 +118,13 @@ impl Connection {
                 "NATS is older than {major}.{minor}: such versions have lost acknowledged messages"
             );
         }
+        let bytes = client.server_info().max_payload;
+        if bytes < MIN_PAYLOAD {
+            let least = MIN_PAYLOAD;
+            return Err(NatsError::SmallMessages { bytes, least });
+        }
         // A message carries headers too; they count against the limit of NATS.
-        let max_payload = client.server_info().max_payload.saturating_sub(1024);
+        let max_payload = bytes.saturating_sub(1024);
         let context = ContextBuilder::new()
             .timeout(REQUEST_TIMEOUT)
             .ack_timeout(2 * REQUEST_TIMEOUT)
@@ -141,6 +150,7 @@ impl Connection {
                     "created with other cluster.replicas"
                 );
             }
+            check_records(&stream, bytes)?;
             connection.streams.push(stream);
         }
         Ok(connection)

@@ -14,6 +14,7 @@ mod connection;
 mod follow;
 mod message;
 mod publisher;
+mod settings;
 
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
@@ -99,6 +100,26 @@ pub enum NatsError {
         what: String,
         /// The setting.
         ca: String,
+    },
+    /// NATS would not keep the records.
+    #[error(
+        "NATS would lose or refuse records: {what} has {}; undo that (nats stream edit {what}), and start again", faults.join(", ")
+    )]
+    Lossy {
+        /// The stream.
+        what: String,
+        /// Its settings that are wrong.
+        faults: Vec<String>,
+    },
+    /// NATS takes only small messages.
+    #[error(
+        "NATS takes messages of up to {bytes} bytes: raise its max_payload to {least} at least"
+    )]
+    SmallMessages {
+        /// Its `max_payload`.
+        bytes: usize,
+        /// The least that is enough.
+        least: usize,
     },
     /// NATS has no stream or bucket for the records.
     #[error(

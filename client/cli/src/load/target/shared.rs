@@ -96,7 +96,8 @@ impl Target for SharedTarget {
 
     fn neighbors(&self, rows: &[f64], k: u32) -> Result<Vec<Vec<Neighbor>>, Error> {
         let rows = rows.chunks_exact(self.index.space().coordinates());
-        self.index.search_many(rows, &Search::k(k))
+        let found = self.index.search_many(rows, &Search::k(k))?;
+        Ok(found.into_iter().map(|found| found.neighbors).collect())
     }
 
     fn ids(&self, most: usize) -> Result<Vec<u64>, Error> {

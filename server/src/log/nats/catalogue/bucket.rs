@@ -21,6 +21,7 @@ use crate::log::{
     nats::{
         NatsError, RETRY_INTERVAL,
         connection::{Connection, found, patiently, unreachable, within},
+        settings::check_bucket,
     },
 };
 
@@ -59,6 +60,7 @@ impl Bucket {
             }
         };
         let store = patiently(&what, create).await?;
+        check_bucket(&store.stream)?;
         let known = patiently(&what, || read_all(&store)).await?;
         Ok(Self {
             connection,
