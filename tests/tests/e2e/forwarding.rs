@@ -5,7 +5,7 @@ use std::process::Command;
 
 use tonic::{Code, Status};
 use wayfold::{Client, Credentials, Space};
-use wayfold_proto::v1::{self, InsertRequest, knn_request::KForm, query_request::RadiusForm};
+use wayfold_proto::v1::InsertRequest;
 use wayfold_tests::{
     Process, ServerProcess, Signal, Stubs,
     nats::{Nats, member_settings},
@@ -163,53 +163,6 @@ async fn the_owner_evaluates_the_mutations_of_all_servers_until_it_is_gone() {
     stubs[0].latest("arm").await.unwrap();
     let count = stubs[0].describe("arm").await.point_count;
     assert_eq!(count, 3 * EACH + 1);
-}
-
-/// Each round asks right after the insert, when the copy of the other server is likely to lack it.
-#[ignore = "needs nats-server"]
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn each_read_that_asks_for_the_latest_sees_what_another_server_acknowledged() {
-    const ROUNDS: u64 = 40;
-    let cluster = Cluster::empty();
-    let servers: [_; 2] = together(&cluster, &[]);
-    let mut stubs = Vec::new();
-    for server in &servers {
-        stubs.push(Stubs::connect(server.uri()).await);
-    }
-    create_everywhere(&mut stubs).await;
-    for round in 0..ROUNDS {
-        // Either server may be the owner.
-        stubs.swap(0, 1);
-        let acknowledged = stubs[0].insert(insert(round as f64)).await;
-        let other = &mut stubs[1];
-        let (index_name, latest) = ("arm".to_owned(), true);
-        let states = Some(row_states(&[round as f64], 1));
-        let found = match round % 4 / 2 {
-            0 => {
-                let request = v1::KnnRequest {
-                    index_name,
-                    states,
-                    k_form: Some(KForm::K(1)),
-                    latest,
-                    ..Default::default()
-                };
-                let answer = other.points.knn(request).await.unwrap().into_inner();
-                answer.neighbors.unwrap().ids
-            }
-            _ => {
-                let request = v1::QueryRequest {
-                    index_name,
-                    states,
-                    radius_form: Some(RadiusForm::Radius(0.0)),
-                    latest,
-                    ..Default::default()
-                };
-                let answer = other.points.query(request).await.unwrap().into_inner();
-                answer.neighbors.unwrap().ids
-            }
-        };
-        assert_eq!(found, acknowledged.ids, "round {round}");
-    }
 }
 
 /// Each server shows the others its certificate, and the owner checks the rights of the caller once more.

@@ -1,0 +1,123 @@
+//! A read that asks for the latest waits for what another server acknowledged. The environment variable `NATS_SERVER` has the
+//! path of the program nats-server.
+
+use std::process::Command;
+
+use futures_util::{FutureExt, future::BoxFuture};
+use wayfold_proto::v1::{self, InsertRequest, knn_request::KForm, query_request::RadiusForm};
+use wayfold_tests::{
+    Process, ServerProcess, Stubs,
+    nats::{Nats, member_settings},
+    row_states,
+};
+
+use crate::{
+    healing::wait_until_joined,
+    metrics::{calls, figures},
+    shared::proxy::Proxy,
+};
+
+const MAX_INDICES: usize = 64;
+
+fn start(nats: &str) -> ServerProcess {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
+    command
+        .args(["--grpc", "127.0.0.1:0", "--http", "127.0.0.1:0"])
+        .args(["--data", "memory"])
+        .envs(member_settings(nats, 1));
+    ServerProcess::ready(Process::spawn(&mut command))
+}
+
+async fn insert(stubs: &mut Stubs, index: &str, at: f64) -> Vec<u64> {
+    let request = InsertRequest {
+        index_name: index.to_owned(),
+        states: Some(row_states(&[at], 1)),
+        ..Default::default()
+    };
+    stubs.insert(request).await.ids
+}
+
+/// A read of the points at a state.
+type Read = fn(Stubs, String, f64, bool) -> BoxFuture<'static, Vec<u64>>;
+
+fn knn(
+    mut stubs: Stubs,
+    index_name: String,
+    at: f64,
+    latest: bool,
+) -> BoxFuture<'static, Vec<u64>> {
+    let request = v1::KnnRequest {
+        index_name,
+        states: Some(row_states(&[at], 1)),
+        k_form: Some(KForm::K(1)),
+        radius_form: Some(v1::knn_request::RadiusForm::Radius(0.0)),
+        latest,
+        ..Default::default()
+    };
+    async move {
+        let answer = stubs.points.knn(request).await.unwrap().into_inner();
+        answer.neighbors.unwrap().ids
+    }
+    .boxed()
+}
+
+fn query(
+    mut stubs: Stubs,
+    index_name: String,
+    at: f64,
+    latest: bool,
+) -> BoxFuture<'static, Vec<u64>> {
+    let request = v1::QueryRequest {
+        index_name,
+        states: Some(row_states(&[at], 1)),
+        radius_form: Some(RadiusForm::Radius(0.0)),
+        latest,
+        ..Default::default()
+    };
+    async move {
+        let answer = stubs.points.query(request).await.unwrap().into_inner();
+        answer.neighbors.unwrap().ids
+    }
+    .boxed()
+}
+
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_search_waits_for_what_another_server_acknowledged() {
+    let directory = tempfile::tempdir().unwrap();
+    let nats = Nats::start(directory.path(), 1);
+    let journal = nats.urls().replace("nats://", "http://");
+    let way = Proxy::to(&journal).await;
+    let mut servers = [
+        start(&nats.urls()),
+        start(&way.uri.replace("http://", "nats://")),
+    ];
+    let pages = servers.each_mut().map(ServerProcess::pages);
+    wait_until_joined(&mut servers);
+    let mut owner = Stubs::connect(servers[0].uri()).await;
+    let mut other = Stubs::connect(servers[1].uri()).await;
+
+    // An index whose inserts the first server forwards to nobody.
+    let mut names = (0..MAX_INDICES).map(|number| format!("arm-{number}"));
+    let index = loop {
+        let name = names.next().expect("an index of the first server");
+        owner.create(&name, "R1").await;
+        other.find(&name).await;
+        insert(&mut owner, &name, 0.0).await;
+        let forwarded = calls("cluster", "insert", &name, "OK");
+        if !figures(&pages[1]).contains_key(&forwarded) {
+            break name;
+        }
+    };
+    let reads: [Read; 2] = [knn, query];
+    for (at, read) in [1.0, 2.0].into_iter().zip(reads) {
+        way.hold(&journal);
+        let acknowledged = insert(&mut owner, &index, at).await;
+        let ask = |latest| read(other.clone(), index.clone(), at, latest);
+        let latest = tokio::spawn(ask(true));
+        assert!(ask(false).await.is_empty());
+        assert!(!latest.is_finished());
+        way.lead_to(&journal);
+        assert_eq!(latest.await.unwrap(), acknowledged);
+    }
+}
