@@ -115,11 +115,11 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
     ) -> Result<(u64, ReadRevision), Self::Error>;
 
     /// Stores many points with ids that the index assigns, one above the other in the order of the rows, which stand
-    /// one after the other. Returns the ids.
+    /// one after the other, and tag 0. Returns the ids.
     ///
     /// # Errors
     /// Those of [`NearestNeighbors::insert`]; nothing is stored then.
-    fn insert_many(&self, rows: &[f64], tag: u64) -> Result<Vec<u64>, Self::Error>;
+    fn insert_many(&self, rows: &[f64]) -> Result<Vec<u64>, Self::Error>;
 
     /// Gives a stored point another state; its tag stays, its payload goes. False if there is no such point.
     ///

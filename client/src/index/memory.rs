@@ -169,7 +169,7 @@ impl NearestNeighbors for Memory {
         Ok((id, state.points.read_revision()))
     }
 
-    fn insert_many(&self, rows: &[f64], tag: u64) -> Result<Vec<u64>, Error> {
+    fn insert_many(&self, rows: &[f64]) -> Result<Vec<u64>, Error> {
         let rows = rows.chunks_exact(self.space.coordinates());
         let mut state = self.write()?;
         let first = state.next_id;
@@ -178,7 +178,7 @@ impl NearestNeighbors for Memory {
         let stored = ids.clone().zip(rows);
         let stored = stored.map(|(id, row)| NewRow {
             id,
-            tag,
+            tag: 0,
             row,
             is_new: true,
         });

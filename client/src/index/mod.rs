@@ -167,7 +167,7 @@ impl Index {
         &self,
         states: impl IntoIterator<Item = S>,
     ) -> Result<Vec<u64>, Error> {
-        self.with_rows(states, |rows| self.form.insert_many(rows, 0))
+        self.with_rows(states, |rows| self.form.insert_many(rows))
     }
 
     /// Removes a point. False if there is none with this id.
@@ -287,7 +287,7 @@ impl Index {
     }
 
     /// Answers a search of many states, which see the same points. A remote index divides more than 1,000 states, or a
-    /// large answer, among calls, which may see different revisions.
+    /// large answer, among calls, which may see different revisions: take the least for [`Search::since`].
     ///
     /// # Errors
     /// Those of [`Index::search`] for any of the states.

@@ -210,9 +210,9 @@ impl NearestNeighbors for Remote {
         Ok((id, ReadRevision(answer.revision.number)))
     }
 
-    fn insert_many(&self, rows: &[f64], tag: u64) -> Result<Vec<u64>, Error> {
+    fn insert_many(&self, rows: &[f64]) -> Result<Vec<u64>, Error> {
         let rows: Vec<Vec<f64>> = self.rows(rows).collect();
-        let insert = self.index.insert(&rows).tags(vec![tag; rows.len()]);
+        let insert = self.index.insert(&rows);
         let answer = wait_for(async move { insert.await })?;
         Ok(answer
             .outcomes

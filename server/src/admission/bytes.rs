@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed};
 
 /// See the module.
 #[derive(Debug)]
-pub(super) struct ByteBudget {
+pub(crate) struct ByteBudget {
     max: usize,
     held: AtomicUsize,
     /// The requests that found no room.
@@ -13,7 +13,7 @@ pub(super) struct ByteBudget {
 
 impl ByteBudget {
     /// Room for `max` bytes.
-    pub(super) fn new(max: usize) -> Self {
+    pub(crate) fn new(max: usize) -> Self {
         let held = AtomicUsize::new(0);
         Self {
             max,
@@ -28,7 +28,7 @@ impl ByteBudget {
     }
 
     /// Takes room for more bytes, until they are given back; false if there is not enough, which counts as no refusal.
-    pub(super) fn try_take(&self, bytes: usize) -> bool {
+    pub(crate) fn try_take(&self, bytes: usize) -> bool {
         self.try_take_within(self.max, bytes)
     }
 
@@ -49,7 +49,7 @@ impl ByteBudget {
     }
 
     /// Counts a request that found no room.
-    pub(super) fn refuse(&self) {
+    pub(crate) fn refuse(&self) {
         self.refused.fetch_add(1, Relaxed);
     }
 
@@ -59,7 +59,7 @@ impl ByteBudget {
     }
 
     /// Gives back room that was taken.
-    pub(super) fn release(&self, bytes: usize) {
+    pub(crate) fn release(&self, bytes: usize) {
         self.held.fetch_sub(bytes, Relaxed);
     }
 }

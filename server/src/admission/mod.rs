@@ -21,10 +21,8 @@ use serde::Deserialize;
 use tokio::time::interval;
 use tracing::warn;
 
-use self::{
-    bytes::ByteBudget,
-    turns::{FlowNumber, Turns},
-};
+pub(crate) use self::bytes::ByteBudget;
+use self::turns::{FlowNumber, Turns};
 pub(crate) use call_turns::{CallTurns, end_slice};
 pub use client_permits::ClientPermits;
 pub(crate) use turns::Overloaded;
@@ -75,6 +73,8 @@ pub(crate) struct Admission {
     all: Arc<ByteBudget>,
     /// The bytes of administration: no other load takes them.
     of_admin: Arc<ByteBudget>,
+    /// Those of unread requests of streams.
+    of_backlogs: Arc<ByteBudget>,
     /// The most bytes of one flow.
     share: usize,
     others: Arc<OtherRefusals>,
@@ -132,6 +132,7 @@ impl Admission {
             turns,
             all: budget(config.max_bytes),
             of_admin: budget(config.max_bytes / SHARES),
+            of_backlogs: Arc::new(ByteBudget::new(share)),
             share,
             others: Arc::default(),
         }
@@ -141,6 +142,11 @@ impl Admission {
     pub(crate) fn open(&self) -> Arc<Flow> {
         let admin = Flow::new(self, &self.of_admin, None);
         Arc::new(Flow::new(self, &self.all, Some(Arc::new(admin))))
+    }
+
+    /// The budget of the requests that streams have not read. It has the size of a share.
+    pub(crate) fn of_backlogs(&self) -> &Arc<ByteBudget> {
+        &self.of_backlogs
     }
 
     /// The refusal of a call that would wait for too long.
@@ -182,7 +188,7 @@ impl Admission {
             ("OVERLOADED", self.turns.refused()),
             (
                 "TOO_MANY_BYTES",
-                self.all.refused() + self.of_admin.refused(),
+                self.all.refused() + self.of_admin.refused() + self.of_backlogs.refused(),
             ),
             ("TOO_MANY_CALLS", excess + self.others.excess.load(Relaxed)),
             ("TOO_SLOW", self.others.slow.load(Relaxed)),

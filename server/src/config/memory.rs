@@ -5,7 +5,7 @@ use serde::Deserialize;
 use super::Config;
 use crate::watermark::{self, Watermarks};
 
-/// A message has at most this part of the memory limit: both budgets of calls have room for two.
+/// A message has at most this part of the memory limit: two budgets of calls have room for two.
 const MESSAGE_PARTS: u64 = 32;
 
 /// `[memory]`
@@ -28,12 +28,15 @@ impl Config {
         self.admission.max_bytes.min(eighth)
     }
 
-    /// The most bytes that both budgets of calls hold, that of administration included: each has room for two messages.
+    /// The most bytes that the three budgets of calls hold: those of administration and all others have room for two
+    /// messages, that of unread requests for one.
     fn most_call_bytes(&self) -> usize {
         let message = self.grpc.max_message_bytes;
-        let two = message.max(self.zenoh.max_message_bytes).saturating_mul(2);
+        let one = message.max(self.zenoh.max_message_bytes);
+        let two = one.saturating_mul(2);
         let calls = self.max_call_bytes();
-        calls.max(two).saturating_add((calls / 4).max(two))
+        let budgets = [calls.max(two), (calls / 4).max(two), (calls / 4).max(one)];
+        budgets.into_iter().fold(0, usize::saturating_add)
     }
 
     /// Lowers the limits on messages to what fits into the memory.
@@ -86,7 +89,7 @@ mod tests {
     #[cfg(target_os = "linux")]
     #[test]
     fn points_calls_and_merges_fit_into_the_memory_limit() {
-        for (limit, high) in [(200, 150), (1024, 800), (2048, 1600), (65_536, 55_705)] {
+        for (limit, high) in [(200, 143), (1024, 768), (2048, 1536), (65_536, 55_705)] {
             let config = with_memory(limit * MIB);
             let memory = config.watermarks().memory.unwrap().now().unwrap();
             assert_eq!(memory.high / MIB, high, "{limit}");

@@ -219,16 +219,9 @@ impl AsyncRead for Connection {
         let before = buffer.filled().len();
         let read = Pin::new(&mut this.socket).poll_read(context, buffer);
         let came = buffer.filled().len() - before;
-        if !this.open.activity().backlogs().note_read(came) {
-            let peer = this.open.activity().peer();
-            debug!(
-                ?peer,
-                "a client that sends on streams whose answers it does not read is cut"
-            );
-            return Poll::Ready(Err(io::Error::new(
-                io::ErrorKind::QuotaExceeded,
-                "too many bytes wait for streams whose answers are not read",
-            )));
+        let activity = this.open.activity();
+        if !activity.backlog().note_read(came) {
+            activity.cut_longest_backlog();
         }
         // A socket without TLS fills the buffer if it can.
         let is_drained = matches!(this.socket, Either::Left(_)) && buffer.remaining() > 0;

@@ -22,7 +22,7 @@ use tokio_util::sync::CancellationToken;
 
 use places::{Place, Places};
 
-use super::{backlog::Backlogs, read_queue::ReadQueue, tls::Client};
+use super::{backlog::ConnectionBacklog, read_queue::ReadQueue, tls::Client};
 use crate::{
     admission::{Admission, Flow},
     identity::ClientCertificate,
@@ -76,7 +76,7 @@ struct State {
     /// Those of streams for reflection, and of requests for health that have not arrived whole.
     arriving: Arc<Semaphore>,
     unread: Mutex<UnreadFrames>,
-    backlogs: Arc<Backlogs>,
+    backlog: Arc<ConnectionBacklog>,
 }
 
 /// The answers that wait for a client to read them.
@@ -152,7 +152,9 @@ impl Connections {
                 frames: 0,
                 since: Instant::now(),
             }),
-            backlogs: Arc::default(),
+            backlog: Arc::new(ConnectionBacklog::new(Arc::clone(
+                self.admission.of_backlogs(),
+            ))),
         });
         self.open.lock().insert(number, Arc::clone(&state));
         let connections = Arc::clone(self);
@@ -241,9 +243,9 @@ impl Activity {
         &self.state.flow
     }
 
-    /// What its streams have not read.
-    pub(super) fn backlogs(&self) -> &Arc<Backlogs> {
-        &self.state.backlogs
+    /// The unread requests of its streams.
+    pub(super) fn backlog(&self) -> &Arc<ConnectionBacklog> {
+        &self.state.backlog
     }
 
     /// The place of a lasting stream; None if the others of the connection have all.

@@ -19,7 +19,7 @@ use tokio_util::sync::WaitForCancellationFutureOwned;
 use tonic::{Status, body::Body};
 
 use super::{
-    backlog::Backlog,
+    backlog::StreamBacklog,
     connections::Activity,
     refusals::{self, MessageLimit},
 };
@@ -47,10 +47,10 @@ pub(super) struct RequestBody {
     limits: RequestLimits,
     held: Arc<HeldBytes>,
     activity: Option<Activity>,
-    /// True if the request is a stream: it holds the bytes of the message on its way in, and those that HTTP/2 holds.
+    /// True if the request is a stream: it holds the bytes of the message on its way in only.
     is_stream: bool,
     /// That of a stream of a connection.
-    backlog: Option<Backlog>,
+    backlog: Option<StreamBacklog<Status>>,
     messages: Messages,
     began: Instant,
     /// Set at the first wait for a message.
@@ -75,7 +75,7 @@ impl RequestBody {
         Self {
             inner,
             limits,
-            backlog: streaming.map(|it| it.backlogs().open(Arc::clone(&held))),
+            backlog: streaming.map(|it| it.backlog().open()),
             held,
             activity,
             is_stream,

@@ -42,7 +42,7 @@ async fn a_server_refuses_a_nats_that_would_lose_or_refuse_records() {
     let hour = |config: &mut Config| config.max_age = Duration::from_secs(3600);
     for stream in ["wayfold-log-2", "KV_wayfold-catalogue"] {
         let before = edit(&context, stream, hour).await;
-        assert_refused(&nats, &format!("{stream} has a max_age"));
+        assert_refused(&nats, &format!("{stream} has max_age: 3600s; undo that"));
         context.update_stream(&before).await.unwrap();
     }
     // A limit of the space is no loss: NATS refuses what exceeds it.

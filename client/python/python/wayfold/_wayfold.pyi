@@ -260,7 +260,7 @@ class Index:
         """Answers a search of many states, which see the same points.
 
         A remote index divides more than 1,000 states, or a large answer, among calls, which may see different
-        revisions.
+        revisions: take the least `read_revision` for `since`.
         """
     def search_each(self, states: _States, searches: Sequence[Search]) -> list[SearchResult]:
         """Answers a search for each of many states, which see the same points. A remote index takes only one search."""

@@ -60,13 +60,12 @@ impl SharedIndex {
     fn insert_rows(
         &self,
         rows: &[f64],
-        tag: u64,
         ids: &mut Vec<u64>,
         before: Option<u64>,
     ) -> Result<u64, Error> {
         let width = self.core.space.coordinates();
         let count = rows.len() / width;
-        let bytes = count * Batch::step_bytes(&plain_put(tag, &rows[..width]));
+        let bytes = count * Batch::step_bytes(&plain_put(&rows[..width]));
         let mut writes = self.core.room(bytes, count as u64)?;
         let refusals = writes.refusals;
         if before.is_some_and(|before| before != refusals) {
@@ -75,7 +74,7 @@ impl SharedIndex {
         let mut points = self.core.points.write();
         for row in rows.chunks_exact(width) {
             let id = writes.ids.next().ok_or(Error::Closed)?;
-            writes.insert(id, &plain_put(tag, row), &mut points)?;
+            writes.insert(id, &plain_put(row), &mut points)?;
             ids.push(id);
         }
         self.core.end_write(&mut writes, &mut points);
@@ -193,16 +192,16 @@ impl NearestNeighbors for SharedIndex {
         Ok((id, read_revision))
     }
 
-    fn insert_many(&self, rows: &[f64], tag: u64) -> Result<Vec<u64>, Error> {
+    fn insert_many(&self, rows: &[f64]) -> Result<Vec<u64>, Error> {
         let width = self.core.space.coordinates();
         let count = rows.len() / width;
         let (mut ids, mut refusals) = (Vec::with_capacity(count), None);
-        let step_bytes = Batch::step_bytes(&plain_put(tag, rows.get(..width).unwrap_or_default()));
+        let step_bytes = Batch::step_bytes(&plain_put(rows.get(..width).unwrap_or_default()));
         // A part that needs nearly all the room would wait until no other thread has a write pending.
         let max_rows = self.core.settings.max_pending_bytes / 4 / step_bytes;
         for part in rows.chunks(max_rows.clamp(1, MAX_ROWS_AT_ONCE) * width) {
             let done = ids.len();
-            match self.insert_rows(part, tag, &mut ids, refusals) {
+            match self.insert_rows(part, &mut ids, refusals) {
                 Ok(before) => refusals = Some(before),
                 Err(error) if done == 0 => return Err(error),
                 Err(error) => {
@@ -298,10 +297,10 @@ impl NearestNeighbors for SharedIndex {
     }
 }
 
-/// The step that stores a row without a payload.
-fn plain_put(tag: u64, row: &[f64]) -> Step<'_> {
+/// The step that stores a row without a payload, under tag 0.
+fn plain_put(row: &[f64]) -> Step<'_> {
     Step::Put {
-        tag,
+        tag: 0,
         row,
         payload: &[],
     }

@@ -99,7 +99,7 @@ fn rows_beside_pending_writes_of_others_take_the_room_that_is_left() {
 fn a_refusal_whose_writes_were_taken_back_has_its_cause() {
     let (core, shared) = idle(1 << 20, 2);
     let mut ids = Vec::new();
-    let before = shared.insert_rows(&[1.0], 0, &mut ids, None).unwrap();
+    let before = shared.insert_rows(&[1.0], &mut ids, None).unwrap();
     let flushed = thread::scope(|scope| {
         let flush = scope.spawn(|| core.flush(Duration::from_secs(30)));
         let waiting = Arc::clone(&core);
@@ -120,7 +120,7 @@ fn a_refusal_whose_writes_were_taken_back_has_its_cause() {
         id_count: 1,
     };
     core.pending_writes.lock().open(2, Some(reserved));
-    let inserted = shared.insert_rows(&[2.0], 0, &mut ids, Some(before));
+    let inserted = shared.insert_rows(&[2.0], &mut ids, Some(before));
     for refused in [flushed, inserted.map(drop)] {
         let refused = refused.unwrap_err();
         assert!(matches!(refused, Error::WritesRefused { .. }), "{refused}");

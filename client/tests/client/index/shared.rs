@@ -167,9 +167,12 @@ fn a_session_of_its_own_follows_each_refusal() {
 }
 
 /// The feed of the copy and two foreign ones hold what a server for one message of 20 kB allows. A shared index with 2
-/// MB of pending writes and a client with one call wait until there is room.
+/// MB of pending writes and a client with one call wait until there is room. The environment variable `BUSY_SECONDS` sets
+/// the time without room.
 #[test]
 fn a_busy_server_takes_the_writes_later() {
+    let seconds = std::env::var("BUSY_SECONDS").map_or(1, |seconds| seconds.parse().unwrap());
+    let busy = Duration::from_secs(seconds);
     let server = Server::with(|config| {
         config.grpc.max_message_bytes = 20_000;
         config.zenoh.max_message_bytes = 20_000;
@@ -181,7 +184,8 @@ fn a_busy_server_takes_the_writes_later() {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let (handle, watches) = runtime.block_on(async {
         let patient = Client::builder().retry(RetryPolicy::until_deadline());
-        let client = patient.connect(&server.uri).await.unwrap();
+        let client = patient.timeout(2 * busy + Duration::from_secs(30));
+        let client = client.connect(&server.uri).await.unwrap();
         let handle = client.index("arm").await.unwrap();
         let watches = [handle.watch().await.unwrap(), handle.watch().await.unwrap()];
         (handle, watches)
@@ -201,6 +205,8 @@ fn a_busy_server_takes_the_writes_later() {
         thread::yield_now();
     };
     assert_eq!(refused.reason(), Some("TOO_MANY_BYTES"));
+    let late = index.flush_within(busy).unwrap_err();
+    assert!(matches!(late, Error::Timeout { .. }), "{late}");
     assert_eq!(index.pending(), ids.len() as u64);
     assert!(!inserting.is_finished());
     drop(watches);

@@ -1,11 +1,11 @@
-//! Cuts connections whose clients do not read.
+//! Cuts connections whose clients do not read their answers.
 
 use std::time::Duration;
 
 use tokio::time::interval;
 use tracing::debug;
 
-use super::Connections;
+use super::{Activity, Connections};
 
 impl Connections {
     /// Cuts each connection whose client reads nothing of its answers for `most`.
@@ -20,6 +20,20 @@ impl Connections {
                     state.cut.cancel();
                 }
             }
+        }
+    }
+}
+
+impl Activity {
+    /// Cuts the connection whose streams have the most unread requests, perhaps this one, unless it is on its way out: the
+    /// budget of all is spent.
+    pub(in crate::grpc) fn cut_longest_backlog(&self) {
+        let open = self.connections.open.lock();
+        let longest = open.values().max_by_key(|state| state.backlog.counted());
+        if let Some(state) = longest.filter(|state| !state.cut.is_cancelled()) {
+            self.connections.admission.of_backlogs().refuse();
+            debug!(peer = ?state.peer, "a client that sends on streams and does not read their answers is cut");
+            state.cut.cancel();
         }
     }
 }

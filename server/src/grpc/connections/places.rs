@@ -154,6 +154,13 @@ impl Connections {
         given_up.is_some()
     }
 
+    /// True if a connection that was given up still has its place.
+    fn is_one_leaving(&self) -> bool {
+        let open = self.open.lock();
+        let mut lasting = open.values().filter(|state| state.guest_since().is_none());
+        lasting.any(|state| state.cut.is_cancelled())
+    }
+
     /// Gives up a connection of the network that has the most, two at least: the one whose last call is the longest ago.
     /// False if there is none, or that is the network of the `newcomer`.
     fn give_up_of_many(&self, newcomer: Option<IpAddr>) -> bool {
@@ -197,9 +204,12 @@ impl Activity {
         if self.state.guest_since().is_none() {
             return Ok(());
         }
-        let Some(place) = self.connections.places.take() else {
-            self.connections.give_one_up();
-            return Err(self.connections.places.limit);
+        let connections = &self.connections;
+        let Some(place) = connections.places.take() else {
+            if !connections.is_one_leaving() {
+                connections.give_one_up();
+            }
+            return Err(connections.places.limit);
         };
         *self.state.place.lock() = Some(place);
         Ok(())

@@ -158,6 +158,54 @@ async fn a_guest_gets_the_place_of_one_that_ends() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn the_calls_of_a_guest_give_one_connection_up() {
+    let admission = Admission::new(&Config::default().admission, 1, 0);
+    let connections = Connections::new(3, 1, admission);
+    let mut cuts = Vec::new();
+    let mut open = Vec::new();
+    for _ in 0..3 {
+        let cut = CancellationToken::new();
+        let silent = connections.open(None, cut.clone()).await.unwrap();
+        open.push((silent.activity().begin(), silent));
+        cuts.push(cut);
+    }
+    let guest = connections.open(None, CancellationToken::new()).await;
+    advance(MAX_SILENCE).await;
+    for _ in 0..3 {
+        assert!(is_guest(guest.as_ref()));
+    }
+    assert_eq!(cuts.iter().filter(|cut| cut.is_cancelled()).count(), 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_longest_backlog_goes_once_the_budget_of_all_is_spent() {
+    let admission = Admission::new(&Config::default().admission, 1, 0);
+    let budget = admission.bytes().1 as usize / 4;
+    let connections = Connections::new(3, 1, admission);
+    let mut open = Vec::new();
+    for part in [1, 6, 3] {
+        let cut = CancellationToken::new();
+        let connection = connections.open(None, cut.clone()).await.unwrap();
+        let backlog = Arc::clone(connection.activity().backlog());
+        let stream = backlog.open::<()>();
+        assert!(backlog.note_read(part * budget / 10));
+        open.push((connection, backlog, stream, cut));
+    }
+    let cut = |open: &[(Open, _, _, CancellationToken)]| {
+        let cut = open.iter().map(|(.., cut)| cut.is_cancelled());
+        cut.collect::<Vec<_>>()
+    };
+    // A call that finds no room while the longest one leaves cuts no other.
+    for _ in 0..2 {
+        assert!(!open[0].1.note_read(budget / 10));
+        open[0].0.activity().cut_longest_backlog();
+        assert_eq!(cut(&open), [false, true, false]);
+    }
+    open.remove(1);
+    assert!(open[0].1.note_read(budget / 10));
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_network_with_one_connection_makes_no_room() {
     let admission = Admission::new(&Config::default().admission, 1, 0);
     let connections = Connections::new(2, 1, admission);

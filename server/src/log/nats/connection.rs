@@ -137,9 +137,9 @@ impl Connection {
             max_payload,
         };
         for number in 0..STREAMS {
-            let stream = connection.stream_config(number);
-            let what = format!("stream {}", stream.name);
-            let create = || connection.context.get_or_create_stream(stream.clone());
+            let config = connection.stream_config(number);
+            let what = format!("stream {}", config.name);
+            let create = || connection.context.get_or_create_stream(config.clone());
             let stream = patiently(&what, create).await?;
             let replicas = stream.cached_info().config.num_replicas;
             if replicas != options.replicas {
@@ -150,7 +150,7 @@ impl Connection {
                     "created with other cluster.replicas"
                 );
             }
-            check_records(&stream, bytes)?;
+            check_records(&stream, &config.subjects[0], bytes)?;
             connection.streams.push(stream);
         }
         Ok(connection)

@@ -101,13 +101,15 @@ pub enum NatsError {
         /// The setting.
         ca: String,
     },
-    /// NATS would not keep the records.
+    /// NATS would lose or refuse records.
     #[error(
-        "NATS would lose or refuse records: {what} has {}; undo that (nats stream edit {what}), and start again", faults.join(", ")
+        "NATS would lose or refuse records: the stream {stream} has {}; undo that (nats stream edit {stream}), or, if NATS \
+         does not let you, make the streams again: docs/cluster.md#reseed",
+        faults.join(", ")
     )]
-    Lossy {
+    UnfitStream {
         /// The stream.
-        what: String,
+        stream: String,
         /// Its settings that are wrong.
         faults: Vec<String>,
     },

@@ -8,17 +8,24 @@ use async_nats::jetstream::stream::{
 
 use super::NatsError;
 
-/// The least `max_payload`, headers included: a larger mutation is one batch of up to 1,000 messages.
+/// The least `max_payload`, headers included, for values of the bucket too. A larger mutation is one batch of up to 1,000
+/// messages: 63 MB here, four times the largest message of a client without another setting.
 pub(super) const MIN_PAYLOAD: usize = 64 * 1024;
 
-/// Refuses a stream of records that would not keep all messages, or not take those that `max_payload` allows.
-pub(super) fn check_records(stream: &Stream, max_payload: usize) -> Result<(), NatsError> {
-    check(stream, |config| faults_of_records(config, max_payload))
+/// Refuses a stream of records that would not keep all messages of `subject`, or not take those that `max_payload` allows.
+pub(super) fn check_records(
+    stream: &Stream,
+    subject: &str,
+    max_payload: usize,
+) -> Result<(), NatsError> {
+    check(stream, |config| {
+        faults_of_records(config, subject, max_payload)
+    })
 }
 
-/// Refuses the stream of a bucket that would not keep every newest value.
-pub(super) fn check_bucket(stream: &Stream) -> Result<(), NatsError> {
-    check(stream, faults)
+/// Refuses the stream of a bucket that would not keep every newest value of `subject`.
+pub(super) fn check_bucket(stream: &Stream, subject: &str) -> Result<(), NatsError> {
+    check(stream, |config| faults(config, subject, MIN_PAYLOAD))
 }
 
 fn check(stream: &Stream, faults: impl FnOnce(&Config) -> Vec<String>) -> Result<(), NatsError> {
@@ -26,52 +33,70 @@ fn check(stream: &Stream, faults: impl FnOnce(&Config) -> Vec<String>) -> Result
     let faults = faults(config);
     match faults.is_empty() {
         true => Ok(()),
-        false => Err(NatsError::Lossy {
-            what: config.name.clone(),
+        false => Err(NatsError::UnfitStream {
+            stream: config.name.clone(),
             faults,
         }),
     }
 }
 
-fn faults_of_records(config: &Config, max_payload: usize) -> Vec<String> {
-    let mut faults = faults(config);
-    let (most, largest) = (config.max_messages_per_subject, config.max_message_size);
-    if most > 0 {
-        faults.push(format!("max_msgs_per_subject {most}"));
-    }
-    if (1..max_payload as i64).contains(&largest.into()) {
-        faults.push(format!("max_msg_size {largest}"));
-    }
-    if !config.allow_atomic_publish {
-        faults.push("no allow_atomic".into());
-    }
+fn faults_of_records(config: &Config, subject: &str, max_payload: usize) -> Vec<String> {
+    let most = config.max_messages_per_subject;
+    let of_records = [
+        (most > 0).then(|| format!("max_msgs_per_subject: {most}")),
+        config.deny_purge.then(|| "deny_purge: true".into()),
+        (!config.allow_atomic_publish).then(|| "allow_atomic: false".into()),
+    ];
+    let mut faults = faults(config, subject, max_payload);
+    faults.extend(of_records.into_iter().flatten());
     faults
 }
 
-fn faults(config: &Config) -> Vec<String> {
-    let is_full = |most: i64| most > 0 && config.discard == DiscardPolicy::Old;
+/// The settings by which a stream loses or refuses messages of `subject` of up to `max_bytes`, in the words of NATS.
+fn faults(config: &Config, subject: &str, max_bytes: usize) -> Vec<String> {
+    let Config {
+        subjects,
+        retention,
+        storage,
+        max_age,
+        max_consumers,
+        max_message_size,
+        ..
+    } = config;
+    let drops_oldest = config.discard == DiscardPolicy::Old;
+    let limit = |name: &str, most: i64| {
+        (most > 0 && drops_oldest).then(|| format!("{name}: {most} with discard: old"))
+    };
+    let is_small = (1..max_bytes as i64).contains(&i64::from(*max_message_size));
     let faults = [
-        (
-            config.retention != RetentionPolicy::Limits,
-            "a retention that is not limits",
-        ),
-        (config.storage != StorageType::File, "no storage in files"),
-        (config.max_age != Duration::ZERO, "a max_age"),
-        (is_full(config.max_bytes), "max_bytes with discard old"),
-        (is_full(config.max_messages), "max_msgs with discard old"),
-        (
-            config.persist_mode == Some(PersistenceMode::Async),
-            "persist_mode async",
-        ),
-        (config.no_ack, "no_ack"),
-        (config.sealed, "sealed"),
+        (*subjects != [subject]).then(|| format!("subjects: {subjects:?}, not {subject}")),
+        config
+            .subject_transform
+            .is_some()
+            .then(|| "a subject_transform".into()),
+        config.mirror.is_some().then(|| "a mirror".into()),
+        (*retention != RetentionPolicy::Limits).then(|| format!("retention: {retention:?}")),
+        (*storage != StorageType::File).then(|| format!("storage: {storage:?}")),
+        (*max_age != Duration::ZERO).then(|| format!("max_age: {max_age:?}")),
+        limit("max_bytes", config.max_bytes),
+        limit("max_msgs", config.max_messages),
+        is_small.then(|| format!("max_msg_size: {max_message_size}, below {max_bytes}")),
+        (*max_consumers > 0).then(|| format!("max_consumers: {max_consumers}")),
+        config
+            .consumer_limits
+            .is_some()
+            .then(|| "consumer_limits".into()),
+        (config.persist_mode == Some(PersistenceMode::Async)).then(|| "persist_mode: async".into()),
+        config.no_ack.then(|| "no_ack: true".into()),
+        config.sealed.then(|| "sealed: true".into()),
     ];
-    let faults = faults.into_iter().filter(|(is_there, _)| *is_there);
-    faults.map(|(_, fault)| fault.to_owned()).collect()
+    faults.into_iter().flatten().collect()
 }
 
 #[cfg(test)]
 mod tests {
+    use async_nats::jetstream::stream::{ConsumerLimits, Source, SubjectTransform};
+
     use super::*;
 
     const MAX_PAYLOAD: usize = 1 << 20;
@@ -79,32 +104,76 @@ mod tests {
     #[test]
     fn each_setting_that_loses_or_refuses_records_is_told() {
         let kept = Config {
+            subjects: vec!["log.*".into()],
             discard: DiscardPolicy::New,
             allow_atomic_publish: true,
             max_bytes: 1 << 30,
-            max_messages: -1,
+            max_messages: 1 << 20,
             max_messages_per_subject: -1,
-            max_message_size: -1,
+            max_message_size: MAX_PAYLOAD as i32,
             ..Config::default()
         };
-        assert!(faults_of_records(&kept, MAX_PAYLOAD).is_empty());
-        let edits: [fn(&mut Config); 10] = [
-            |it| it.retention = RetentionPolicy::WorkQueue,
-            |it| it.storage = StorageType::Memory,
-            |it| it.max_age = Duration::from_secs(3600),
-            |it| it.discard = DiscardPolicy::Old,
-            |it| it.persist_mode = Some(PersistenceMode::Async),
-            |it| it.no_ack = true,
-            |it| it.sealed = true,
-            |it| it.max_messages_per_subject = 1,
-            |it| it.max_message_size = 1000,
-            |it| it.allow_atomic_publish = false,
+        let faults = |config: &Config| faults_of_records(config, "log.*", MAX_PAYLOAD);
+        assert_eq!(faults(&kept), [""; 0]);
+        type Edit = fn(&mut Config);
+        let edits: [(Edit, &str); 15] = [
+            (
+                |it| it.subjects = vec!["other.*".into()],
+                "subjects: [\"other.*\"], not log.*",
+            ),
+            (
+                |it| {
+                    it.subject_transform = Some(SubjectTransform {
+                        source: "log.*".into(),
+                        destination: "other.*".into(),
+                    });
+                },
+                "a subject_transform",
+            ),
+            (|it| it.mirror = Some(Source::default()), "a mirror"),
+            (
+                |it| it.retention = RetentionPolicy::WorkQueue,
+                "retention: WorkQueue",
+            ),
+            (|it| it.storage = StorageType::Memory, "storage: Memory"),
+            (
+                |it| it.max_age = Duration::from_secs(3600),
+                "max_age: 3600s",
+            ),
+            (
+                |it| it.discard = DiscardPolicy::Old,
+                "max_bytes: 1073741824 with discard: old, max_msgs: 1048576 with discard: old",
+            ),
+            (
+                |it| it.max_message_size = MAX_PAYLOAD as i32 - 1,
+                "max_msg_size: 1048575, below 1048576",
+            ),
+            (|it| it.max_consumers = 1, "max_consumers: 1"),
+            (
+                |it| it.consumer_limits = Some(ConsumerLimits::default()),
+                "consumer_limits",
+            ),
+            (
+                |it| it.persist_mode = Some(PersistenceMode::Async),
+                "persist_mode: async",
+            ),
+            (|it| it.no_ack = true, "no_ack: true"),
+            (|it| it.sealed = true, "sealed: true"),
+            (
+                |it| it.max_messages_per_subject = 1,
+                "max_msgs_per_subject: 1",
+            ),
+            (|it| it.deny_purge = true, "deny_purge: true"),
         ];
-        for edit in edits {
+        for (edit, told) in edits {
             let mut edited = kept.clone();
             edit(&mut edited);
-            let faults = faults_of_records(&edited, MAX_PAYLOAD);
-            assert_eq!(faults.len(), 1, "{faults:?}");
+            assert_eq!(faults(&edited).join(", "), told);
         }
+        let no_batches = Config {
+            allow_atomic_publish: false,
+            ..kept
+        };
+        assert_eq!(faults(&no_batches), ["allow_atomic: false"]);
     }
 }

@@ -60,7 +60,7 @@ impl Bucket {
             }
         };
         let store = patiently(&what, create).await?;
-        check_bucket(&store.stream)?;
+        check_bucket(&store.stream, &format!("$KV.{}.>", config.bucket))?;
         let known = patiently(&what, || read_all(&store)).await?;
         Ok(Self {
             connection,
