@@ -281,7 +281,8 @@ public:
             wayfold_index_search(raw(), states, count, width_, &search.raw(), k, ids, distances, found, nullptr));
     }
     // Answers a search of many states, rows one after the other, which see the same points. A remote index divides more
-    // than 1,000 states, or a large answer, among calls, which may see different revisions; `read_revision` gets the least, and nothing without a state.
+    // than 1,000 states, or a large answer, among calls, which may see different revisions; `read_revision` gets the
+    // least, and nothing without a state.
     std::vector<std::vector<Neighbor>> search_many(const double *states, std::size_t count, const Search &search,
                                                    std::uint64_t *read_revision = nullptr) const {
         if (count == 0) {
