@@ -2,8 +2,9 @@
 //!
 //! HTTP/2 keeps a frame of a request in the buffer that it was read into, with all that its client sent around it: a frame of
 //! one byte may hold 16 KiB, and no window of HTTP/2 bounds that. So a connection counts what it has read since its oldest
-//! unread frame, and one that counts too much is cut. A stream that is read and yet is far behind takes its frames out of
-//! HTTP/2. So only streams whose client does not read the answers count much.
+//! unread frame. A stream that is read and yet is far behind takes its frames out of HTTP/2. A connection for whose count
+//! there is no room is not read, and of those with a stream that stands, as its client reads no answers, the one that counts
+//! most is cut.
 
 use std::{
     pin::Pin,
@@ -12,12 +13,14 @@ use std::{
         atomic::{AtomicU64, AtomicUsize, Ordering::SeqCst},
     },
     task::{Context, Poll, Wake, Waker},
+    time::Duration,
 };
 
 use bytes::Bytes;
 use futures_util::task::AtomicWaker;
 use http_body::{Body, Frame};
 use parking_lot::Mutex;
+use tokio::time::Instant;
 
 use crate::admission::ByteBudget;
 
@@ -52,6 +55,8 @@ struct Unread {
     since: AtomicU64,
     /// The bytes of those that are out of HTTP/2.
     taken: AtomicUsize,
+    /// The time of the last poll.
+    read_at: Mutex<Instant>,
     reader: AtomicWaker,
 }
 
@@ -76,7 +81,7 @@ impl ConnectionBacklog {
         }
     }
 
-    /// Notes that the connection has read so many bytes. False if there is no room for those that count.
+    /// Notes that the connection has read so many bytes. False if there is no room for those that count now and then.
     #[must_use]
     pub(super) fn note_read(&self, bytes: usize) -> bool {
         let before = self.position.fetch_add(bytes as u64, SeqCst);
@@ -85,8 +90,22 @@ impl ConnectionBacklog {
     }
 
     /// The bytes that count.
-    pub(super) fn counted(&self) -> usize {
+    fn counted(&self) -> usize {
         self.counted.load(SeqCst)
+    }
+
+    /// The bytes that count for streams that were not read for `time`.
+    pub(super) fn standing(&self, time: Duration) -> u64 {
+        let streams = self.streams.lock();
+        let stands = |it: &&Arc<Unread>| it.read_at.lock().elapsed() >= time;
+        let standing = streams.iter().filter(stands);
+        self.behind(standing.map(|it| it.since.load(SeqCst)).min())
+    }
+
+    /// The bytes that the connection has read since a position; none if there is no such position.
+    fn behind(&self, since: Option<u64>) -> u64 {
+        let position = self.position.load(SeqCst);
+        position.saturating_sub(since.unwrap_or(NONE))
     }
 
     /// That of a new stream.
@@ -95,6 +114,7 @@ impl ConnectionBacklog {
             connection: Arc::clone(self),
             since: AtomicU64::new(self.position.load(SeqCst)),
             taken: AtomicUsize::new(0),
+            read_at: Mutex::new(Instant::now()),
             reader: AtomicWaker::new(),
         });
         self.streams.lock().push(Arc::clone(&unread));
@@ -106,13 +126,9 @@ impl ConnectionBacklog {
     }
 
     /// Counts anew. False if there is no room.
-    fn count(&self) -> bool {
+    pub(super) fn count(&self) -> bool {
         let streams = self.streams.lock();
-        let oldest = streams.iter().map(|it| it.since.load(SeqCst)).min();
-        let behind = self
-            .position
-            .load(SeqCst)
-            .saturating_sub(oldest.unwrap_or(NONE));
+        let behind = self.behind(streams.iter().map(|it| it.since.load(SeqCst)).min());
         let taken: usize = streams.iter().map(|it| it.taken.load(SeqCst)).sum();
         let (before, now) = (self.counted(), behind as usize + taken);
         if now <= before {
@@ -156,12 +172,15 @@ impl<E> StreamBacklog<E> {
         if let Some(next) = self.next.take() {
             return Poll::Ready(next);
         }
+        *self.unread.read_at.lock() = Instant::now();
         self.unread.taken.store(0, SeqCst);
         self.unread.reader.register(context.waker());
         let polled = self.poll_body(body);
-        let position = self.unread.connection.position.load(SeqCst);
-        let since = self.unread.since.load(SeqCst);
-        let is_far_behind = position.saturating_sub(since) >= FAR_BEHIND;
+        let Unread {
+            connection, since, ..
+        } = &*self.unread;
+        let position = connection.position.load(SeqCst);
+        let is_far_behind = position.saturating_sub(since.load(SeqCst)) >= FAR_BEHIND;
         let polled = match polled {
             Poll::Ready(Some(Ok(frame))) if is_far_behind => {
                 let data = frame

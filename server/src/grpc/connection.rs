@@ -46,6 +46,9 @@ const PREFACE_TIME: Duration = Duration::from_secs(10);
 /// Bytes of that preface.
 const PREFACE_BYTES: usize = 24;
 
+/// The time between two looks for room for unread requests.
+const ROOM_PAUSE: Duration = Duration::from_millis(10);
+
 /// Bytes that a connection writes before others have their turn.
 const MAX_WRITTEN_BYTES: usize = 64 * 1024;
 
@@ -74,6 +77,7 @@ pub(crate) fn incoming(
                 socket: Tls::accept(listener.tls.as_ref(), socket, client),
                 open,
                 read_turns: ReadTurns::new(read_queue),
+                pause: None,
                 written_bytes: 0,
                 cut: Box::pin(own_cut.cancelled_owned()),
                 preface: Some((
@@ -124,6 +128,8 @@ pub(crate) struct Connection {
     socket: Socket,
     cut: Pin<Box<WaitForCancellationFutureOwned>>,
     read_turns: ReadTurns,
+    /// Set while the connection is not read, because there is no room for its unread requests.
+    pause: Option<Pin<Box<Sleep>>>,
     /// The bytes that were written since others had their turn.
     written_bytes: usize,
     /// The bytes of the preface that are missing, and the end of the wait for them.
@@ -172,6 +178,22 @@ impl Connection {
         Pin::new(&mut self.socket).poll_shutdown(context)
     }
 
+    /// Waits while there is no room for the unread requests of this connection.
+    fn wait_for_room(&mut self, context: &mut Context<'_>) -> Poll<()> {
+        while let Some(pause) = &mut self.pause {
+            ready!(pause.as_mut().poll(context));
+            let activity = self.open.activity();
+            self.pause = match activity.backlog().count() {
+                true => None,
+                false => {
+                    activity.cut_longest_backlog();
+                    Some(Box::pin(sleep_until(Instant::now() + ROOM_PAUSE)))
+                }
+            };
+        }
+        Poll::Ready(())
+    }
+
     /// Writes, and lets others have their turn after [`MAX_WRITTEN_BYTES`].
     fn write_some(
         &mut self,
@@ -213,15 +235,15 @@ impl AsyncRead for Connection {
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
         self.check(context)?;
+        ready!(self.wait_for_room(context));
         let this = &mut *self;
         let flow = this.open.activity().flow();
         ready!(this.read_turns.poll(flow, context));
         let before = buffer.filled().len();
         let read = Pin::new(&mut this.socket).poll_read(context, buffer);
         let came = buffer.filled().len() - before;
-        let activity = this.open.activity();
-        if !activity.backlog().note_read(came) {
-            activity.cut_longest_backlog();
+        if !this.open.activity().backlog().note_read(came) {
+            this.pause = Some(Box::pin(sleep_until(Instant::now())));
         }
         // A socket without TLS fills the buffer if it can.
         let is_drained = matches!(this.socket, Either::Left(_)) && buffer.remaining() > 0;

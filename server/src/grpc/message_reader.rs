@@ -3,6 +3,8 @@
 //! Tonic's reader keeps a buffer as large as the largest message for as long as a stream lives, and a stream may be idle
 //! for hours. This reader frees the buffer with the message.
 
+use std::mem;
+
 use bytes::{Buf, Bytes, BytesMut};
 use http_body_util::BodyExt;
 use tonic::{Status, body::Body};
@@ -17,6 +19,8 @@ pub(super) struct MessageReader {
     body: Body,
     /// The bytes of messages that are not whole yet.
     bytes: BytesMut,
+    /// True if messages before these were in the same buffer.
+    is_rest: bool,
     max_message_bytes: usize,
 }
 
@@ -26,6 +30,7 @@ impl MessageReader {
         Self {
             body,
             bytes: BytesMut::new(),
+            is_rest: false,
             max_message_bytes,
         }
     }
@@ -36,6 +41,10 @@ impl MessageReader {
             match self.take() {
                 Ok(None) => {}
                 taken => return taken.transpose(),
+            }
+            if mem::take(&mut self.is_rest) {
+                // A rest of one byte holds the whole buffer too, which may have a megabyte.
+                self.bytes = BytesMut::from(&self.bytes[..]);
             }
             match self.body.frame().await {
                 Some(Ok(frame)) => {
@@ -74,6 +83,7 @@ impl MessageReader {
         }
         let mut message = self.bytes.split_to(end).freeze();
         message.advance(HEADER_BYTES);
+        self.is_rest = true;
         if self.bytes.is_empty() {
             // An empty rest still holds the whole buffer.
             self.bytes = BytesMut::new();
@@ -88,8 +98,10 @@ fn malformed(problem: &str) -> Status {
 
 #[cfg(test)]
 mod tests {
+    use std::pin::pin;
+
     use bytes::BufMut;
-    use futures_util::stream;
+    use futures_util::{poll, stream};
     use http_body::Frame;
     use http_body_util::StreamBody;
     use proptest::prelude::*;
@@ -179,5 +191,13 @@ mod tests {
         let message = reader.next().await.unwrap().unwrap();
         assert_eq!(message.len(), 1 << 20);
         assert_eq!(reader.bytes.capacity(), 0);
+        let mut joined = framed(&vec![vec![7; 1 << 10]; 1 << 10]).to_vec();
+        joined.push(0);
+        send.send(Ok(Frame::data(joined.into()))).unwrap();
+        for _ in 0..1 << 10 {
+            reader.next().await.unwrap().unwrap();
+        }
+        assert!(poll!(pin!(reader.next())).is_pending());
+        assert!(reader.bytes.capacity() < 1 << 10);
     }
 }

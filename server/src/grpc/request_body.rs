@@ -14,7 +14,7 @@ use std::{
 use bytes::{Buf, Bytes};
 use http_body::{Body as HttpBody, Frame, SizeHint};
 use http_body_util::BodyExt;
-use tokio::time::Sleep;
+use tokio::time::{Sleep, sleep_until};
 use tokio_util::sync::WaitForCancellationFutureOwned;
 use tonic::{Status, body::Body};
 
@@ -138,15 +138,13 @@ impl RequestBody {
             return false;
         }
         // The time for which a stream was not read does not count.
-        let began = if self.is_stream {
-            Instant::now()
-        } else {
-            self.began
+        let began = match self.is_stream {
+            true => Instant::now(),
+            false => self.began,
         };
         let end = began + self.limits.time;
-        let timer = self
-            .timer
-            .get_or_insert_with(|| Box::pin(tokio::time::sleep_until(end.into())));
+        let timer = || Box::pin(sleep_until(end.into()));
+        let timer = self.timer.get_or_insert_with(timer);
         timer.as_mut().poll(context).is_ready()
     }
 }

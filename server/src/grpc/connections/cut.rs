@@ -7,6 +7,12 @@ use tracing::debug;
 
 use super::{Activity, Connections};
 
+/// A stream stands that was not read for so long, if its client reads no answers meanwhile.
+pub(super) const STANDING_TIME: Duration = Duration::from_secs(1);
+
+/// A stream stands that was not read for so long, whatever its client reads. Under overload a stream waits for seconds.
+pub(super) const MAX_STANDING_TIME: Duration = Duration::from_secs(10);
+
 impl Connections {
     /// Cuts each connection whose client reads nothing of its answers for `most`.
     pub(in crate::grpc) async fn cut_unread(&self, most: Duration) {
@@ -25,12 +31,20 @@ impl Connections {
 }
 
 impl Activity {
-    /// Cuts the connection whose streams have the most unread requests, perhaps this one, unless it is on its way out: the
-    /// budget of all is spent.
+    /// Cuts the connection whose streams that stand have the most unread requests, perhaps this one, unless it is on its
+    /// way out: the budget of all is spent.
     pub(in crate::grpc) fn cut_longest_backlog(&self) {
         let open = self.connections.open.lock();
-        let longest = open.values().max_by_key(|state| state.backlog.counted());
-        if let Some(state) = longest.filter(|state| !state.cut.is_cancelled()) {
+        let standing = open.values().map(|state| {
+            let unread = state.unread.lock();
+            let time = match unread.frames > 0 && unread.since.elapsed() >= STANDING_TIME {
+                true => STANDING_TIME,
+                false => MAX_STANDING_TIME,
+            };
+            (state.backlog.standing(time), state)
+        });
+        let longest = standing.max_by_key(|(bytes, _)| *bytes);
+        if let Some((1.., state)) = longest.filter(|(_, state)| !state.cut.is_cancelled()) {
             self.connections.admission.of_backlogs().refuse();
             debug!(peer = ?state.peer, "a client that sends on streams and does not read their answers is cut");
             state.cut.cancel();

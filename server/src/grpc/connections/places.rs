@@ -211,7 +211,10 @@ impl Activity {
             }
             return Err(connections.places.limit);
         };
-        *self.state.place.lock() = Some(place);
+        // None if the connection has ended meanwhile.
+        if let Some(held) = &mut *self.state.place.lock() {
+            *held = place;
+        }
         Ok(())
     }
 }

@@ -1,11 +1,18 @@
 //! The connections that make room for others.
 
-use std::pin::pin;
+use std::{
+    convert::Infallible,
+    pin::pin,
+    task::{Context, Waker},
+};
 
+use bytes::Bytes;
 use futures_util::poll;
+use http_body_util::Full;
 use tokio::time::{advance, timeout};
 
 use super::{
+    cut::{MAX_STANDING_TIME, STANDING_TIME},
     places::{MAX_GUESTS, MAX_SILENCE, MAX_WAIT, MIN_IDLE},
     *,
 };
@@ -181,28 +188,42 @@ async fn the_calls_of_a_guest_give_one_connection_up() {
 async fn the_longest_backlog_goes_once_the_budget_of_all_is_spent() {
     let admission = Admission::new(&Config::default().admission, 1, 0);
     let budget = admission.bytes().1 as usize / 4;
-    let connections = Connections::new(3, 1, admission);
+    let connections = Connections::new(4, 1, admission);
     let mut open = Vec::new();
-    for part in [1, 6, 3] {
+    for part in [2, 8, 4, 5] {
         let cut = CancellationToken::new();
         let connection = connections.open(None, cut.clone()).await.unwrap();
         let backlog = Arc::clone(connection.activity().backlog());
-        let stream = backlog.open::<()>();
-        assert!(backlog.note_read(part * budget / 10));
+        let stream = backlog.open::<Infallible>();
+        assert!(backlog.note_read(part * budget / 20));
         open.push((connection, backlog, stream, cut));
     }
     let cut = |open: &[(Open, _, _, CancellationToken)]| {
         let cut = open.iter().map(|(.., cut)| cut.is_cancelled());
         cut.collect::<Vec<_>>()
     };
-    // A call that finds no room while the longest one leaves cuts no other.
+    // None stands as long as all have just begun.
+    assert!(!open[0].1.note_read(budget / 4));
+    let activity = open[0].0.activity().clone();
+    // Only the client of the last one reads its answers.
+    let unread = open[..3].iter().map(|open| open.0.activity().send());
+    let _unread: Vec<_> = unread.collect();
+    activity.cut_longest_backlog();
+    assert_eq!(cut(&open), [false; 4]);
+    advance(STANDING_TIME).await;
+    let context = &mut Context::from_waker(Waker::noop());
+    let mut more = Full::new(Bytes::from_static(b"more"));
+    // The longest one is read.
+    assert!(open[1].2.poll(context, &mut more).is_ready());
     for _ in 0..2 {
-        assert!(!open[0].1.note_read(budget / 10));
-        open[0].0.activity().cut_longest_backlog();
-        assert_eq!(cut(&open), [false, true, false]);
+        // While it leaves, no other one is cut.
+        activity.cut_longest_backlog();
+        assert_eq!(cut(&open), [true, false, false, false]);
     }
-    open.remove(1);
-    assert!(open[0].1.note_read(budget / 10));
+    drop(open.remove(0));
+    advance(MAX_STANDING_TIME).await;
+    activity.cut_longest_backlog();
+    assert_eq!(cut(&open), [false, false, true]);
 }
 
 #[tokio::test(start_paused = true)]
