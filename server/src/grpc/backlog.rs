@@ -1,10 +1,12 @@
-//! The requests that HTTP/2 holds because their streams do not read them.
+//! The requests that HTTP/2 holds for streams that have not read them.
 //!
-//! HTTP/2 keeps a frame of a request in the buffer that it was read into, with all that its client sent around it: a frame of
-//! one byte may hold 16 KiB, and no window of HTTP/2 bounds that. So a connection counts what it has read since its oldest
-//! unread frame. A stream that is read and yet is far behind takes its frames out of HTTP/2. A connection for whose count
-//! there is no room is not read, and of those with a stream that stands, as its client reads no answers, the one that counts
-//! most is cut.
+//! HTTP/2 keeps a frame of a request in the buffer that it was read into, with all that its client sent around it. A frame of
+//! one byte may hold 16 KiB so, and no window of HTTP/2 bounds that. So a connection counts what it has read since the oldest
+//! frame that a stream of it has not read.
+//!
+//! A stream that reads, and still has such an old frame, takes all its frames out of HTTP/2. So what counts for long are
+//! streams that stand: the server does not read them, because their client reads no answers. If there is no room for what
+//! counts, the connection is not read for a while, and the one that counts most for streams that stand is cut.
 
 use std::{
     pin::Pin,
@@ -51,11 +53,11 @@ pub(super) struct ConnectionBacklog {
 #[derive(Debug)]
 struct Unread {
     connection: Arc<ConnectionBacklog>,
-    /// The position after the part with the oldest of them, or before, or [`NONE`].
+    /// The position at which the oldest of them had come, or a lower one; [`NONE`] if there is none.
     since: AtomicU64,
     /// The bytes of those that are out of HTTP/2.
     taken: AtomicUsize,
-    /// The time of the last poll.
+    /// The last time that the stream was asked for a frame.
     read_at: Mutex<Instant>,
     reader: AtomicWaker,
 }
@@ -71,7 +73,7 @@ pub(super) struct StreamBacklog<E> {
 }
 
 impl ConnectionBacklog {
-    /// That of a connection that has read nothing. All connections share the budget.
+    /// The backlog of a connection that has read nothing. All connections share the budget.
     pub(super) fn new(budget: Arc<ByteBudget>) -> Self {
         Self {
             position: AtomicU64::new(0),
@@ -81,7 +83,7 @@ impl ConnectionBacklog {
         }
     }
 
-    /// Notes that the connection has read so many bytes. False if there is no room for those that count now and then.
+    /// Notes that the connection has read so many bytes, and counts after each [`STEP`]. False if there was no room then.
     #[must_use]
     pub(super) fn note_read(&self, bytes: usize) -> bool {
         let before = self.position.fetch_add(bytes as u64, SeqCst);
@@ -94,7 +96,7 @@ impl ConnectionBacklog {
         self.counted.load(SeqCst)
     }
 
-    /// The bytes that count for streams that were not read for `time`.
+    /// What counts for streams that have not read for `time`.
     pub(super) fn standing(&self, time: Duration) -> u64 {
         let streams = self.streams.lock();
         let stands = |it: &&Arc<Unread>| it.read_at.lock().elapsed() >= time;
@@ -102,13 +104,13 @@ impl ConnectionBacklog {
         self.behind(standing.map(|it| it.since.load(SeqCst)).min())
     }
 
-    /// The bytes that the connection has read since a position; none if there is no such position.
+    /// The bytes that the connection has read since a position; 0 if that is [`NONE`] or missing.
     fn behind(&self, since: Option<u64>) -> u64 {
         let position = self.position.load(SeqCst);
         position.saturating_sub(since.unwrap_or(NONE))
     }
 
-    /// That of a new stream.
+    /// The backlog of a new stream.
     pub(super) fn open<E>(self: &Arc<Self>) -> StreamBacklog<E> {
         let unread = Arc::new(Unread {
             connection: Arc::clone(self),
@@ -249,170 +251,6 @@ impl<E> Drop for StreamBacklog<E> {
         let _ = connection.count();
     }
 }
+
 #[cfg(test)]
-mod tests {
-    use std::collections::VecDeque;
-
-    use proptest::prelude::*;
-
-    use super::*;
-
-    /// What HTTP/2 keeps of a stream.
-    #[derive(Default)]
-    struct Queue {
-        /// Each frame, and the position after it.
-        frames: VecDeque<(Bytes, u64)>,
-        reader: Option<Waker>,
-    }
-
-    impl Body for Queue {
-        type Data = Bytes;
-        type Error = ();
-
-        fn poll_frame(
-            mut self: Pin<&mut Self>,
-            context: &mut Context<'_>,
-        ) -> Poll<Option<Result<Frame<Bytes>, ()>>> {
-            let Some((frame, _)) = self.frames.pop_front() else {
-                self.reader = Some(context.waker().clone());
-                return Poll::Pending;
-            };
-            Poll::Ready(Some(Ok(Frame::data(frame))))
-        }
-    }
-
-    impl Queue {
-        fn bytes(&self) -> usize {
-            self.frames.iter().map(|(frame, _)| frame.len()).sum()
-        }
-    }
-
-    /// A stream, its connection, and what was sent and read of the stream.
-    struct Run {
-        connection: Arc<ConnectionBacklog>,
-        stream: StreamBacklog<()>,
-        queue: Queue,
-        sent: Vec<u8>,
-        read: Vec<u8>,
-    }
-
-    impl Run {
-        fn new(budget: usize) -> Self {
-            let budget = Arc::new(ByteBudget::new(budget));
-            let connection = Arc::new(ConnectionBacklog::new(budget));
-            Self {
-                stream: connection.open(),
-                connection,
-                queue: Queue::default(),
-                sent: Vec::new(),
-                read: Vec::new(),
-            }
-        }
-
-        /// The connection reads something else. False if there is no room for what counts.
-        fn other(&self, bytes: usize) -> bool {
-            self.connection.note_read(bytes)
-        }
-
-        /// The connection reads a frame of the stream, if the window has room for it.
-        fn frame(&mut self, bytes: usize) -> bool {
-            if self.queue.bytes() + bytes > STREAM_WINDOW as usize {
-                return true;
-            }
-            let has_room = self.connection.note_read(bytes);
-            let position = self.connection.position.load(SeqCst);
-            let frame = vec![self.sent.len() as u8; bytes];
-            self.sent.extend_from_slice(&frame);
-            self.queue.frames.push_back((frame.into(), position));
-            self.queue.reader.take().into_iter().for_each(Waker::wake);
-            has_room
-        }
-
-        /// Reads the stream once. False if nothing waits.
-        fn read(&mut self) -> bool {
-            let context = &mut Context::from_waker(Waker::noop());
-            match self.stream.poll(context, &mut self.queue) {
-                Poll::Ready(frame) => {
-                    let data = frame.unwrap().unwrap().into_data().unwrap();
-                    self.read.extend_from_slice(&data);
-                    true
-                }
-                Poll::Pending => false,
-            }
-        }
-    }
-
-    #[derive(Clone, Debug)]
-    enum Event {
-        Frame(usize),
-        Other(usize),
-        Reads(usize),
-    }
-
-    fn bytes() -> impl Strategy<Value = usize> {
-        prop_oneof![Just(1), 1..30_000_usize]
-    }
-
-    fn event() -> impl Strategy<Value = Event> {
-        prop_oneof![
-            bytes().prop_map(Event::Frame),
-            bytes().prop_map(Event::Other),
-            (1..20_usize).prop_map(Event::Reads),
-        ]
-    }
-
-    proptest! {
-        #![proptest_config(crate::testing::cases(200))]
-
-        #[test]
-        fn all_that_frames_hold_counts(events in prop::collection::vec(event(), 1..300)) {
-            let mut run = Run::new(usize::MAX);
-            for event in events {
-                match event {
-                    Event::Frame(bytes) => prop_assert!(run.frame(bytes)),
-                    Event::Other(bytes) => prop_assert!(run.other(bytes)),
-                    Event::Reads(times) => for _ in 0..times {
-                        if !run.read() {
-                            prop_assert_eq!(run.connection.counted(), 0);
-                            break;
-                        }
-                    },
-                }
-                if let Some((_, oldest)) = run.queue.frames.front() {
-                    let held = run.connection.position.load(SeqCst) - oldest;
-                    prop_assert!(run.connection.counted() as u64 + STEP > held);
-                }
-            }
-            while run.read() {}
-            prop_assert!(run.read == run.sent);
-            let Run { connection, stream, .. } = run;
-            drop(stream);
-            prop_assert_eq!(connection.counted(), 0);
-        }
-
-        /// Its client is always ahead: frames come while the stream is read, and HTTP/2 hardly says that none waits.
-        #[test]
-        fn a_stream_that_is_read_counts_little_whatever_else_its_connection_reads(
-            rounds in prop::collection::vec(prop::collection::vec(1..30_000_usize, 2..6), 40..80),
-        ) {
-            let mut run = Run::new(FAR_BEHIND as usize + 2 * STREAM_WINDOW as usize);
-            for frames in rounds {
-                prop_assert!(run.other(100_000));
-                for bytes in frames {
-                    prop_assert!(run.frame(bytes));
-                }
-                prop_assert!(run.read());
-            }
-        }
-    }
-
-    #[test]
-    fn a_stream_that_is_not_read_has_room_for_the_budget() {
-        let mut run = Run::new(10 * STEP as usize);
-        assert!(run.frame(1));
-        assert!(run.other(9 * STEP as usize));
-        assert!(!run.other(2 * STEP as usize));
-        assert!(run.read() && !run.read());
-        assert!(run.other(100 * STEP as usize));
-    }
-}
+mod tests;

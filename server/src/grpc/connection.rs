@@ -47,7 +47,7 @@ const PREFACE_TIME: Duration = Duration::from_secs(10);
 const PREFACE_BYTES: usize = 24;
 
 /// The time between two looks for room for unread requests.
-const ROOM_PAUSE: Duration = Duration::from_millis(10);
+const ROOM_PAUSE: Duration = Duration::from_millis(50);
 
 /// Bytes that a connection writes before others have their turn.
 const MAX_WRITTEN_BYTES: usize = 64 * 1024;

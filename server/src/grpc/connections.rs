@@ -53,6 +53,8 @@ pub(super) struct Connections {
     reflecting: Arc<Semaphore>,
     admission: Admission,
     read_queue: Arc<ReadQueue>,
+    /// The last look at all backlogs.
+    looked_at: Mutex<Option<Instant>>,
 }
 
 #[derive(Debug)]
@@ -120,6 +122,7 @@ impl Connections {
             reflecting: Arc::new(Semaphore::new(MAX_REFLECTING)),
             admission,
             read_queue: Arc::default(),
+            looked_at: Mutex::default(),
         })
     }
 

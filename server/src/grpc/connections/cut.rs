@@ -2,16 +2,19 @@
 
 use std::time::Duration;
 
-use tokio::time::interval;
+use tokio::time::{Instant, interval};
 use tracing::debug;
 
 use super::{Activity, Connections};
 
-/// A stream stands that was not read for so long, if its client reads no answers meanwhile.
+/// A stream stands that has not read for so long, if its client reads no answers meanwhile.
 pub(super) const STANDING_TIME: Duration = Duration::from_secs(1);
 
-/// A stream stands that was not read for so long, whatever its client reads. Under overload a stream waits for seconds.
+/// A stream stands that has not read for so long, whatever its client reads: under overload, a stream waits for seconds.
 pub(super) const MAX_STANDING_TIME: Duration = Duration::from_secs(10);
+
+/// The time between two looks at the backlogs of all connections.
+pub(super) const LOOK_INTERVAL: Duration = Duration::from_millis(5);
 
 impl Connections {
     /// Cuts each connection whose client reads nothing of its answers for `most`.
@@ -34,6 +37,11 @@ impl Activity {
     /// Cuts the connection whose streams that stand have the most unread requests, perhaps this one, unless it is on its
     /// way out: the budget of all is spent.
     pub(in crate::grpc) fn cut_longest_backlog(&self) {
+        let mut looked_at = self.connections.looked_at.lock();
+        if looked_at.is_some_and(|at| at.elapsed() < LOOK_INTERVAL) {
+            return;
+        }
+        *looked_at = Some(Instant::now());
         let open = self.connections.open.lock();
         let standing = open.values().map(|state| {
             let unread = state.unread.lock();

@@ -12,7 +12,7 @@ use http_body_util::Full;
 use tokio::time::{advance, timeout};
 
 use super::{
-    cut::{MAX_STANDING_TIME, STANDING_TIME},
+    cut::{LOOK_INTERVAL, MAX_STANDING_TIME, STANDING_TIME},
     places::{MAX_GUESTS, MAX_SILENCE, MAX_WAIT, MIN_IDLE},
     *,
 };
@@ -219,6 +219,7 @@ async fn the_longest_backlog_goes_once_the_budget_of_all_is_spent() {
         // While it leaves, no other one is cut.
         activity.cut_longest_backlog();
         assert_eq!(cut(&open), [true, false, false, false]);
+        advance(LOOK_INTERVAL).await;
     }
     drop(open.remove(0));
     advance(MAX_STANDING_TIME).await;
