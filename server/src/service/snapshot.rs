@@ -93,6 +93,11 @@ impl Snapshot {
         Ok((self.hosted.uid_text(), self.published()?.revision))
     }
 
+    /// The most bytes of a part that is read: its columns grow by doubling.
+    pub(crate) fn read_ahead_bytes(&self) -> usize {
+        2 * self.part_bytes
+    }
+
     /// The next part as a message; None after the trailer or an error.
     pub async fn next(&mut self) -> Option<Result<v1::SnapshotIndexResponse, Error>> {
         let part = self.next_part().await?;

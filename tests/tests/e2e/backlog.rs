@@ -6,7 +6,9 @@ use std::{
 };
 
 use bytes::{BufMut, BytesMut};
-use wayfold_tests::server;
+use prost::Message;
+use wayfold_proto::v1::{InsertRequest, SnapshotIndexRequest};
+use wayfold_tests::{States, Stubs, row_states, server};
 
 use crate::metrics::figures;
 
@@ -16,6 +18,7 @@ const SETTINGS: u8 = 4;
 /// Receivers ignore frames of types that they do not know.
 const UNKNOWN: u8 = 200;
 const ACK: u8 = 1;
+const END_STREAM: u8 = 1;
 const END_HEADERS: u8 = 4;
 const STREAM: u32 = 1;
 /// The largest frame without a setting.
@@ -29,14 +32,28 @@ fn put_frame(sent: &mut BytesMut, kind: u8, flags: u8, stream: u32, payload: &[u
     sent.put_slice(payload);
 }
 
-/// A connection whose client takes no byte of any answer, and has begun a `StreamKnn` with one bad request.
+/// A connection whose client takes no byte of any answer.
 fn connection(uri: &str) -> TcpStream {
     let mut socket = TcpStream::connect(uri.strip_prefix("http://").unwrap()).unwrap();
+    let mut sent = BytesMut::from(&b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"[..]);
+    const INITIAL_WINDOW_SIZE: [u8; 6] = [0, 4, 0, 0, 0, 0];
+    put_frame(&mut sent, SETTINGS, 0, 0, &INITIAL_WINDOW_SIZE);
+    socket.write_all(&sent).unwrap();
+    // The windows of the server hold once its settings are acknowledged.
+    socket.read_exact(&mut [0]).unwrap();
+    sent.clear();
+    put_frame(&mut sent, SETTINGS, ACK, 0, &[]);
+    socket.write_all(&sent).unwrap();
+    socket
+}
+
+/// Begins a call with one message on a stream of a connection. The flags of the message may end the request.
+fn begin(socket: &mut TcpStream, stream: u32, path: &str, message: &[u8], flags: u8) {
     let mut headers = BytesMut::new();
     for (name, value) in [
         (":method", "POST"),
         (":scheme", "http"),
-        (":path", "/wayfold.v1.PointService/StreamKnn"),
+        (":path", path),
         (":authority", "127.0.0.1"),
         ("content-type", "application/grpc"),
         ("te", "trailers"),
@@ -48,23 +65,26 @@ fn connection(uri: &str) -> TcpStream {
             headers.put_slice(text.as_bytes());
         }
     }
-    let mut sent = BytesMut::from(&b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"[..]);
-    const INITIAL_WINDOW_SIZE: [u8; 6] = [0, 4, 0, 0, 0, 0];
-    put_frame(&mut sent, SETTINGS, 0, 0, &INITIAL_WINDOW_SIZE);
+    let mut sent = BytesMut::new();
+    put_frame(&mut sent, HEADERS, END_HEADERS, stream, &headers);
+    let mut framed = BytesMut::from(&[0][..]);
+    framed.put_u32(message.len() as u32);
+    framed.put_slice(message);
+    put_frame(&mut sent, DATA, flags, stream, &framed);
     socket.write_all(&sent).unwrap();
-    // The windows of the server hold once its settings are acknowledged.
-    socket.read_exact(&mut [0]).unwrap();
-    sent.clear();
-    put_frame(&mut sent, SETTINGS, ACK, 0, &[]);
-    put_frame(&mut sent, HEADERS, END_HEADERS, STREAM, &headers);
-    put_frame(&mut sent, DATA, 0, STREAM, &[0; 5]);
-    socket.write_all(&sent).unwrap();
-    socket
 }
 
 /// Sends frames of `bytes` between large ones that are ignored, until the connection ends.
 fn send_until_cut(uri: &str, bytes: usize) {
     let mut socket = connection(uri);
+    // A bad request, whose answer waits.
+    begin(
+        &mut socket,
+        STREAM,
+        "/wayfold.v1.PointService/StreamKnn",
+        &[],
+        0,
+    );
     let mut part = BytesMut::new();
     put_frame(&mut part, UNKNOWN, 0, 0, &[0; MAX_FRAME]);
     put_frame(&mut part, DATA, 0, STREAM, &vec![0; bytes]);
@@ -96,5 +116,44 @@ fn what_is_sent_on_a_stream_that_is_not_read_counts_with_all_that_it_holds() {
     for (cut, bytes) in [(1.0, 1), (2.0, 256)] {
         send_until_cut(server.uri(), bytes);
         assert_eq!(figures(&pages)[refused], cut);
+    }
+}
+
+/// Of a snapshot that nobody reads, the server has made the short first part, and read the next one.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_parts_of_unread_snapshots_count_before_they_are_made() {
+    const SNAPSHOTS: u32 = 10;
+    const PART_BYTES: f64 = 256.0 * 1024.0;
+    const MAX_LOOKS: usize = 10_000;
+    let mut server = server!("--http", "127.0.0.1:0");
+    let pages = server.pages();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("arm", "R3").await;
+    let rows = States::new("R3".parse().unwrap(), 19).rows(20_000);
+    let inserted = InsertRequest {
+        index_name: "arm".into(),
+        states: Some(row_states(&rows, 3)),
+        ..Default::default()
+    };
+    stubs.insert(inserted).await;
+    let request = SnapshotIndexRequest {
+        index_name: "arm".into(),
+        ..Default::default()
+    };
+    let mut socket = connection(server.uri());
+    for number in 0..SNAPSHOTS {
+        let path = "/wayfold.v1.IndexService/SnapshotIndex";
+        begin(
+            &mut socket,
+            2 * number + 1,
+            path,
+            &request.encode_to_vec(),
+            END_STREAM,
+        );
+    }
+    let held = || figures(&pages)["wayfold_in_flight_bytes{of=\"held\"}"];
+    let mut looks = 0..MAX_LOOKS;
+    while held() < f64::from(SNAPSHOTS) * PART_BYTES {
+        assert!(looks.next().is_some(), "{}", held());
     }
 }
