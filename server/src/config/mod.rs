@@ -131,6 +131,10 @@ impl AccessConfig {
     }
 }
 
+/// The least `max_payload` of NATS: a larger mutation is one batch of up to 1,000 messages, 63 MB of records here. That is four
+/// times the largest message of a client without another setting.
+const MIN_PAYLOAD: usize = 64 * 1024;
+
 /// The value of a setting that is turned off.
 pub const OFF: &str = "off";
 
@@ -283,6 +287,7 @@ impl ClusterConfig {
     /// The shared journal; None if this server has its own.
     pub(crate) fn options(&self) -> Option<NatsOptions> {
         self.is_on().then(|| NatsOptions {
+            min_payload: MIN_PAYLOAD,
             servers: self.nats.clone(),
             name: self.name.clone(),
             replicas: self.replicas,

@@ -71,6 +71,7 @@ impl NatsServer {
             servers: self.url.clone(),
             name: "wayfold".into(),
             replicas: 1,
+            min_payload: 0,
             credentials: None,
             ca: None,
         }

@@ -16,11 +16,7 @@ use parking_lot::Mutex;
 use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 use tracing::warn;
 
-use super::{
-    NatsError, NatsOptions,
-    message::PackPosition,
-    settings::{MIN_PAYLOAD, check_records},
-};
+use super::{NatsError, NatsOptions, message::PackPosition, settings::check_records};
 use crate::log::{LogError, Uid};
 
 /// The number of streams that the indices share. Each has a leader of its own, so the work is spread over the servers
@@ -29,6 +25,9 @@ const STREAMS: usize = 4;
 
 /// The oldest version of NATS that Wayfold is tested with; 2.15 rewrote how JetStream syncs.
 const MIN_VERSION: (i64, i64) = (2, 15);
+
+/// The bytes that the headers of a message take at most; they count against the limit of NATS.
+const HEADER_BYTES: usize = 1024;
 
 /// A request to NATS without an answer for this long counts as lost.
 pub(super) const REQUEST_TIMEOUT: Duration = Duration::from_secs(3);
@@ -119,12 +118,11 @@ impl Connection {
             );
         }
         let bytes = client.server_info().max_payload;
-        if bytes < MIN_PAYLOAD {
-            let least = MIN_PAYLOAD;
+        let least = options.min_payload.max(HEADER_BYTES + 1);
+        if bytes < least {
             return Err(NatsError::SmallMessages { bytes, least });
         }
-        // A message carries headers too; they count against the limit of NATS.
-        let max_payload = bytes.saturating_sub(1024);
+        let max_payload = bytes - HEADER_BYTES;
         let context = ContextBuilder::new()
             .timeout(REQUEST_TIMEOUT)
             .ack_timeout(2 * REQUEST_TIMEOUT)

@@ -50,6 +50,8 @@ pub struct NatsOptions {
     pub name: String,
     /// The number of NATS servers that store each record.
     pub replicas: usize,
+    /// The least `max_payload` of NATS, more than the headers of a message take.
+    pub min_payload: usize,
     /// The file of the credentials, if NATS asks for them.
     pub credentials: Option<std::path::PathBuf>,
     /// The file of the authorities of NATS's certificates, if its servers have TLS.

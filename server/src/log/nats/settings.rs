@@ -8,9 +8,8 @@ use async_nats::jetstream::stream::{
 
 use super::NatsError;
 
-/// The least `max_payload`, headers included, for values of the bucket too. A larger mutation is one batch of up to 1,000
-/// messages: 63 MB here, four times the largest message of a client without another setting.
-pub(super) const MIN_PAYLOAD: usize = 64 * 1024;
+/// The most bytes of a value of the bucket.
+const MAX_VALUE_BYTES: usize = 64 * 1024;
 
 /// Refuses a stream of records that would not keep all messages of `subject`, or not take those that `max_payload` allows.
 pub(super) fn check_records(
@@ -25,7 +24,7 @@ pub(super) fn check_records(
 
 /// Refuses the stream of a bucket that would not keep every newest value of `subject`.
 pub(super) fn check_bucket(stream: &Stream, subject: &str) -> Result<(), NatsError> {
-    check(stream, |config| faults(config, subject, MIN_PAYLOAD))
+    check(stream, |config| faults(config, subject, MAX_VALUE_BYTES))
 }
 
 fn check(stream: &Stream, faults: impl FnOnce(&Config) -> Vec<String>) -> Result<(), NatsError> {
