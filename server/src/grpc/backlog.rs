@@ -68,7 +68,7 @@ pub(super) struct StreamBacklog<E> {
     unread: Arc<Unread>,
     /// Notes the position at which a frame comes, and wakes the reader.
     waker: Waker,
-    /// What follows the frames that were taken out.
+    /// The frame, error or end that came behind the frames taken out of HTTP/2. The next poll returns it.
     next: Option<Option<Result<Frame<Bytes>, E>>>,
 }
 
@@ -83,7 +83,8 @@ impl ConnectionBacklog {
         }
     }
 
-    /// Notes that the connection has read so many bytes, and counts after each [`STEP`]. False if there was no room then.
+    /// Notes that the connection has read so many bytes, and counts anew after each [`STEP`]. Returns false if the budget has
+    /// no room for the count.
     #[must_use]
     pub(super) fn note_read(&self, bytes: usize) -> bool {
         let before = self.position.fetch_add(bytes as u64, SeqCst);
@@ -127,7 +128,7 @@ impl ConnectionBacklog {
         }
     }
 
-    /// Counts anew. False if there is no room.
+    /// Counts anew. Returns false if the budget has no room for the count.
     pub(super) fn count(&self) -> bool {
         let streams = self.streams.lock();
         let behind = self.behind(streams.iter().map(|it| it.since.load(SeqCst)).min());
@@ -193,7 +194,7 @@ impl<E> StreamBacklog<E> {
             polled => polled,
         };
         if polled.is_pending() || is_far_behind {
-            // What waits has become less, so there is room.
+            // A failure leaves the old count, and the next read of the connection counts again.
             let _ = self.unread.connection.count();
         }
         polled
@@ -247,7 +248,7 @@ impl<E> Drop for StreamBacklog<E> {
         let connection = &self.unread.connection;
         let is_other = |it: &Arc<Unread>| !Arc::ptr_eq(it, &self.unread);
         connection.streams.lock().retain(is_other);
-        // What counts has become less, so there is room.
+        // A failure leaves the old count, and the next read of the connection counts again.
         let _ = connection.count();
     }
 }

@@ -119,7 +119,8 @@ fn what_is_sent_on_a_stream_that_is_not_read_counts_with_all_that_it_holds() {
     }
 }
 
-/// Of a snapshot that nobody reads, the server has made the short first part, and read the next one.
+/// The client takes no byte, so the server makes only the short first part of each snapshot. It has read the next part
+/// from the store by then.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_parts_of_unread_snapshots_count_before_they_are_made() {
     const SNAPSHOTS: u32 = 10;

@@ -1,4 +1,4 @@
-//! What counts of streams that are read, and of those that are not.
+//! A connection counts all bytes that unread frames may hold, and few bytes for a stream that reads.
 
 use std::collections::VecDeque;
 
@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// What HTTP/2 keeps of a stream.
+/// The frames that HTTP/2 keeps for a stream.
 #[derive(Default)]
 struct Queue {
     /// Each frame, and the position after it.
