@@ -16,7 +16,7 @@ use crate::{
     admission::{MAX_BYTES, Overloaded, QUEUE_TARGET_MS},
     identity::{Denial, IdentificationError},
     observe::SparseLines,
-    service::{Code, Damaged, Error, Listing, Violation},
+    service::{Code, Damaged, Error, Listing, MAX_HELD_SCANS, Violation},
 };
 
 /// The domain of every `ErrorInfo`.
@@ -25,7 +25,7 @@ pub(crate) const DOMAIN: &str = "wayfold";
 /// The pause that a busy server asks for: most calls take a few milliseconds.
 const BUSY_PAUSE: Duration = Duration::from_millis(50);
 
-/// The pause that a server with full memory or a full disk asks for: somebody has to remove points first.
+/// The pause that a server asks for until somebody has removed points or ended a scan.
 const FULL_PAUSE: Duration = Duration::from_secs(1);
 
 // A status travels in HTTP/2 headers, which stock clients limit to 8 KiB in all, and its text goes twice. Text from a
@@ -99,7 +99,11 @@ fn describing(error: &Error) -> Status {
         metadata: HashMap::new(),
         detail: None,
         retry_delay: match error {
-            Error::Full { .. } => Some(FULL_PAUSE),
+            Error::Full { .. }
+            | Error::LimitExceeded {
+                limit: MAX_HELD_SCANS,
+                ..
+            } => Some(FULL_PAUSE),
             Error::Denied {
                 why: Denial::Unknown(IdentificationError::TooManyCalls(_)),
             } => Some(BUSY_PAUSE),

@@ -6,6 +6,7 @@
 mod bytes;
 mod call_turns;
 mod client_permits;
+mod held;
 mod turns;
 
 use std::{
@@ -25,6 +26,7 @@ pub(crate) use self::bytes::ByteBudget;
 use self::turns::{FlowNumber, Turns};
 pub(crate) use call_turns::{CallTurns, end_slice};
 pub use client_permits::ClientPermits;
+pub(crate) use held::HeldBytes;
 pub(crate) use turns::Overloaded;
 
 /// The setting of the bytes that calls hold.
@@ -274,11 +276,7 @@ impl Flow {
 
     /// Begins to count the bytes of a call.
     pub(crate) fn hold(self: &Arc<Self>) -> HeldBytes {
-        self.under_way.fetch_add(1, Relaxed);
-        HeldBytes {
-            flow: Arc::clone(self),
-            held: AtomicUsize::new(0),
-        }
+        HeldBytes::new(Arc::clone(self))
     }
 
     /// The most bytes that all flows hold.
@@ -311,77 +309,6 @@ impl Flow {
 impl Drop for Flow {
     fn drop(&mut self) {
         self.turns.close(self.number);
-    }
-}
-
-/// The bytes that a call holds, until it is dropped.
-#[derive(Debug)]
-pub(crate) struct HeldBytes {
-    flow: Arc<Flow>,
-    held: AtomicUsize,
-}
-
-impl HeldBytes {
-    /// Holds more bytes; false if there is no room for them, which counts as a refusal.
-    #[must_use]
-    pub(crate) fn take(&self, bytes: usize) -> bool {
-        let taken = self.try_take(bytes);
-        if !taken {
-            self.flow.all.refuse();
-        }
-        taken
-    }
-
-    /// Like [`HeldBytes::take`], but a lack of room counts as no refusal: the call may wait and try again.
-    #[must_use]
-    pub(crate) fn try_take(&self, bytes: usize) -> bool {
-        let Flow { all, own, .. } = &*self.flow;
-        let most = self.flow.most_of_all(own.held().saturating_add(bytes));
-        if !all.try_take_within(most, bytes) {
-            return false;
-        }
-        if !own.try_take(bytes) {
-            all.release(bytes);
-            return false;
-        }
-        self.held.fetch_add(bytes, Relaxed);
-        true
-    }
-
-    /// Holds bytes that exist already, with room or without.
-    pub(crate) fn force_take(&self, bytes: usize) {
-        self.flow.all.force_take(bytes);
-        self.flow.own.force_take(bytes);
-        self.held.fetch_add(bytes, Relaxed);
-    }
-
-    /// Gives back some of the bytes.
-    pub(crate) fn release(&self, bytes: usize) {
-        self.held.fetch_sub(bytes, Relaxed);
-        self.flow.own.release(bytes);
-        self.flow.all.release(bytes);
-    }
-
-    /// False while the flow holds more than it may, since answers were not read: the call is refused, and counts as that.
-    pub(crate) fn check_room(&self) -> bool {
-        let Flow { all, own, .. } = &*self.flow;
-        let has_room = own.held() <= own.max() && all.held() <= self.flow.most_of_all(own.held());
-        if !has_room {
-            all.refuse();
-        }
-        has_room
-    }
-
-    /// The flow of the call.
-    pub(crate) fn flow(&self) -> &Arc<Flow> {
-        &self.flow
-    }
-}
-
-impl Drop for HeldBytes {
-    fn drop(&mut self) {
-        self.release(self.held.load(Relaxed));
-        self.flow.under_way.fetch_sub(1, Relaxed);
     }
 }
 

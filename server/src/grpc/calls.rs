@@ -1,7 +1,7 @@
 //! The layer around every call: its span, deadline, share of the server's time and memory, and the record of its end.
 //!
 //! A request arrives whole before its call waits for a turn, unless it is a stream. Health and reflection take no turns:
-//! they must answer just when the server is busy.
+//! they must answer just when the server is busy. Nor do paths of which there is no call.
 
 mod admitted;
 mod unauthenticated;
@@ -311,7 +311,7 @@ impl CallsLayer {
     /// Gives a call its deadline and its bytes, or refuses it. Returns the place of a stream that lasts.
     fn admit(
         &self,
-        rpc: Rpc<'_>,
+        rpc: Rpc,
         request: &Request<Body>,
         arrived: Instant,
         held: &HeldBytes,
@@ -340,7 +340,7 @@ impl CallsLayer {
     }
 
     /// The limits of the request of a call.
-    fn requests(&self, rpc: Rpc<'_>) -> RequestLimits {
+    fn requests(&self, rpc: Rpc) -> RequestLimits {
         let mut limits = self.requests;
         if rpc.is_of_indices() {
             limits.message = limits.message.for_indices();

@@ -2,7 +2,6 @@
 
 use std::mem;
 
-use futures_util::StreamExt;
 use tonic::{Request, Streaming};
 use wayfold_proto::v1::{self, index_service_server::IndexService};
 
@@ -11,7 +10,7 @@ use super::{
     refusals::{self, MessageLimit},
     status::{Answer, Messages, from_error, respond, respond_all},
 };
-use crate::{admission::HeldBytes, observe, service::Service, status};
+use crate::{observe, service::Service, status};
 
 /// The gRPC face of the indices.
 #[derive(Clone)]
@@ -75,22 +74,7 @@ impl IndexService for IndexFace {
     ) -> Answer<Self::SnapshotIndexStream> {
         let flow = flow_of(&request);
         let (call, message) = into_call(request);
-        let snapshot = self.service.snapshot_index(&call, message).await;
-        let snapshot = snapshot.map_err(|error| from_error(&error))?;
-        // The next part is read before the client has room for it, and only parts that are made count.
-        let held = flow.map(|flow| flow.hold());
-        let has_room = |held: &&HeldBytes| held.take(snapshot.read_ahead_bytes());
-        if let Some(held) = held.as_ref().filter(|held| !has_room(held)) {
-            return Err(status::too_many_bytes(held.flow().max_bytes()).into());
-        }
-        let parts = respond_all(Ok(snapshot))?;
-        Ok(parts.map(|parts| {
-            let parts = parts.map(move |part| {
-                let _until_the_end = &held;
-                part
-            });
-            parts.boxed()
-        }))
+        respond_all(flow, self.service.snapshot_index(&call, message).await)
     }
 
     async fn restore_index(
@@ -129,7 +113,8 @@ impl IndexService for IndexFace {
         &self,
         request: Request<v1::VerifyIndexRequest>,
     ) -> Answer<Self::VerifyIndexStream> {
+        let flow = flow_of(&request);
         let (call, message) = into_call(request);
-        respond_all(self.service.verify_index(&call, message).await)
+        respond_all(flow, self.service.verify_index(&call, message).await)
     }
 }

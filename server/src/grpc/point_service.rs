@@ -14,7 +14,7 @@ use wayfold_proto::v1::{
 };
 
 use super::{
-    calls::{call_of, into_call},
+    calls::{call_of, flow_of, into_call},
     status::{Answer, Messages, respond, respond_all},
     stream_knn::{Answers, KnnStreams},
 };
@@ -87,15 +87,17 @@ impl PointService for PointFace {
     type ScanStream = Messages<v1::ScanResponse>;
 
     async fn scan(&self, request: Request<v1::ScanRequest>) -> Answer<Self::ScanStream> {
+        let flow = flow_of(&request);
         let (call, message) = into_call(request);
-        respond_all(self.service.scan(&call, message).await)
+        respond_all(flow, self.service.scan(&call, message).await)
     }
 
     type WatchStream = Messages<v1::WatchResponse>;
 
     async fn watch(&self, request: Request<v1::WatchRequest>) -> Answer<Self::WatchStream> {
+        let flow = flow_of(&request);
         let (call, message) = into_call(request);
-        respond_all(self.service.watch(&call, message).await)
+        respond_all(flow, self.service.watch(&call, message).await)
     }
 }
 

@@ -5,9 +5,9 @@ const OURS: &str = "/wayfold.v1.";
 
 /// A call of our services.
 #[derive(Clone, Copy)]
-pub(super) struct Rpc<'a> {
+pub(super) struct Rpc {
     /// Its service and method, such as `PointService/Knn`.
-    pub(super) path: &'a str,
+    pub(super) path: &'static str,
     /// Its verb in metrics.
     pub(super) verb: &'static str,
     pub(super) streams_requests: bool,
@@ -16,7 +16,7 @@ pub(super) struct Rpc<'a> {
     pub(super) lasts: bool,
 }
 
-const RPCS: [Rpc<'_>; 19] = [
+const RPCS: [Rpc; 19] = [
     Rpc::unary("PointService/Insert", "insert"),
     Rpc::unary("PointService/Update", "update"),
     Rpc::unary("PointService/Remove", "remove"),
@@ -48,8 +48,8 @@ const RPCS: [Rpc<'_>; 19] = [
     Rpc::answering_in_parts("IndexService/VerifyIndex", "verify"),
 ];
 
-impl<'a> Rpc<'a> {
-    const fn unary(path: &'a str, verb: &'static str) -> Self {
+impl Rpc {
+    const fn unary(path: &'static str, verb: &'static str) -> Self {
         Self {
             path,
             verb,
@@ -59,19 +59,17 @@ impl<'a> Rpc<'a> {
         }
     }
 
-    const fn answering_in_parts(path: &'a str, verb: &'static str) -> Self {
+    const fn answering_in_parts(path: &'static str, verb: &'static str) -> Self {
         Self {
             streams_answers: true,
             ..Self::unary(path, verb)
         }
     }
 
-    /// The call of a path, such as `/wayfold.v1.PointService/Knn`; None for paths of other packages.
-    pub(super) fn of(path: &'a str) -> Option<Self> {
+    /// The call of a path, such as `/wayfold.v1.PointService/Knn`; None for paths of which there is no call.
+    pub(super) fn of(path: &str) -> Option<Self> {
         let path = path.strip_prefix(OURS)?;
-        let known = RPCS.iter().find(|known| known.path == path);
-        // A call that does not exist has no verb of its own: its name may be anything.
-        Some(known.copied().unwrap_or(Rpc::unary(path, "other")))
+        RPCS.iter().find(|known| known.path == path).copied()
     }
 
     /// True if it has one request and one answer.

@@ -1,5 +1,7 @@
 //! Statuses, answers and streams of the service in tonic's types.
 
+use std::sync::Arc;
+
 use bytes::Bytes;
 use futures_util::{StreamExt, stream, stream::BoxStream};
 use prost::Message;
@@ -7,6 +9,7 @@ use tonic::{Code, Response, Status};
 use wayfold_proto::v1;
 
 use crate::{
+    admission::{Flow, HeldBytes},
     observe::Ending,
     service::{self, Error, Scan, Snapshot, Verification, Watch},
     status,
@@ -44,14 +47,29 @@ pub(crate) trait Source: Send + Sized + 'static {
     /// A message.
     type Message: Send + 'static;
 
+    /// Waits until there is a message. Returns the bytes that it takes to make it, about.
+    fn next_bytes(&mut self) -> impl Future<Output = Result<usize, Error>> + Send;
+
     /// The next message; None after the last.
     fn next(&mut self) -> impl Future<Output = Option<Result<Self::Message, Error>>> + Send;
+
+    /// The bytes that it keeps for further messages.
+    fn read_ahead_bytes(&self) -> usize {
+        0
+    }
+
+    /// Gives them up, and gets them again when it makes the next message.
+    fn forget_read_ahead(&mut self) {}
 }
 
 macro_rules! sources {
-    ($($source:ident: $message:ident;)*) => {
+    ($($source:ident: $message:ident, $bytes:expr;)*) => {
         $(impl Source for $source {
             type Message = v1::$message;
+
+            async fn next_bytes(&mut self) -> Result<usize, Error> {
+                Ok($bytes(self))
+            }
 
             fn next(&mut self) -> impl Future<Output = Option<Result<Self::Message, Error>>> + Send {
                 $source::next(self)
@@ -61,21 +79,74 @@ macro_rules! sources {
 }
 
 sources! {
-    Scan: ScanResponse;
-    Watch: WatchResponse;
-    Snapshot: SnapshotIndexResponse;
-    Verification: VerifyIndexResponse;
+    Scan: ScanResponse, |scan: &Scan| scan.next_bytes();
+    Snapshot: SnapshotIndexResponse, |snapshot: &Snapshot| snapshot.next_bytes();
+    Verification: VerifyIndexResponse, |_| 0;
 }
 
-/// The answer of a streaming call. A message is made only when the client has room for it.
-pub(crate) fn respond_all<S: Source>(source: Result<S, Error>) -> Answer<Messages<S::Message>> {
+impl Source for Watch {
+    type Message = v1::WatchResponse;
+
+    fn next_bytes(&mut self) -> impl Future<Output = Result<usize, Error>> + Send {
+        Watch::next_bytes(self)
+    }
+
+    fn next(&mut self) -> impl Future<Output = Option<Result<Self::Message, Error>>> + Send {
+        Watch::next(self)
+    }
+
+    fn read_ahead_bytes(&self) -> usize {
+        Watch::read_ahead_bytes(self)
+    }
+
+    fn forget_read_ahead(&mut self) {
+        Watch::forget_read_ahead(self);
+    }
+}
+
+/// The answer of a streaming call. A message is made only when the client has room for it, and the server has in the
+/// budget of `flow`: a client can ask for thousands of messages at once, and read none.
+pub(crate) fn respond_all<S: Source>(
+    flow: Option<Arc<Flow>>,
+    source: Result<S, Error>,
+) -> Answer<Messages<S::Message>> {
     respond(source.map(|source| {
-        let messages = stream::unfold(source, async |mut source| {
-            let message = source.next().await?;
-            Some((message.map_err(|error| from_error(&error)), source))
-        });
-        messages.boxed()
+        let ahead = flow.map(|flow| flow.hold());
+        stream::unfold(Parts { source, ahead }, Parts::next).boxed()
     }))
+}
+
+/// The messages of a streamed answer.
+struct Parts<S> {
+    source: S,
+    /// The bytes that the source keeps for further messages.
+    ahead: Option<HeldBytes>,
+}
+
+impl<S: Source> Parts<S> {
+    async fn next(mut self) -> Option<(Result<S::Message, Status>, Self)> {
+        let message = self.make().await?;
+        Some((message.map_err(|error| from_error(&error)), self))
+    }
+
+    async fn make(&mut self) -> Option<Result<S::Message, Error>> {
+        let bytes = match self.source.next_bytes().await {
+            Ok(bytes) => bytes,
+            Err(error) => return Some(Err(error)),
+        };
+        let Some(ahead) = &self.ahead else {
+            return self.source.next().await;
+        };
+        // From here on the message may be made, and its connection not ask for it: only those that it has got count.
+        let making = ahead.flow().hold();
+        making.wait_for(bytes).await;
+        let message = self.source.next().await;
+        ahead.release_all();
+        if !ahead.try_take(self.source.read_ahead_bytes()) {
+            self.source.forget_read_ahead();
+        }
+        message
+    }
 }
 
 /// The ending of a call with this code.

@@ -3,7 +3,7 @@
 use std::{sync::Arc, time::Duration};
 
 use futures_util::{StreamExt, stream};
-use tokio::time::timeout;
+use tokio::{sync::Semaphore, time::timeout};
 use tracing::{info, warn};
 
 use super::{Hosted, Published, Registry, RegistryError, Writer};
@@ -14,6 +14,9 @@ const CATCH_UP_TIME: Duration = Duration::from_secs(60);
 
 /// The number of indices that catch up with a journal at a time.
 const CATCHING_UP: usize = 64;
+
+/// The reads of the journal at a time: each holds a record of any size.
+static READS: Semaphore = Semaphore::const_new(4);
 
 impl Registry {
     /// Waits until every index has the records that a shared journal has now. An index that cannot be followed does
@@ -68,10 +71,10 @@ impl Hosted {
         after: u64,
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, RegistryError> {
-        let last = self.published().revision;
-        if let Some(records) = self.recent.lock().after(after, last, max_bytes) {
+        if let Some(records) = self.cached_mutations(after, max_bytes) {
             return Ok(records);
         }
+        let last = self.published().revision;
         let mut records = match self.read(after, max_bytes).await {
             Ok(records) => records,
             // The journal has a gap that this server has passed with a copy of another one.
@@ -84,14 +87,29 @@ impl Hosted {
         Ok(records)
     }
 
+    /// The same, if they are in memory.
+    pub(crate) fn cached_mutations(
+        &self,
+        after: u64,
+        max_bytes: usize,
+    ) -> Option<Vec<Arc<Record>>> {
+        let last = self.published().revision;
+        self.recent.lock().after(after, last, max_bytes)
+    }
+
     /// The records of the journal after the revision `after`: see [`Journal::read`](crate::log::Journal::read).
     pub(super) async fn read(
         self: &Arc<Self>,
         after: u64,
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, RegistryError> {
-        self.ask(move |journal, uid| journal.read(uid, Some(after), max_bytes))
-            .await
+        // It is given back as the records are read: whoever asked may never look at them.
+        let reading = READS.acquire().await;
+        self.ask(move |journal, uid| {
+            let _reading = reading;
+            journal.read(uid, Some(after), max_bytes)
+        })
+        .await
     }
 
     /// Asks the journal on a thread that may block.

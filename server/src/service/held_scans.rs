@@ -14,6 +14,9 @@ use crate::{admission::ClientPermits, log::Uid, registry::Hosted};
 /// must one caller with many scans: it loses places to callers with fewer.
 const IDLE_TIME: Duration = Duration::from_secs(30);
 
+/// The setting of the scans that are held at a time.
+pub(crate) const MAX_HELD_SCANS: &str = "max_held_scans";
+
 /// The held revisions of the scans that have further pages, by token.
 #[derive(Default)]
 pub(super) struct HeldScans(Mutex<HashMap<String, HeldScan>>);
@@ -106,7 +109,7 @@ impl HeldScans {
         if held.len() >= max {
             let place = idle(&held).or_else(|| excess(&held, &scan.caller));
             let place = place.ok_or(Error::LimitExceeded {
-                limit: "max_held_scans",
+                limit: MAX_HELD_SCANS,
                 value: max as u64,
                 requested: max as u64 + 1,
                 advice: "try again when another scan has ended",

@@ -87,6 +87,7 @@ pub use code::Code;
 pub(crate) use copy::{CopyOutcome, IndexCopy};
 pub use error::{Error, Unavailability, Violation};
 pub use forward::{NotForwarded, Owners};
+pub(crate) use held_scans::MAX_HELD_SCANS;
 pub use indexes::{Damaged, Listing};
 pub use limits::Limits;
 pub(crate) use member::{

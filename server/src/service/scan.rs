@@ -91,6 +91,11 @@ impl Scan {
         Some(part)
     }
 
+    /// The most bytes that it takes to make a part: its columns grow by doubling.
+    pub(crate) fn next_bytes(&self) -> usize {
+        2 * self.part_bytes
+    }
+
     /// The coordinates of a row.
     pub(crate) fn coordinates(&self) -> usize {
         self.hosted.space().coordinates()

@@ -93,8 +93,8 @@ impl Snapshot {
         Ok((self.hosted.uid_text(), self.published()?.revision))
     }
 
-    /// The most bytes of a part that is read: its columns grow by doubling.
-    pub(crate) fn read_ahead_bytes(&self) -> usize {
+    /// The most bytes that it takes to make a part: its columns grow by doubling.
+    pub(crate) fn next_bytes(&self) -> usize {
         2 * self.part_bytes
     }
 

@@ -127,6 +127,38 @@ impl Watch {
         }
     }
 
+    /// Waits until there is a message to send. Returns the bytes that it takes to make it, about. A cancelled call loses
+    /// nothing.
+    pub(crate) async fn next_bytes(&mut self) -> Result<usize, Error> {
+        if self.state != State::Following {
+            return Ok(0);
+        }
+        if self.next.is_empty() {
+            if let Err(error) = self.wait().await {
+                self.state = State::Done;
+                return Err(error);
+            }
+            let cached = self.hosted.cached_mutations(self.after, self.message_bytes);
+            self.next = cached.unwrap_or_default().into();
+        }
+        Ok(match self.next.is_empty() {
+            // They have to be read.
+            true => 2 * self.message_bytes,
+            false => self.read_ahead_bytes().min(2 * self.message_bytes),
+        })
+    }
+
+    /// The bytes of mutations that it has read and not sent.
+    pub(crate) fn read_ahead_bytes(&self) -> usize {
+        let bytes = self.next.iter().map(|record| record.effects().bytes());
+        bytes.sum()
+    }
+
+    /// Forgets these mutations: they are read again before they are sent.
+    pub(crate) fn forget_read_ahead(&mut self) {
+        self.next = VecDeque::new();
+    }
+
     /// The next message; None after the last or an error. A cancelled call loses no message: the next call begins where
     /// it began.
     pub async fn next(&mut self) -> Option<Result<v1::WatchResponse, Error>> {

@@ -284,6 +284,19 @@ fn fields_ids_and_limits_can_be_read_by_a_program() {
 }
 
 #[test]
+fn only_a_limit_that_passes_says_when_to_come_back() {
+    for (limit, passes) in [("max_held_scans", true), ("max_k", false)] {
+        let status = from_error(&Error::LimitExceeded {
+            limit,
+            value: 10,
+            requested: 11,
+            advice: "",
+        });
+        assert_eq!(status.retry_delay.is_some(), passes, "{limit}");
+    }
+}
+
+#[test]
 fn a_full_server_says_when_to_come_back_and_names_its_watermark() {
     for (resource, reason, setting) in [
         (Resource::Memory, "MEMORY_FULL", "memory.high_percent"),

@@ -6,9 +6,7 @@ use std::{
 };
 
 use bytes::{BufMut, BytesMut};
-use prost::Message;
-use wayfold_proto::v1::{InsertRequest, SnapshotIndexRequest};
-use wayfold_tests::{States, Stubs, row_states, server};
+use wayfold_tests::server;
 
 use crate::metrics::figures;
 
@@ -18,7 +16,7 @@ const SETTINGS: u8 = 4;
 /// Receivers ignore frames of types that they do not know.
 const UNKNOWN: u8 = 200;
 const ACK: u8 = 1;
-const END_STREAM: u8 = 1;
+pub(crate) const END_STREAM: u8 = 1;
 const END_HEADERS: u8 = 4;
 const STREAM: u32 = 1;
 /// The largest frame without a setting.
@@ -32,12 +30,12 @@ fn put_frame(sent: &mut BytesMut, kind: u8, flags: u8, stream: u32, payload: &[u
     sent.put_slice(payload);
 }
 
-/// A connection whose client takes no byte of any answer.
-fn connection(uri: &str) -> TcpStream {
+/// A connection whose client takes this number of bytes of each answer.
+pub(crate) fn connection(uri: &str, window: u8) -> TcpStream {
     let mut socket = TcpStream::connect(uri.strip_prefix("http://").unwrap()).unwrap();
     let mut sent = BytesMut::from(&b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"[..]);
-    const INITIAL_WINDOW_SIZE: [u8; 6] = [0, 4, 0, 0, 0, 0];
-    put_frame(&mut sent, SETTINGS, 0, 0, &INITIAL_WINDOW_SIZE);
+    let initial_window_size = [0, 4, 0, 0, 0, window];
+    put_frame(&mut sent, SETTINGS, 0, 0, &initial_window_size);
     socket.write_all(&sent).unwrap();
     // The windows of the server hold once its settings are acknowledged.
     socket.read_exact(&mut [0]).unwrap();
@@ -48,7 +46,7 @@ fn connection(uri: &str) -> TcpStream {
 }
 
 /// Begins a call with one message on a stream of a connection. The flags of the message may end the request.
-fn begin(socket: &mut TcpStream, stream: u32, path: &str, message: &[u8], flags: u8) {
+pub(crate) fn begin(socket: &mut TcpStream, stream: u32, path: &str, message: &[u8], flags: u8) {
     let mut headers = BytesMut::new();
     for (name, value) in [
         (":method", "POST"),
@@ -76,7 +74,7 @@ fn begin(socket: &mut TcpStream, stream: u32, path: &str, message: &[u8], flags:
 
 /// Sends frames of `bytes` between large ones that are ignored, until the connection ends.
 fn send_until_cut(uri: &str, bytes: usize) {
-    let mut socket = connection(uri);
+    let mut socket = connection(uri, 0);
     // A bad request, whose answer waits.
     begin(
         &mut socket,
@@ -116,45 +114,5 @@ fn what_is_sent_on_a_stream_that_is_not_read_counts_with_all_that_it_holds() {
     for (cut, bytes) in [(1.0, 1), (2.0, 256)] {
         send_until_cut(server.uri(), bytes);
         assert_eq!(figures(&pages)[refused], cut);
-    }
-}
-
-/// The client takes no byte, so the server makes only the short first part of each snapshot. It has read the next part
-/// from the store by then.
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_parts_of_unread_snapshots_count_before_they_are_made() {
-    const SNAPSHOTS: u32 = 10;
-    const PART_BYTES: f64 = 256.0 * 1024.0;
-    const MAX_LOOKS: usize = 10_000;
-    let mut server = server!("--http", "127.0.0.1:0");
-    let pages = server.pages();
-    let mut stubs = Stubs::connect(server.uri()).await;
-    stubs.create("arm", "R3").await;
-    let rows = States::new("R3".parse().unwrap(), 19).rows(20_000);
-    let inserted = InsertRequest {
-        index_name: "arm".into(),
-        states: Some(row_states(&rows, 3)),
-        ..Default::default()
-    };
-    stubs.insert(inserted).await;
-    let request = SnapshotIndexRequest {
-        index_name: "arm".into(),
-        ..Default::default()
-    };
-    let mut socket = connection(server.uri());
-    for number in 0..SNAPSHOTS {
-        let path = "/wayfold.v1.IndexService/SnapshotIndex";
-        begin(
-            &mut socket,
-            2 * number + 1,
-            path,
-            &request.encode_to_vec(),
-            END_STREAM,
-        );
-    }
-    let held = || figures(&pages)["wayfold_in_flight_bytes{of=\"held\"}"];
-    let mut looks = 0..MAX_LOOKS;
-    while held() < f64::from(SNAPSHOTS) * PART_BYTES {
-        assert!(looks.next().is_some(), "{}", held());
     }
 }

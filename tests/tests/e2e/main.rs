@@ -43,3 +43,4 @@ mod shared;
 mod shutdown;
 mod snapshots;
 mod trimming;
+mod unread_parts;

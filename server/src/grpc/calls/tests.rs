@@ -9,7 +9,7 @@ use tonic::Code;
 use tonic_types::StatusExt;
 
 use super::*;
-use crate::{config::Config, grpc::connections::Connections};
+use crate::{admission::CallTurns, config::Config, grpc::connections::Connections};
 
 /// Answers with the result of a function, or panics as it does.
 #[derive(Clone)]
@@ -40,13 +40,22 @@ async fn call(
     under_way: &TaskTracker,
     answer: fn() -> Response<Body>,
 ) -> Response<Body> {
+    call_path("/wayfold.v1.PointService/Scan", shared, under_way, answer).await
+}
+
+async fn call_path(
+    path: &str,
+    shared: &FaceContext,
+    under_way: &TaskTracker,
+    answer: fn() -> Response<Body>,
+) -> Response<Body> {
     let layer = CallsLayer::new(
         &Config::default().grpc,
         shared.clone(),
         Callers::Clients,
         under_way.clone(),
     );
-    let request = Request::post("/wayfold.v1.PointService/Scan").body(Body::empty());
+    let request = Request::post(path).body(Body::empty());
     let answer = layer.layer(Answering(answer)).call(request.unwrap()).await;
     answer.unwrap()
 }
@@ -187,15 +196,36 @@ async fn an_answer_is_counted_from_the_time_it_is_made() {
     assert!(has_room());
 }
 
-#[tokio::test]
-async fn a_call_that_waits_needs_room_at_its_turn() {
-    let (shared, under_way) = (shared(), TaskTracker::new());
+/// The turns of all workers.
+fn all_turns(shared: &FaceContext) -> [CallTurns; 2] {
     let flow = shared.admission.open();
-    let busy = [(); 2].map(|()| {
+    [(); 2].map(|()| {
         let mut turns = flow.turns();
         turns.request().unwrap();
         turns
-    });
+    })
+}
+
+#[tokio::test]
+async fn a_path_without_a_call_waits_for_no_turn() {
+    let (shared, under_way) = (shared(), TaskTracker::new());
+    let _busy = all_turns(&shared);
+    let empty = || Response::new(Body::empty());
+    for (path, waits) in [
+        ("/wayfold.v1.PointService/Knn", true),
+        ("/wayfold.v1.PointService/Guess", false),
+        ("/wayfold.v1.NoService/Knn", false),
+        ("/another.v1.Service/Call", false),
+    ] {
+        let answer = std::pin::pin!(call_path(path, &shared, &under_way, empty));
+        assert_eq!(futures_util::poll!(answer).is_pending(), waits, "{path}");
+    }
+}
+
+#[tokio::test]
+async fn a_call_that_waits_needs_room_at_its_turn() {
+    let (shared, under_way) = (shared(), TaskTracker::new());
+    let busy = all_turns(&shared);
     let mut answer = std::pin::pin!(call(&shared, &under_way, || Response::new(Body::empty())));
     assert!(futures_util::poll!(answer.as_mut()).is_pending());
     let unread = shared.admission.open().hold();

@@ -1,0 +1,115 @@
+//! The bytes of one call in the budgets of its flow and of all flows.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering::Relaxed},
+    },
+    time::Duration,
+};
+
+use tokio::time::{Instant, sleep_until};
+
+use super::Flow;
+
+/// The first pause of a call that waits for room, and the longest: each is twice the one before it, as thousands may wait.
+const MIN_PAUSE: Duration = Duration::from_millis(10);
+const MAX_PAUSE: Duration = Duration::from_secs(1);
+
+/// The bytes that a call holds, until it is dropped.
+#[derive(Debug)]
+pub(crate) struct HeldBytes {
+    flow: Arc<Flow>,
+    held: AtomicUsize,
+}
+
+impl HeldBytes {
+    pub(super) fn new(flow: Arc<Flow>) -> Self {
+        flow.under_way.fetch_add(1, Relaxed);
+        Self {
+            flow,
+            held: AtomicUsize::new(0),
+        }
+    }
+
+    /// Holds more bytes; false if there is no room for them, which counts as a refusal.
+    #[must_use]
+    pub(crate) fn take(&self, bytes: usize) -> bool {
+        let taken = self.try_take(bytes);
+        if !taken {
+            self.flow.all.refuse();
+        }
+        taken
+    }
+
+    /// Like [`HeldBytes::take`], but a lack of room counts as no refusal: the call may wait and try again.
+    #[must_use]
+    pub(crate) fn try_take(&self, bytes: usize) -> bool {
+        let Flow { all, own, .. } = &*self.flow;
+        let most = self.flow.most_of_all(own.held().saturating_add(bytes));
+        if !all.try_take_within(most, bytes) {
+            return false;
+        }
+        if !own.try_take(bytes) {
+            all.release(bytes);
+            return false;
+        }
+        self.held.fetch_add(bytes, Relaxed);
+        true
+    }
+
+    /// Waits until the flow may hold more, and holds these bytes then.
+    pub(crate) async fn wait_for(&self, bytes: usize) {
+        let mut pause = MIN_PAUSE;
+        while !self.has_room() {
+            sleep_until(Instant::now() + pause).await;
+            pause = (2 * pause).min(MAX_PAUSE);
+        }
+        self.force_take(bytes);
+    }
+
+    /// Holds bytes that exist already, with room or without.
+    pub(crate) fn force_take(&self, bytes: usize) {
+        self.flow.all.force_take(bytes);
+        self.flow.own.force_take(bytes);
+        self.held.fetch_add(bytes, Relaxed);
+    }
+
+    /// Gives back all bytes.
+    pub(crate) fn release_all(&self) {
+        self.release(self.held.load(Relaxed));
+    }
+
+    /// Gives back some of the bytes.
+    pub(crate) fn release(&self, bytes: usize) {
+        self.held.fetch_sub(bytes, Relaxed);
+        self.flow.own.release(bytes);
+        self.flow.all.release(bytes);
+    }
+
+    /// False while the flow holds more than it may, since answers were not read: the call is refused, and counts as that.
+    pub(crate) fn check_room(&self) -> bool {
+        let has_room = self.has_room();
+        if !has_room {
+            self.flow.all.refuse();
+        }
+        has_room
+    }
+
+    fn has_room(&self) -> bool {
+        let Flow { all, own, .. } = &*self.flow;
+        own.held() <= own.max() && all.held() <= self.flow.most_of_all(own.held())
+    }
+
+    /// The flow of the call.
+    pub(crate) fn flow(&self) -> &Arc<Flow> {
+        &self.flow
+    }
+}
+
+impl Drop for HeldBytes {
+    fn drop(&mut self) {
+        self.release_all();
+        self.flow.under_way.fetch_sub(1, Relaxed);
+    }
+}

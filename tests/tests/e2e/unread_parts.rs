@@ -1,0 +1,189 @@
+//! Clients that begin streamed answers and read next to nothing of them.
+
+use std::{net::TcpStream, path::Path};
+
+use prost::Message;
+use wayfold_proto::v1::{
+    GetIndexRequest, Include, InsertRequest, Revision, ScanRequest, SnapshotIndexRequest,
+    WatchRequest,
+};
+use wayfold_tests::{ServerProcess, States, Stubs, figures::anonymous_bytes, row_states, server};
+
+use crate::{
+    backlog::{END_STREAM, begin, connection},
+    metrics::figures,
+};
+
+const MIB: usize = 1024 * 1024;
+const CONNECTIONS: usize = 4;
+/// The most streams of a connection that last.
+const STREAMS: u32 = 24;
+/// The budget of all bytes, which is a quarter of that for each connection.
+const MAX_BYTES: usize = 16 * MIB;
+/// The mutations of the index: more than the server keeps in memory.
+const MUTATIONS: usize = 12;
+const PAYLOAD_BYTES: usize = 4096;
+const ROWS: usize = 200;
+
+struct Attack {
+    server: ServerProcess,
+    pages: String,
+    stubs: Stubs,
+    /// The first revision of the index.
+    origin: Revision,
+}
+
+impl Attack {
+    async fn prepare(data: &Path) -> Self {
+        let mut server = server!(
+            "--http", "127.0.0.1:0", "--data", data.to_str().unwrap();
+            ("WAYFOLD_GRPC__MAX_MESSAGE_BYTES", &MIB.to_string()),
+            ("WAYFOLD_ZENOH__MAX_MESSAGE_BYTES", &MIB.to_string()),
+            ("WAYFOLD_ADMISSION__MAX_BYTES", &MAX_BYTES.to_string())
+        );
+        let pages = server.pages();
+        let mut stubs = Stubs::connect(server.uri()).await;
+        stubs.create("arm", "R3").await;
+        let mut states = States::new("R3".parse().unwrap(), 19);
+        for _ in 0..MUTATIONS {
+            let inserted = InsertRequest {
+                index_name: "arm".into(),
+                states: Some(row_states(&states.rows(ROWS), 3)),
+                payloads: vec![vec![7; PAYLOAD_BYTES].into(); ROWS],
+                ..Default::default()
+            };
+            stubs.insert(inserted).await;
+        }
+        let index = GetIndexRequest {
+            index_name: "arm".into(),
+        };
+        let index = stubs.indexes.get_index(index).await.unwrap().into_inner();
+        let revision = index.index.unwrap().revision.unwrap();
+        Self {
+            server,
+            pages,
+            stubs,
+            origin: Revision {
+                number: 0,
+                ..revision
+            },
+        }
+    }
+
+    /// Begins calls over many connections, and looks at the server's memory for a while. Returns the connections.
+    fn begin(&self, path: &str, request: &impl Message) -> Vec<TcpStream> {
+        const LOOKS: usize = 1000;
+        let used = || anonymous_bytes(self.server.process().id()).unwrap() as usize;
+        let before = used();
+        let request = request.encode_to_vec();
+        let begun = (0..CONNECTIONS).map(|_| {
+            let mut socket = connection(self.server.uri(), 100);
+            for stream in 0..STREAMS {
+                begin(&mut socket, 2 * stream + 1, path, &request, END_STREAM);
+            }
+            socket
+        });
+        let begun = begun.collect();
+        for _ in 0..LOOKS {
+            let held = figures(&self.pages)["wayfold_in_flight_bytes{of=\"held\"}"];
+            // Each connection may make one more part.
+            assert!(
+                held < (MAX_BYTES + CONNECTIONS * 2 * MIB) as f64,
+                "{held} bytes"
+            );
+            let grown = used().saturating_sub(before);
+            assert!(grown < 2 * MAX_BYTES, "{grown} bytes");
+        }
+        begun
+    }
+
+    fn watch(&self) -> WatchRequest {
+        WatchRequest {
+            index_name: "arm".into(),
+            after_revision: Some(self.origin.clone()),
+            include: Some(include()),
+            ..Default::default()
+        }
+    }
+}
+
+fn include() -> Include {
+    Include {
+        with_states: true,
+        with_payloads: true,
+        ..Default::default()
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn unread_watches_hold_no_more_than_their_share_and_others_go_on() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut attack = Attack::prepare(directory.path()).await;
+    let watch = attack.watch();
+    let _unread = attack.begin("/wayfold.v1.PointService/Watch", &watch);
+    let mut watched = attack.stubs.points.watch(watch).await.unwrap().into_inner();
+    let mut ended = 0;
+    while ended < MUTATIONS {
+        let message = watched.message().await.unwrap().unwrap();
+        let whole = message.mutations.iter().filter(|piece| !piece.continued);
+        ended += whole.count();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn unread_scans_hold_no_more_than_their_share_and_others_go_on() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut attack = Attack::prepare(directory.path()).await;
+    let scan = ScanRequest {
+        index_name: "arm".into(),
+        include: Some(include()),
+        ..Default::default()
+    };
+    let _unread = attack.begin("/wayfold.v1.PointService/Scan", &scan);
+    let mut scanned = attack.stubs.points.scan(scan).await.unwrap().into_inner();
+    let mut points = 0;
+    while let Some(part) = scanned.message().await.unwrap() {
+        points += part.points.unwrap().ids.len();
+    }
+    assert_eq!(points, MUTATIONS * ROWS);
+}
+
+/// The client takes no byte, so the server makes only the short first part of each snapshot. It has read the next part
+/// from the store by then.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_parts_of_unread_snapshots_count_before_they_are_made() {
+    const SNAPSHOTS: u32 = 10;
+    const PART_BYTES: f64 = 256.0 * 1024.0;
+    const MAX_LOOKS: usize = 10_000;
+    let mut server = server!("--http", "127.0.0.1:0");
+    let pages = server.pages();
+    let mut stubs = Stubs::connect(server.uri()).await;
+    stubs.create("arm", "R3").await;
+    let rows = States::new("R3".parse().unwrap(), 19).rows(20_000);
+    let inserted = InsertRequest {
+        index_name: "arm".into(),
+        states: Some(row_states(&rows, 3)),
+        ..Default::default()
+    };
+    stubs.insert(inserted).await;
+    let request = SnapshotIndexRequest {
+        index_name: "arm".into(),
+        ..Default::default()
+    };
+    let mut socket = connection(server.uri(), 0);
+    for number in 0..SNAPSHOTS {
+        let path = "/wayfold.v1.IndexService/SnapshotIndex";
+        begin(
+            &mut socket,
+            2 * number + 1,
+            path,
+            &request.encode_to_vec(),
+            END_STREAM,
+        );
+    }
+    let held = || figures(&pages)["wayfold_in_flight_bytes{of=\"held\"}"];
+    let mut looks = 0..MAX_LOOKS;
+    while held() < f64::from(SNAPSHOTS) * PART_BYTES {
+        assert!(looks.next().is_some(), "{}", held());
+    }
+}
