@@ -69,6 +69,8 @@ impl Search {
 
     /// Only points that an earlier answer, which read this revision, could not find. A point that got its tag since
     /// does not count.
+    /// All points count if a shared index has read its copy again since: [`Index::changes`](crate::Index::changes) is
+    /// `None` for that revision then.
     pub fn since(mut self, revision: ReadRevision) -> Search {
         self.since = revision;
         self

@@ -1,6 +1,10 @@
 //! One suite over the forms, the spaces and the operations.
 
-use std::time::Duration;
+use std::{
+    collections::HashMap,
+    sync::atomic::{AtomicBool, Ordering::Relaxed},
+    time::Duration,
+};
 
 use wayfold::{Error, Index, InsertOptions, ScaledRadius, Search, Space, StateProblem};
 
@@ -94,6 +98,42 @@ pub(crate) fn ends_a_search_that_takes_too_long(make: impl Fn(&Space) -> Index) 
     assert_eq!(index.search([0.0], &all).unwrap().neighbors.len(), POINTS);
     let late = index.search([0.0], &all.timeout(Duration::ZERO));
     assert!(matches!(late, Err(Error::SearchTimeout)), "{late:?}");
+}
+
+/// Beside a writer, the answers to many states and those to the same search about later points leave out no point.
+pub(crate) fn answers_tell_what_they_have_read(make: impl Fn(&Space) -> Index) {
+    // A remote index divides them into several calls.
+    const STATES: usize = 2_500;
+    const ROUNDS: usize = 3;
+    const MAX_INSERTS: usize = 20_000;
+    let index = make(&"R1".parse().unwrap());
+    let insert = |x: usize| index.insert([x as f64]).unwrap();
+    let first = insert(0);
+    let is_done = AtomicBool::new(false);
+    let (ids, answers) = std::thread::scope(|scope| {
+        let writer = scope.spawn(|| {
+            let inserts = (1..MAX_INSERTS).take_while(|_| !is_done.load(Relaxed));
+            let ids: Vec<u64> = inserts.map(insert).collect();
+            ids
+        });
+        // The newest point is the nearest one.
+        let newest = || index.search_many([[1e9]; STATES], &Search::k(1)).unwrap();
+        let answers: Vec<_> = (0..ROUNDS).flat_map(|_| newest()).collect();
+        is_done.store(true, Relaxed);
+        (writer.join().unwrap(), answers)
+    });
+    let ids = [vec![first], ids, vec![insert(MAX_INSERTS)]].concat();
+    assert_eq!(answers.len(), ROUNDS * STATES);
+    let mut checked = HashMap::new();
+    for answer in answers {
+        let last = answer.neighbors[0].id;
+        let next = checked.entry(answer.read_revision).or_insert_with(|| {
+            let later = Search::k(1).since(answer.read_revision);
+            index.search([-1.0], &later).unwrap().neighbors[0].id
+        });
+        let at = ids.iter().position(|id| *id == last).unwrap();
+        assert_eq!(*next, ids[at + 1]);
+    }
 }
 
 /// The later of any two inserts that ask finds the earlier one, on any threads.

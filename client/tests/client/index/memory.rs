@@ -29,6 +29,11 @@ fn ends_a_search_that_takes_too_long() {
 }
 
 #[test]
+fn answers_tell_what_they_have_read() {
+    conformance::answers_tell_what_they_have_read(in_memory);
+}
+
+#[test]
 fn misses_no_edge() {
     conformance::misses_no_edge(in_memory);
 }

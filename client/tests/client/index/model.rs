@@ -1,14 +1,13 @@
 //! A brute-force model of an index, and random histories that compare the two.
 
+mod searches;
 mod states;
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
-use wayfold::{
-    Changes, Error, Index, InsertOptions, Neighbor, ReadRevision, ScaledRadius, Scaling, Search,
-};
+use wayfold::{Changes, Error, Index, InsertOptions, Neighbor, ReadRevision};
 use wayfold_index::{Linear, PointRef};
 
 /// The greatest number of steps that [`Changes`] reach back.
@@ -246,86 +245,6 @@ impl Model {
             stored.map(|_| self.payloads.get(&id).cloned().unwrap_or_default())
         });
         assert_eq!(self.index.payloads(&ids).unwrap(), Vec::from_iter(payloads));
-    }
-
-    /// A random search, and the answer of brute force.
-    fn question(&mut self, row: &[f64]) -> (Search, Vec<Neighbor>) {
-        let (n, dimension) = (self.points.len(), self.index.space().dimension());
-        let k = self.rng.random_range(1..30);
-        let radius = f64::from(self.rng.random_range(0..8)) / 4.0;
-        let mut plain = wayfold_index::Search::nearest_k(usize::MAX);
-        let mut search = match self.rng.random_range(0..4) {
-            0 => {
-                plain.k = k as usize;
-                Search::k(k)
-            }
-            1 => {
-                plain.radius = radius;
-                Search::within(radius)
-            }
-            2 => {
-                (plain.k, plain.radius) = (k as usize, radius);
-                Search::k(k).radius(radius)
-            }
-            _ => {
-                let scaling = Scaling {
-                    k_factor: Some(1.5),
-                    radius_factor: Some(2.0),
-                    radius_max: Some(1.5),
-                };
-                scaling.apply(&mut plain, n, dimension);
-                Search::k_factor(1.5).radius(ScaledRadius::new(2.0).max(1.5))
-            }
-        };
-        if self.rng.random_bool(0.3) {
-            (plain.filter.tag_mask, plain.filter.tag_value) = (0b1, 0b1);
-            search = search.tag(0b1, 0b1);
-        }
-        if let Some(&(since, changes)) = self.read_revisions.choose(&mut self.rng)
-            && self.rng.random_bool(0.3)
-        {
-            plain.filter.since_revision = changes;
-            search = search.since(since);
-        }
-        let expected = self.points.search(row, &plain).unwrap().neighbors;
-        (search, expected)
-    }
-
-    fn search(&mut self) {
-        let state = self.state();
-        let row = self.canonical(&state);
-        let (search, expected) = self.question(&row);
-        let found = self.index.search(&state[..], &search).unwrap();
-        assert_same(&found.neighbors, &expected);
-        let mut buffer = vec![Neighbor {
-            distance: 0.0,
-            id: 0,
-        }];
-        self.index
-            .search_into(&state[..], &search, &mut buffer)
-            .unwrap();
-        assert_same(&buffer, &expected);
-        self.read_revisions
-            .push((found.read_revision, self.changes));
-        let nearest = self
-            .points
-            .search(&row, &wayfold_index::Search::nearest_k(1));
-        let nearest = nearest.unwrap().neighbors.first().copied();
-        assert_eq!(self.index.nearest(&state[..]).unwrap(), nearest);
-        assert_eq!(self.index.len().unwrap(), self.points.len());
-    }
-
-    fn search_many(&mut self) {
-        let states: Vec<Vec<f64>> = (0..5).map(|_| self.state()).collect();
-        let found = self.index.search_many(&states, &Search::k(7)).unwrap();
-        assert_eq!(found.len(), states.len());
-        for (state, found) in states.iter().zip(found) {
-            let search = wayfold_index::Search::nearest_k(7);
-            let expected = self.points.search(&self.canonical(state), &search).unwrap();
-            assert_same(&found.neighbors, &expected.neighbors);
-            self.read_revisions
-                .push((found.read_revision, self.changes));
-        }
     }
 
     fn changed(&mut self) {

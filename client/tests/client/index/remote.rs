@@ -38,6 +38,12 @@ fn ends_a_search_that_takes_too_long() {
 }
 
 #[test]
+fn answers_tell_what_they_have_read() {
+    let server = Server::start();
+    conformance::answers_tell_what_they_have_read(|space| remote(&server, "index", space));
+}
+
+#[test]
 fn misses_no_edge() {
     let server = Server::start();
     conformance::misses_no_edge(|space| remote(&server, "index", space));

@@ -90,7 +90,7 @@ tests!(
     refuses_what_is_no_state,
     any_timeout_is_taken,
     ends_a_search_that_takes_too_long,
-    misses_no_edge_of_this_process,
+    conforms_beside_writers_of_this_process,
     another_process_holds_the_same,
     racing_writers_agree,
     no_edge_between_processes_is_missed,
@@ -277,8 +277,9 @@ fn ends_a_search_that_takes_too_long(link: ServerLink) {
     conformance::ends_a_search_that_takes_too_long(|space| shared(&link, "index", space));
 }
 
-fn misses_no_edge_of_this_process(link: ServerLink) {
-    conformance::misses_no_edge(|space| shared(&link, "index", space));
+fn conforms_beside_writers_of_this_process(link: ServerLink) {
+    conformance::misses_no_edge(|space| shared(&link, "edges", space));
+    conformance::answers_tell_what_they_have_read(|space| shared(&link, "answers", space));
 }
 
 /// An index declares how its payloads hold edges, and refuses another declaration.
