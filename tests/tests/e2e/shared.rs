@@ -5,6 +5,7 @@ mod asleep;
 mod checks;
 mod failover;
 mod history;
+mod killed_planner;
 mod outage;
 pub(crate) mod proxy;
 mod roadmap;
