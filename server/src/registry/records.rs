@@ -15,8 +15,8 @@ const CATCH_UP_TIME: Duration = Duration::from_secs(60);
 /// The number of indices that catch up with a journal at a time.
 const CATCHING_UP: usize = 64;
 
-/// The reads of the journal at a time: each holds a record of any size.
-static READS: Semaphore = Semaphore::const_new(4);
+/// The reads of the journal for subscribers at a time: each holds a record of any size.
+static SUBSCRIBERS_READS: Semaphore = Semaphore::const_new(4);
 
 impl Registry {
     /// Waits until every index has the records that a shared journal has now. An index that cannot be followed does
@@ -75,7 +75,13 @@ impl Hosted {
             return Ok(records);
         }
         let last = self.published().revision;
-        let mut records = match self.read(after, max_bytes).await {
+        // The read gives the permit back: its caller may never look at the records.
+        let permit = SUBSCRIBERS_READS.acquire().await;
+        let read = self.ask(move |journal, uid| {
+            let _permit = permit;
+            journal.read(uid, Some(after), max_bytes)
+        });
+        let mut records = match read.await {
             Ok(records) => records,
             // The journal has a gap that this server has passed with a copy of another one.
             Err(RegistryError::Log(LogError::JournalDamaged { uid, .. })) if !self.is_closed() => {
@@ -103,13 +109,8 @@ impl Hosted {
         after: u64,
         max_bytes: usize,
     ) -> Result<Vec<Arc<Record>>, RegistryError> {
-        // It is given back as the records are read: whoever asked may never look at them.
-        let reading = READS.acquire().await;
-        self.ask(move |journal, uid| {
-            let _reading = reading;
-            journal.read(uid, Some(after), max_bytes)
-        })
-        .await
+        self.ask(move |journal, uid| journal.read(uid, Some(after), max_bytes))
+            .await
     }
 
     /// Asks the journal on a thread that may block.
