@@ -8,13 +8,17 @@ use std::{
     time::Duration,
 };
 
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, sleep_until, timeout};
 
 use super::Flow;
 
-/// The first pause of a call that waits for room, and the longest: each is twice the one before it, as thousands may wait.
-const MIN_PAUSE: Duration = Duration::from_millis(10);
-const MAX_PAUSE: Duration = Duration::from_secs(1);
+/// The first pause of a call that waits for room. Pauses double up to the longest, as thousands may wait.
+const MIN_PAUSE: Duration = Duration::from_millis(5);
+const MAX_PAUSE: Duration = Duration::from_millis(200);
+
+/// The longest wait for room. A client that reads the streams of a connection one after the other, and has unread parts of
+/// too many, would wait for itself.
+const MAX_WAIT: Duration = Duration::from_secs(10);
 
 /// The bytes that a call holds, until it is dropped.
 #[derive(Debug)]
@@ -58,14 +62,25 @@ impl HeldBytes {
         true
     }
 
-    /// Waits until the flow may hold more, and holds these bytes then.
-    pub(crate) async fn wait_for(&self, bytes: usize) {
+    /// Waits for a while until the flow may hold more, and holds these bytes then; false if it may not, which counts as a
+    /// refusal.
+    #[must_use]
+    pub(crate) async fn wait_for(&self, bytes: usize) -> bool {
+        let waited = timeout(MAX_WAIT, self.room()).await;
+        match waited {
+            Ok(()) => self.force_take(bytes),
+            Err(_) => self.flow.all.refuse(),
+        }
+        waited.is_ok()
+    }
+
+    /// Waits until the flow may hold more.
+    pub(crate) async fn room(&self) {
         let mut pause = MIN_PAUSE;
         while !self.has_room() {
             sleep_until(Instant::now() + pause).await;
             pause = (2 * pause).min(MAX_PAUSE);
         }
-        self.force_take(bytes);
     }
 
     /// Holds bytes that exist already, with room or without.
@@ -96,7 +111,8 @@ impl HeldBytes {
         has_room
     }
 
-    fn has_room(&self) -> bool {
+    /// True if the flow may hold more.
+    pub(crate) fn has_room(&self) -> bool {
         let Flow { all, own, .. } = &*self.flow;
         own.held() <= own.max() && all.held() <= self.flow.most_of_all(own.held())
     }

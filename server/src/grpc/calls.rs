@@ -1,7 +1,7 @@
 //! The layer around every call: its span, deadline, share of the server's time and memory, and the record of its end.
 //!
 //! A request arrives whole before its call waits for a turn, unless it is a stream. Health and reflection take no turns:
-//! they must answer just when the server is busy. Nor do paths of which there is no call.
+//! they must answer just when the server is busy. Nor does a path without a call.
 
 mod admitted;
 mod unauthenticated;

@@ -97,7 +97,12 @@ impl PointService for PointFace {
     async fn watch(&self, request: Request<v1::WatchRequest>) -> Answer<Self::WatchStream> {
         let flow = flow_of(&request);
         let (call, message) = into_call(request);
-        respond_all(flow, self.service.watch(&call, message).await)
+        let watch = self.service.watch(&call, message).await;
+        let watch = watch.map(|watch| match &flow {
+            Some(flow) => watch.counted(flow.hold()),
+            None => watch,
+        });
+        respond_all(flow, watch)
     }
 }
 

@@ -66,7 +66,7 @@ impl Rpc {
         }
     }
 
-    /// The call of a path, such as `/wayfold.v1.PointService/Knn`; None for paths of which there is no call.
+    /// The call of a path, such as `/wayfold.v1.PointService/Knn`; None for a path without a call.
     pub(super) fn of(path: &str) -> Option<Self> {
         let path = path.strip_prefix(OURS)?;
         RPCS.iter().find(|known| known.path == path).copied()

@@ -9,7 +9,7 @@ use tonic::{Code, Response, Status};
 use wayfold_proto::v1;
 
 use crate::{
-    admission::{Flow, HeldBytes},
+    admission::Flow,
     observe::Ending,
     service::{self, Error, Scan, Snapshot, Verification, Watch},
     status,
@@ -47,19 +47,14 @@ pub(crate) trait Source: Send + Sized + 'static {
     /// A message.
     type Message: Send + 'static;
 
-    /// Waits until there is a message. Returns the bytes that it takes to make it, about.
+    /// Waits until there is a message. Returns about how many bytes making it takes.
     fn next_bytes(&mut self) -> impl Future<Output = Result<usize, Error>> + Send;
 
     /// The next message; None after the last.
     fn next(&mut self) -> impl Future<Output = Option<Result<Self::Message, Error>>> + Send;
 
-    /// The bytes that it keeps for further messages.
-    fn read_ahead_bytes(&self) -> usize {
-        0
-    }
-
-    /// Gives them up, and gets them again when it makes the next message.
-    fn forget_read_ahead(&mut self) {}
+    /// Gives up what it keeps for further messages, which takes room.
+    fn give_up_room(&mut self) {}
 }
 
 macro_rules! sources {
@@ -95,57 +90,51 @@ impl Source for Watch {
         Watch::next(self)
     }
 
-    fn read_ahead_bytes(&self) -> usize {
-        Watch::read_ahead_bytes(self)
-    }
-
-    fn forget_read_ahead(&mut self) {
-        Watch::forget_read_ahead(self);
+    fn give_up_room(&mut self) {
+        self.forget_read_ahead();
     }
 }
 
-/// The answer of a streaming call. A message is made only when the client has room for it, and the server has in the
-/// budget of `flow`: a client can ask for thousands of messages at once, and read none.
+/// The answer of a streaming call. A message is made when the client and the budget of `flow` have room for it: a client
+/// can ask for thousands of messages at once, and read none.
 pub(crate) fn respond_all<S: Source>(
     flow: Option<Arc<Flow>>,
     source: Result<S, Error>,
 ) -> Answer<Messages<S::Message>> {
-    respond(source.map(|source| {
-        let ahead = flow.map(|flow| flow.hold());
-        stream::unfold(Parts { source, ahead }, Parts::next).boxed()
-    }))
+    respond(source.map(|source| stream::unfold(Parts { source, flow }, Parts::next).boxed()))
 }
 
 /// The messages of a streamed answer.
 struct Parts<S> {
     source: S,
-    /// The bytes that the source keeps for further messages.
-    ahead: Option<HeldBytes>,
+    flow: Option<Arc<Flow>>,
 }
 
 impl<S: Source> Parts<S> {
     async fn next(mut self) -> Option<(Result<S::Message, Status>, Self)> {
         let message = self.make().await?;
-        Some((message.map_err(|error| from_error(&error)), self))
+        Some((message, self))
     }
 
-    async fn make(&mut self) -> Option<Result<S::Message, Error>> {
+    async fn make(&mut self) -> Option<Result<S::Message, Status>> {
         let bytes = match self.source.next_bytes().await {
             Ok(bytes) => bytes,
-            Err(error) => return Some(Err(error)),
+            Err(error) => return Some(Err(from_error(&error))),
         };
-        let Some(ahead) = &self.ahead else {
-            return self.source.next().await;
-        };
-        // From here on the message may be made, and its connection not ask for it: only those that it has got count.
-        let making = ahead.flow().hold();
-        making.wait_for(bytes).await;
-        let message = self.source.next().await;
-        ahead.release_all();
-        if !ahead.try_take(self.source.read_ahead_bytes()) {
-            self.source.forget_read_ahead();
+        // A connection may ask for a message and never take it. Once it takes the message, that counts as unread.
+        let making = self.flow.as_ref().filter(|_| bytes > 0);
+        let making = making.map(|flow| flow.hold());
+        if let Some(making) = &making {
+            if !making.has_room() {
+                self.source.give_up_room();
+            }
+            if !making.wait_for(bytes).await {
+                let refused = status::too_many_bytes(making.flow().max_bytes());
+                return Some(Err(refused.into()));
+            }
         }
-        message
+        let message = self.source.next().await?;
+        Some(message.map_err(|error| from_error(&error)))
     }
 }
 

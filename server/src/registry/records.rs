@@ -3,7 +3,7 @@
 use std::{sync::Arc, time::Duration};
 
 use futures_util::{StreamExt, stream};
-use tokio::{sync::Semaphore, time::timeout};
+use tokio::time::timeout;
 use tracing::{info, warn};
 
 use super::{Hosted, Published, Registry, RegistryError, Writer};
@@ -14,9 +14,6 @@ const CATCH_UP_TIME: Duration = Duration::from_secs(60);
 
 /// The number of indices that catch up with a journal at a time.
 const CATCHING_UP: usize = 64;
-
-/// The reads of the journal for subscribers at a time: each holds a record of any size.
-static SUBSCRIBERS_READS: Semaphore = Semaphore::const_new(4);
 
 impl Registry {
     /// Waits until every index has the records that a shared journal has now. An index that cannot be followed does
@@ -75,13 +72,7 @@ impl Hosted {
             return Ok(records);
         }
         let last = self.published().revision;
-        // The read gives the permit back: its caller may never look at the records.
-        let permit = SUBSCRIBERS_READS.acquire().await;
-        let read = self.ask(move |journal, uid| {
-            let _permit = permit;
-            journal.read(uid, Some(after), max_bytes)
-        });
-        let mut records = match read.await {
+        let mut records = match self.read(after, max_bytes).await {
             Ok(records) => records,
             // The journal has a gap that this server has passed with a copy of another one.
             Err(RegistryError::Log(LogError::JournalDamaged { uid, .. })) if !self.is_closed() => {

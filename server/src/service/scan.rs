@@ -91,9 +91,12 @@ impl Scan {
         Some(part)
     }
 
-    /// The most bytes that it takes to make a part: its columns grow by doubling.
+    /// The most bytes that it takes to make the next part, if there is one: its columns grow by doubling.
     pub(crate) fn next_bytes(&self) -> usize {
-        2 * self.part_bytes
+        match self.done {
+            true => 0,
+            false => 2 * self.part_bytes,
+        }
     }
 
     /// The coordinates of a row.

@@ -93,9 +93,12 @@ impl Snapshot {
         Ok((self.hosted.uid_text(), self.published()?.revision))
     }
 
-    /// The most bytes that it takes to make a part: its columns grow by doubling.
+    /// The most bytes that it takes to make the next part, if there is one: its columns grow by doubling.
     pub(crate) fn next_bytes(&self) -> usize {
-        2 * self.part_bytes
+        match self.next {
+            Next::Nothing => 0,
+            _ => 2 * self.part_bytes,
+        }
     }
 
     /// The next part as a message; None after the trailer or an error.

@@ -38,9 +38,11 @@ pub(super) async fn read<T: Send + 'static>(
 ) -> Result<T, Error> {
     call.check(doing)?;
     let view = Arc::clone(view);
-    let reading = async {
+    let own = call.permits.clone();
+    // A task of its own: a client that takes nothing stops the polls of its call, which would keep the permits.
+    let reading = tokio::spawn(async move {
         // The reads of a connection that has its share wait here, not in the queue of all.
-        let share = match &call.permits {
+        let share = match &own {
             Some(permits) => permits.read().await,
             None => None,
         };
@@ -51,8 +53,9 @@ pub(super) async fn read<T: Send + 'static>(
             read(&*view)
         });
         AbortOnDropHandle::new(reading).await
-    };
-    match call.bound(doing, reading).await? {
+    });
+    let reading = AbortOnDropHandle::new(reading);
+    match call.bound(doing, reading).await?.flatten() {
         Ok(read) => read.map_err(|error| log_error(index, error)),
         // An awaited read fails to join only if it panicked.
         Err(_) => Err(Error::Internal {

@@ -1,5 +1,7 @@
 //! `Watch`: the mutations of an index as they become readable.
 
+mod journal_read;
+
 use std::{collections::VecDeque, ops::Range, pin::pin, sync::Arc, time::Duration};
 
 use tokio::time::timeout;
@@ -13,6 +15,7 @@ use super::{
     read_view::{check_uid, revision, uid_is_named, uid_of},
 };
 use crate::{
+    admission::HeldBytes,
     identity::Role,
     log::{LogError, Outcome, Record},
     registry::{Hosted, RegistryError, Subscriber},
@@ -31,8 +34,8 @@ const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// client goes on at another server. The client of NATS connects again sooner than that if it can.
 const MAX_CUT_OFF_CHECKS: u32 = 5;
 
-/// A running watch. It pins no revision and holds the mutations of one message at most: the log keeps the rest, for as
-/// long as it retains them.
+/// A running watch. It pins no revision and holds the mutations of one message at most, or one mutation: the log keeps the
+/// rest, for as long as it retains them. A mutation that the log trims between two of its pieces ends the watch.
 pub struct Watch {
     service: Service,
     call: Call,
@@ -47,6 +50,10 @@ pub struct Watch {
     from_newest: bool,
     /// The next records, as far as they were read.
     next: VecDeque<Arc<Record>>,
+    /// True if they came from memory.
+    is_cached: bool,
+    /// The bytes of records that were read from the journal.
+    ahead: Option<Arc<HeldBytes>>,
     /// The points and removed ids of the first record that were sent, and the number of pieces.
     sent: (usize, u32),
     include: Option<v1::Include>,
@@ -100,6 +107,8 @@ impl Service {
             from_newest: after.is_none(),
             after: after.map_or(0, |after| after.number),
             next: VecDeque::new(),
+            is_cached: false,
+            ahead: None,
             sent: (0, 0),
             include: request.include,
             replaced: Vec::new(),
@@ -127,36 +136,46 @@ impl Watch {
         }
     }
 
-    /// Waits until there is a message to send. Returns the bytes that it takes to make it, about. A cancelled call loses
-    /// nothing.
+    /// Waits until there is a message to send. Returns about how many bytes making it takes. A cancelled call loses nothing.
     pub(crate) async fn next_bytes(&mut self) -> Result<usize, Error> {
         if self.state != State::Following {
             return Ok(0);
         }
-        if self.next.is_empty() {
-            if let Err(error) = self.wait().await {
-                self.state = State::Done;
-                return Err(error);
-            }
-            let cached = self.hosted.cached_mutations(self.after, self.message_bytes);
-            self.next = cached.unwrap_or_default().into();
+        if self.next.is_empty()
+            && let Err(error) = self.wait().await
+        {
+            self.state = State::Done;
+            return Err(error);
         }
-        Ok(match self.next.is_empty() {
-            // They have to be read.
-            true => 2 * self.message_bytes,
-            false => self.read_ahead_bytes().min(2 * self.message_bytes),
-        })
+        // It counts what it reads, and then makes the message at once.
+        Ok(MUTATION_BYTES)
     }
 
-    /// The bytes of mutations that it has read and not sent.
-    pub(crate) fn read_ahead_bytes(&self) -> usize {
-        let bytes = self.next.iter().map(|record| record.effects().bytes());
-        bytes.sum()
+    /// Counts what it has read and not sent in `ahead`.
+    pub(crate) fn counted(self, ahead: HeldBytes) -> Self {
+        Self {
+            ahead: Some(Arc::new(ahead)),
+            ..self
+        }
     }
 
-    /// Forgets these mutations: they are read again before they are sent.
+    /// Forgets the mutations that it has read and not sent: they are read again.
     pub(crate) fn forget_read_ahead(&mut self) {
         self.next = VecDeque::new();
+        if let Some(ahead) = &self.ahead {
+            ahead.release_all();
+        }
+    }
+
+    /// The mutations after those that were sent. They come from memory, which many share, or are read and counted.
+    async fn read(&mut self) -> Result<Vec<Arc<Record>>, RegistryError> {
+        let (after, most) = (self.after, self.message_bytes);
+        let cached = self.hosted.cached_mutations(after, most);
+        self.is_cached = cached.is_some();
+        if let Some(records) = cached {
+            return Ok(records);
+        }
+        journal_read::read(Arc::clone(&self.hosted), after, most, self.ahead.clone()).await
     }
 
     /// The next message; None after the last or an error. A cancelled call loses no message: the next call begins where
@@ -216,8 +235,8 @@ impl Watch {
     async fn mutations(&mut self) -> Result<v1::WatchResponse, Error> {
         while self.next.is_empty() {
             self.wait().await?;
-            let read = self.hosted.mutations(self.after, self.message_bytes);
-            match self.call.bound("while watching", read).await? {
+            let call = self.call.clone();
+            match call.bound("while watching", self.read()).await? {
                 Ok(records) => {
                     self.next = records.into();
                     self.cut_off_checks = 0;
@@ -265,6 +284,10 @@ impl Watch {
                 self.next.pop_front();
             }
             message.mutations.push(piece);
+        }
+        let has_room = self.ahead.as_ref().is_none_or(|ahead| ahead.has_room());
+        if self.is_cached || !has_room || self.next.is_empty() {
+            self.forget_read_ahead();
         }
         Ok(message)
     }

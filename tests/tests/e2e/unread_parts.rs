@@ -1,8 +1,9 @@
 //! Clients that begin streamed answers and read next to nothing of them.
 
-use std::{net::TcpStream, path::Path};
+use std::{net::TcpStream, path::Path, time::Duration};
 
 use prost::Message;
+use tonic::Request;
 use wayfold_proto::v1::{
     GetIndexRequest, Include, InsertRequest, Revision, ScanRequest, SnapshotIndexRequest,
     WatchRequest,
@@ -18,10 +19,12 @@ const MIB: usize = 1024 * 1024;
 const CONNECTIONS: usize = 4;
 /// The most streams of a connection that last.
 const STREAMS: u32 = 24;
-/// The budget of all bytes, which is a quarter of that for each connection.
+/// The budget of all bytes. A connection has a quarter of it.
 const MAX_BYTES: usize = 16 * MIB;
 /// The mutations of the index: more than the server keeps in memory.
 const MUTATIONS: usize = 12;
+/// Sooner than a connection is cut that takes nothing.
+const MAX_WAIT: Duration = Duration::from_secs(30);
 const PAYLOAD_BYTES: usize = 4096;
 const ROWS: usize = 200;
 
@@ -71,13 +74,13 @@ impl Attack {
     }
 
     /// Begins calls over many connections, and looks at the server's memory for a while. Returns the connections.
-    fn begin(&self, path: &str, request: &impl Message) -> Vec<TcpStream> {
+    fn begin(&self, path: &str, request: &impl Message, window: u8) -> Vec<TcpStream> {
         const LOOKS: usize = 1000;
         let used = || anonymous_bytes(self.server.process().id()).unwrap() as usize;
         let before = used();
         let request = request.encode_to_vec();
         let begun = (0..CONNECTIONS).map(|_| {
-            let mut socket = connection(self.server.uri(), 100);
+            let mut socket = connection(self.server.uri(), window);
             for stream in 0..STREAMS {
                 begin(&mut socket, 2 * stream + 1, path, &request, END_STREAM);
             }
@@ -120,8 +123,13 @@ async fn unread_watches_hold_no_more_than_their_share_and_others_go_on() {
     let directory = tempfile::tempdir().unwrap();
     let mut attack = Attack::prepare(directory.path()).await;
     let watch = attack.watch();
-    let _unread = attack.begin("/wayfold.v1.PointService/Watch", &watch);
-    let mut watched = attack.stubs.points.watch(watch).await.unwrap().into_inner();
+    // With nothing to send to, the server asks a stream for no message after the first.
+    let _unread =
+        [0, 100].map(|window| attack.begin("/wayfold.v1.PointService/Watch", &watch, window));
+    let mut watch = Request::new(watch);
+    watch.set_timeout(MAX_WAIT);
+    let watched = attack.stubs.points.watch(watch).await;
+    let mut watched = watched.unwrap().into_inner();
     let mut ended = 0;
     while ended < MUTATIONS {
         let message = watched.message().await.unwrap().unwrap();
@@ -139,7 +147,7 @@ async fn unread_scans_hold_no_more_than_their_share_and_others_go_on() {
         include: Some(include()),
         ..Default::default()
     };
-    let _unread = attack.begin("/wayfold.v1.PointService/Scan", &scan);
+    let _unread = attack.begin("/wayfold.v1.PointService/Scan", &scan, 100);
     let mut scanned = attack.stubs.points.scan(scan).await.unwrap().into_inner();
     let mut points = 0;
     while let Some(part) = scanned.message().await.unwrap() {

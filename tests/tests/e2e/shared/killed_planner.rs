@@ -17,7 +17,7 @@ const KILLS: usize = 5;
 const FLUSHED: usize = 300;
 const MARKER: u64 = 1;
 
-/// The index has the first writes of each planner, those that it has waited for among them, and every copy has the same.
+/// The index has the first writes of each planner, at least those that it has waited for, and every copy has the same.
 #[test]
 fn a_killed_planner_leaves_its_first_writes() {
     let mut server = server!("--http", "127.0.0.1:0");
@@ -37,7 +37,7 @@ fn a_killed_planner_leaves_its_first_writes() {
         let seen = flushed + random.random_range(1..2_000);
         while survivor.len().unwrap() < seen {}
         planner.stop(Signal::Kill);
-        // Its connection is gone, and what was under way on it.
+        // Until the server has noticed that its connection is gone.
         while figures(&pages)["wayfold_index_subscribers{index=\"arm\"}"] > 1.0 {}
 
         let fresh = shared(server.uri(), &space);
