@@ -95,8 +95,8 @@ impl Source for Watch {
     }
 }
 
-/// The answer of a streaming call. A message is made when the client and the budget of `flow` have room for it: a client
-/// can ask for thousands of messages at once, and read none.
+/// The answer of a streaming call. A message is made while the budget of `flow` has room: a client can ask for thousands of
+/// messages at once, and read none.
 pub(crate) fn respond_all<S: Source>(
     flow: Option<Arc<Flow>>,
     source: Result<S, Error>,
