@@ -83,7 +83,7 @@ impl ConnectionBacklog {
         }
     }
 
-    /// Notes that the connection has read so many bytes, and counts anew after each [`STEP`]. Returns false if the budget has
+    /// Notes that the connection has read so many bytes, and counts again after each [`STEP`]. Returns false if the budget has
     /// no room for the count.
     #[must_use]
     pub(super) fn note_read(&self, bytes: usize) -> bool {
@@ -128,7 +128,7 @@ impl ConnectionBacklog {
         }
     }
 
-    /// Counts anew. Returns false if the budget has no room for the count.
+    /// Counts the unread bytes again. Returns false if the budget has no room for the count.
     pub(super) fn count(&self) -> bool {
         let streams = self.streams.lock();
         let behind = self.behind(streams.iter().map(|it| it.since.load(SeqCst)).min());

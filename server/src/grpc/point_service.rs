@@ -99,7 +99,7 @@ impl PointService for PointFace {
         let (call, message) = into_call(request);
         let watch = self.service.watch(&call, message).await;
         let watch = watch.map(|watch| match &flow {
-            Some(flow) => watch.counted(flow.hold()),
+            Some(flow) => watch.with_read_ahead(flow.hold()),
             None => watch,
         });
         respond_all(flow, watch)

@@ -151,8 +151,8 @@ impl Watch {
         Ok(MUTATION_BYTES)
     }
 
-    /// Counts what it has read and not sent in `ahead`.
-    pub(crate) fn counted(self, ahead: HeldBytes) -> Self {
+    /// Lets `ahead` count the mutations that it has read and not sent.
+    pub(crate) fn with_read_ahead(self, ahead: HeldBytes) -> Self {
         Self {
             ahead: Some(Arc::new(ahead)),
             ..self

@@ -23,7 +23,7 @@ const STREAMS: u32 = 24;
 const MAX_BYTES: usize = 16 * MIB;
 /// The mutations of the index: more than the server keeps in memory.
 const MUTATIONS: usize = 12;
-/// Sooner than a connection is cut that takes nothing.
+/// The longest wait of the other client. It is shorter than the time after which the server cuts a connection that takes nothing.
 const MAX_WAIT: Duration = Duration::from_secs(30);
 const PAYLOAD_BYTES: usize = 4096;
 const ROWS: usize = 200;
