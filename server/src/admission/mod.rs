@@ -184,6 +184,11 @@ impl Admission {
         (self.all.held() as u64, self.all.max() as u64)
     }
 
+    /// True while flows that hold more than a little may not hold more.
+    pub(crate) fn is_short_of_bytes(&self) -> bool {
+        self.all.held() > self.all.max() / 2
+    }
+
     /// The numbers of calls that were refused so far, by reason; `excess` calls exceeded the quotas of identities.
     pub(crate) fn refused(&self, excess: u64) -> [(&'static str, u64); 4] {
         [
@@ -277,6 +282,11 @@ impl Flow {
     /// Begins to count the bytes of a call.
     pub(crate) fn hold(self: &Arc<Self>) -> HeldBytes {
         HeldBytes::new(Arc::clone(self))
+    }
+
+    /// The bytes that it holds.
+    pub(crate) fn held(&self) -> usize {
+        self.own.held()
     }
 
     /// The most bytes that all flows hold.

@@ -81,12 +81,15 @@ struct State {
     backlog: Arc<ConnectionBacklog>,
 }
 
-/// The answers that wait for a client to read them.
+/// The frames of answers that wait for a client to read them.
 #[derive(Debug)]
 struct UnreadFrames {
-    frames: usize,
-    /// The time of the first of them, or that at which the client read another.
-    since: Instant,
+    /// The time since which each waits, by its number.
+    since: BTreeMap<u64, Instant>,
+    /// The frames so far.
+    frames: u64,
+    /// The last time that the client read one.
+    read_at: Instant,
 }
 
 /// An open connection, until it is dropped.
@@ -109,7 +112,10 @@ pub(super) struct ActiveCall(Activity);
 
 /// A frame of an answer on its way out, until it is dropped.
 #[derive(Debug)]
-pub(super) struct Sending(Arc<State>);
+pub(super) struct Sending {
+    state: Arc<State>,
+    number: u64,
+}
 
 impl Connections {
     /// Room for `limit` connections. Each is a flow and has at most `max_streams` lasting streams.
@@ -152,8 +158,9 @@ impl Connections {
             streams: Arc::new(Semaphore::new(self.max_streams)),
             arriving: Arc::new(Semaphore::new(MAX_ARRIVING)),
             unread: Mutex::new(UnreadFrames {
+                since: BTreeMap::new(),
                 frames: 0,
-                since: Instant::now(),
+                read_at: Instant::now(),
             }),
             backlog: Arc::new(ConnectionBacklog::new(Arc::clone(
                 self.admission.of_backlogs(),
@@ -176,6 +183,20 @@ impl State {
     /// The time since the last sign of life.
     fn silence(&self) -> Duration {
         self.active_at.lock().elapsed()
+    }
+}
+
+impl UnreadFrames {
+    /// The time for which the first of them waits; None if there is none.
+    fn longest_wait(&self) -> Option<Duration> {
+        let (_, first) = self.since.first_key_value()?;
+        Some(first.elapsed())
+    }
+
+    /// The time for which some wait and the client reads none.
+    fn standstill(&self) -> Option<Duration> {
+        let wait = self.longest_wait()?;
+        Some(wait.min(self.read_at.elapsed()))
     }
 }
 
@@ -210,7 +231,7 @@ impl Activity {
 
     /// Notes that bytes have left, which are a sign of life if an answer waits for its client.
     pub(super) fn note_departure(&self) {
-        if self.state.unread.lock().frames > 0 {
+        if !self.state.unread.lock().since.is_empty() {
             self.state.note_activity();
         }
     }
@@ -273,20 +294,22 @@ impl Activity {
     /// A frame of an answer waits for the client to read it, until the result is dropped.
     pub(super) fn send(&self) -> Sending {
         let mut unread = self.state.unread.lock();
-        if unread.frames == 0 {
-            unread.since = Instant::now();
-        }
+        let number = unread.frames;
+        unread.since.insert(number, Instant::now());
         unread.frames += 1;
-        Sending(Arc::clone(&self.state))
+        Sending {
+            state: Arc::clone(&self.state),
+            number,
+        }
     }
 }
 
 impl Drop for Sending {
     fn drop(&mut self) {
-        let mut unread = self.0.unread.lock();
-        unread.frames -= 1;
-        unread.since = Instant::now();
-        self.0.note_activity();
+        let mut unread = self.state.unread.lock();
+        unread.since.remove(&self.number);
+        unread.read_at = Instant::now();
+        self.state.note_activity();
     }
 }
 

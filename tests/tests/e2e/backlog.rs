@@ -46,7 +46,13 @@ pub(crate) fn connection(uri: &str, window: u8) -> TcpStream {
 }
 
 /// Begins a call with one message on a stream of a connection. The flags of the message may end the request.
-pub(crate) fn begin(socket: &mut TcpStream, stream: u32, path: &str, message: &[u8], flags: u8) {
+pub(crate) fn begin(
+    socket: &mut TcpStream,
+    stream: u32,
+    path: &str,
+    message: &[u8],
+    flags: u8,
+) -> io::Result<()> {
     let mut headers = BytesMut::new();
     for (name, value) in [
         (":method", "POST"),
@@ -69,7 +75,7 @@ pub(crate) fn begin(socket: &mut TcpStream, stream: u32, path: &str, message: &[
     framed.put_u32(message.len() as u32);
     framed.put_slice(message);
     put_frame(&mut sent, DATA, flags, stream, &framed);
-    socket.write_all(&sent).unwrap();
+    socket.write_all(&sent)
 }
 
 /// Sends frames of `bytes` between large ones that are ignored, until the connection ends.
@@ -82,7 +88,8 @@ fn send_until_cut(uri: &str, bytes: usize) {
         "/wayfold.v1.PointService/StreamKnn",
         &[],
         0,
-    );
+    )
+    .unwrap();
     let mut part = BytesMut::new();
     put_frame(&mut part, UNKNOWN, 0, 0, &[0; MAX_FRAME]);
     put_frame(&mut part, DATA, 0, STREAM, &vec![0; bytes]);

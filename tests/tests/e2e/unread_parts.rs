@@ -1,9 +1,10 @@
 //! Clients that begin streamed answers and read next to nothing of them.
 
-use std::{net::TcpStream, path::Path, time::Duration};
+use std::{io::Read, net::TcpStream, path::Path, thread, time::Duration};
 
 use prost::Message;
-use tonic::Request;
+use tokio::time::{interval, timeout};
+use tonic::{Code, Request};
 use wayfold_proto::v1::{
     GetIndexRequest, Include, InsertRequest, Revision, ScanRequest, SnapshotIndexRequest,
     WatchRequest,
@@ -82,7 +83,7 @@ impl Attack {
         let begun = (0..CONNECTIONS).map(|_| {
             let mut socket = connection(self.server.uri(), window);
             for stream in 0..STREAMS {
-                begin(&mut socket, 2 * stream + 1, path, &request, END_STREAM);
+                begin(&mut socket, 2 * stream + 1, path, &request, END_STREAM).unwrap();
             }
             socket
         });
@@ -156,6 +157,66 @@ async fn unread_scans_hold_no_more_than_their_share_and_others_go_on() {
     assert_eq!(points, MUTATIONS * ROWS);
 }
 
+/// Reads a small answer now and then, as long as the server lets it.
+fn read_a_little(mut socket: TcpStream, request: &[u8]) {
+    const PAUSE: Duration = Duration::from_millis(200);
+    let mut numbers = (2 * STREAMS + 1..).step_by(2);
+    let mut read = [0; 4096];
+    socket.set_read_timeout(Some(PAUSE)).unwrap();
+    loop {
+        let (path, number) = ("/wayfold.v1.IndexService/GetIndex", numbers.next().unwrap());
+        if begin(&mut socket, number, path, request, END_STREAM).is_err() {
+            return;
+        }
+        // It waits for what the answer before it lacks, and for the pause.
+        while socket.read(&mut read).is_ok_and(|bytes| bytes > 0) {}
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn clients_that_read_a_little_do_not_keep_the_bytes_of_all() {
+    const ROWS: usize = 1000;
+    let directory = tempfile::tempdir().unwrap();
+    let mut attack = Attack::prepare(directory.path()).await;
+    let scan = ScanRequest {
+        index_name: "arm".into(),
+        include: Some(include()),
+        ..Default::default()
+    };
+    let begun = attack.begin("/wayfold.v1.PointService/Scan", &scan, 255);
+    let request = GetIndexRequest {
+        index_name: "arm".into(),
+    };
+    let clients = begun.into_iter().map(|socket| {
+        let request = request.encode_to_vec();
+        thread::spawn(move || read_a_little(socket, &request))
+    });
+    let clients: Vec<_> = clients.collect();
+    let rows = States::new("R3".parse().unwrap(), 20).rows(ROWS);
+    let request = InsertRequest {
+        index_name: "arm".into(),
+        states: Some(row_states(&rows, 3)),
+        ..Default::default()
+    };
+    let inserted = timeout(MAX_WAIT, async {
+        let mut pauses = interval(Duration::from_millis(100));
+        let mut refused = 0;
+        loop {
+            pauses.tick().await;
+            match attack.stubs.points.insert(request.clone()).await {
+                Ok(_) => break refused,
+                Err(status) => assert_eq!(status.code(), Code::ResourceExhausted, "{status}"),
+            }
+            refused += 1;
+        }
+    });
+    assert!(inserted.await.expect("no bytes are left for an insert") > 0);
+    drop(attack);
+    for client in clients {
+        client.join().unwrap();
+    }
+}
+
 /// The client takes no byte, so the server makes only the short first part of each snapshot. It has read the next part
 /// from the store by then.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -187,7 +248,8 @@ async fn the_parts_of_unread_snapshots_count_before_they_are_made() {
             path,
             &request.encode_to_vec(),
             END_STREAM,
-        );
+        )
+        .unwrap();
     }
     let held = || figures(&pages)["wayfold_in_flight_bytes{of=\"held\"}"];
     let mut looks = 0..MAX_LOOKS;

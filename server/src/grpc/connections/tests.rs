@@ -12,7 +12,7 @@ use http_body_util::Full;
 use tokio::time::{advance, timeout};
 
 use super::{
-    cut::{LOOK_INTERVAL, MAX_STANDING_TIME, STANDING_TIME},
+    cut::{LOOK_INTERVAL, MAX_STANDING_TIME, STANDING_TIME, UNREAD_LOOK_INTERVAL},
     places::{MAX_GUESTS, MAX_SILENCE, MAX_WAIT, MIN_IDLE},
     *,
 };
@@ -225,6 +225,70 @@ async fn the_longest_backlog_goes_once_the_budget_of_all_is_spent() {
     advance(MAX_STANDING_TIME).await;
     activity.cut_longest_backlog();
     assert_eq!(cut(&open), [false, false, true]);
+}
+
+/// All clients read an answer every second. Three leave another one unread.
+#[tokio::test(start_paused = true)]
+async fn the_largest_connection_that_leaves_an_answer_unread_goes_while_bytes_are_short() {
+    let admission = Admission::new(&Config::default().admission, 1, 0);
+    let max = admission.bytes().1 as usize;
+    let connections = Connections::new(4, 1, admission);
+    let mut open = Vec::new();
+    // The largest one reads everything.
+    for sixteenth in [1, 3, 2, 4] {
+        let cut = CancellationToken::new();
+        let connection = connections.open(None, cut.clone()).await.unwrap();
+        let held = connection.activity().flow().hold();
+        held.force_take(sixteenth * max / 16);
+        let unread = (sixteenth < 4).then(|| connection.activity().send());
+        open.push((connection, held, unread, cut));
+    }
+    let cut = |open: &[(Open, _, _, CancellationToken)]| {
+        let cut = open.iter().map(|(.., cut)| cut.is_cancelled());
+        cut.collect::<Vec<_>>()
+    };
+    let mut looking = pin!(connections.cut_unread(6 * MAX_STANDING_TIME));
+    let mut go_on =
+        async |time: Duration, open: &[(Open, crate::admission::HeldBytes, Option<Sending>, _)]| {
+            let end = Instant::now() + time;
+            while Instant::now() < end {
+                assert!(poll!(looking.as_mut()).is_pending());
+                for (connection, ..) in open {
+                    drop(connection.activity().send());
+                }
+                advance(UNREAD_LOOK_INTERVAL).await;
+            }
+        };
+    go_on(MAX_STANDING_TIME, &open).await;
+    assert_eq!(cut(&open), [false; 4]);
+    go_on(UNREAD_LOOK_INTERVAL, &open).await;
+    assert_eq!(cut(&open), [false, true, false, false]);
+    // The others hold less than half of all bytes.
+    drop(open.remove(1));
+    go_on(10 * MAX_STANDING_TIME, &open).await;
+    assert_eq!(cut(&open), [false; 3]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_connection_whose_client_reads_nothing_goes_after_its_time() {
+    let admission = Admission::new(&Config::default().admission, 1, 0);
+    let connections = Connections::new(2, 1, admission);
+    let cuts = [CancellationToken::new(), CancellationToken::new()];
+    let first = connections.open(None, cuts[0].clone()).await.unwrap();
+    let _idle = connections.open(None, cuts[1].clone()).await.unwrap();
+    let unread = [first.activity().send(), first.activity().send()];
+    let most = 6 * MAX_STANDING_TIME;
+    let mut looking = pin!(connections.cut_unread(most));
+    let mut is_cut = async |time: Duration| {
+        advance(time).await;
+        assert!(poll!(looking.as_mut()).is_pending());
+        cuts.each_ref().map(CancellationToken::is_cancelled)
+    };
+    assert_eq!(is_cut(most).await, [false, false]);
+    let [read, _unread] = unread;
+    drop(read);
+    assert_eq!(is_cut(most).await, [false, false]);
+    assert_eq!(is_cut(UNREAD_LOOK_INTERVAL).await, [true, false]);
 }
 
 #[tokio::test(start_paused = true)]
