@@ -194,6 +194,17 @@ mod tests {
     /// Two tests that hold permits at a time could wait for each other.
     static HOLDS_PERMITS: Mutex<()> = Mutex::const_new(());
 
+    /// A read that ends once `gate` is cancelled.
+    fn waits_for(
+        gate: &CancellationToken,
+    ) -> impl FnOnce(&dyn View) -> Result<(), LogError> + Send + 'static {
+        let gate = gate.clone();
+        move |_| {
+            Handle::current().block_on(gate.cancelled());
+            Ok(())
+        }
+    }
+
     #[tokio::test]
     async fn few_reads_are_under_way_at_a_time() {
         let _alone = HOLDS_PERMITS.lock().await;
@@ -204,12 +215,11 @@ mod tests {
         let gate = CancellationToken::new();
         let reads: Vec<_> = (0..=most)
             .map(|_| {
-                let (view, start, gate) = (Arc::clone(&view), start.clone(), gate.clone());
+                let (view, start, wait) = (Arc::clone(&view), start.clone(), waits_for(&gate));
                 tokio::spawn(async move {
-                    let wait = move |_: &dyn View| {
+                    let wait = move |view: &dyn View| {
                         start.send(()).unwrap();
-                        Handle::current().block_on(gate.cancelled());
-                        Ok(())
+                        wait(view)
                     };
                     read(&Call::default(), "reading", "arm", &view, wait).await
                 })
@@ -238,12 +248,8 @@ mod tests {
         });
         let gate = CancellationToken::new();
         let held = || {
-            let gate = gate.clone();
-            let wait = move |_: &dyn View| {
-                Handle::current().block_on(gate.cancelled());
-                Ok(())
-            };
-            Box::pin(unconstrained(read(&heavy, "reading", "arm", &view, wait)))
+            let read = read(&heavy, "reading", "arm", &view, waits_for(&gate));
+            Box::pin(unconstrained(read))
         };
         let mut reads: Vec<_> = (0..2 * *MAX_STORED_READS).map(|_| held()).collect();
         for read in &mut reads {
@@ -257,5 +263,27 @@ mod tests {
         for read in reads {
             read.await.unwrap();
         }
+    }
+    /// HTTP/2 stops the polls of a stream whose client takes nothing.
+    #[tokio::test]
+    async fn calls_that_are_polled_no_more_keep_no_permits() {
+        let _alone = HOLDS_PERMITS.lock().await;
+        let entry = arm();
+        let view: Arc<dyn View> = log_with(&entry, &[]).view(entry.uid).unwrap();
+        let call = Call::default();
+        let gate = CancellationToken::new();
+        let unread = || {
+            let read = read(&call, "reading", "arm", &view, waits_for(&gate));
+            Box::pin(unconstrained(read))
+        };
+        let mut unread: Vec<_> = (0..2 * *MAX_STORED_READS).map(|_| unread()).collect();
+        for read in &mut unread {
+            assert!(poll!(read).is_pending());
+        }
+        gate.cancel();
+        let read = read(&call, "reading", "arm", &view, |_| Ok(()));
+        let read = timeout(Duration::from_secs(10), read).await;
+        read.expect("it waits for permits that nobody uses")
+            .unwrap();
     }
 }
