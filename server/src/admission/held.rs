@@ -50,8 +50,7 @@ impl HeldBytes {
     #[must_use]
     pub(crate) fn try_take(&self, bytes: usize) -> bool {
         let Flow { all, own, .. } = &*self.flow;
-        let most = self.flow.most_of_all(own.held().saturating_add(bytes));
-        if !all.try_take_within(most, bytes) {
+        if !all.try_take_within(self.flow.most_of_all(bytes), bytes) {
             return false;
         }
         if !own.try_take(bytes) {
@@ -62,11 +61,11 @@ impl HeldBytes {
         true
     }
 
-    /// Waits for a while until the flow may hold more, and holds these bytes then; false if it may not, which counts as a
-    /// refusal.
+    /// Waits for a while until the flow may hold so many more bytes, and holds them then; false if it may not, which counts as
+    /// a refusal.
     #[must_use]
     pub(crate) async fn wait_for(&self, bytes: usize) -> bool {
-        let waited = timeout(MAX_WAIT, self.room()).await;
+        let waited = timeout(MAX_WAIT, self.room(bytes)).await;
         match waited {
             Ok(()) => self.force_take(bytes),
             Err(_) => self.flow.all.refuse(),
@@ -74,10 +73,10 @@ impl HeldBytes {
         waited.is_ok()
     }
 
-    /// Waits until the flow may hold more.
-    pub(crate) async fn room(&self) {
+    /// Waits until the flow may hold so many more bytes.
+    pub(crate) async fn room(&self, bytes: usize) {
         let mut pause = MIN_PAUSE;
-        while !self.has_room() {
+        while !self.has_room(bytes) {
             sleep_until(Instant::now() + pause).await;
             pause = (2 * pause).min(MAX_PAUSE);
         }
@@ -102,19 +101,21 @@ impl HeldBytes {
         self.flow.all.release(bytes);
     }
 
-    /// False while the flow holds more than it may, since answers were not read: the call is refused, and counts as that.
-    pub(crate) fn check_room(&self) -> bool {
-        let has_room = self.has_room();
+    /// False while the flow may not hold so many more bytes, since answers were not read: the call is refused, and counts as
+    /// that.
+    pub(crate) fn check_room(&self, bytes: usize) -> bool {
+        let has_room = self.has_room(bytes);
         if !has_room {
             self.flow.all.refuse();
         }
         has_room
     }
 
-    /// True if the flow may hold more.
-    pub(crate) fn has_room(&self) -> bool {
+    /// True if the flow may hold so many more bytes, or all together hold no more than they may without them: a message is
+    /// never too large to be answered.
+    pub(crate) fn has_room(&self, bytes: usize) -> bool {
         let Flow { all, own, .. } = &*self.flow;
-        own.held() <= own.max() && all.held() <= self.flow.most_of_all(own.held())
+        own.held() <= own.max() && all.held() <= self.flow.most_of_all(bytes)
     }
 
     /// The flow of the call.

@@ -184,9 +184,9 @@ impl Admission {
         (self.all.held() as u64, self.all.max() as u64)
     }
 
-    /// True while flows that hold more than a little may not hold more.
+    /// True while flows that hold more than a little may soon be refused more: they have half of all bytes.
     pub(crate) fn is_short_of_bytes(&self) -> bool {
-        self.all.held() > self.all.max() / 2
+        self.all.held() > self.all.max() / 8 * 3
     }
 
     /// The numbers of calls that were refused so far, by reason; `excess` calls exceeded the quotas of identities.
@@ -269,13 +269,18 @@ impl Flow {
         }
     }
 
-    /// The most bytes of all flows while this one holds `own`. Half of them are for flows that hold little, so that a few
-    /// greedy ones cannot take everything.
-    fn most_of_all(&self, own: usize) -> usize {
-        let max = self.all.max();
-        match own <= (max / SMALL_PARTS).max(2 * CALL_BYTES) {
-            true => max,
-            false => max / 2,
+    /// The most bytes of all flows for this one to take `bytes` more. A quarter of them is for flows that hold little then, and
+    /// another one for those that hold little now: a few greedy ones cannot take everything, nor can many with one large
+    /// answer each.
+    fn most_of_all(&self, bytes: usize) -> usize {
+        let (max, own) = (self.all.max(), self.own.held());
+        let little = (max / SMALL_PARTS).max(2 * CALL_BYTES);
+        if own.saturating_add(bytes) <= little {
+            max
+        } else if own <= little {
+            max - max / 4
+        } else {
+            max / 2
         }
     }
 

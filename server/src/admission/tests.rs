@@ -19,7 +19,7 @@ fn refusals_for_unread_answers_count() {
     let admission = Admission::new(&Config::default().admission, 1, 0);
     let held = admission.open().hold();
     held.force_take(admission.all.max() + 1);
-    assert!(!held.check_room());
+    assert!(!held.check_room(0));
     assert_eq!(admission.refused(0)[1], ("TOO_MANY_BYTES", 1));
 }
 

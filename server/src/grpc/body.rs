@@ -66,12 +66,17 @@ impl<H> AsRef<[u8]> for UnreadFrame<H> {
     }
 }
 
+/// The bytes of a frame's buffer: the encoder doubles it while it grows.
+pub(super) fn frame_bytes(frame: &Bytes) -> usize {
+    frame.len().next_power_of_two()
+}
+
 impl CallResources {
-    /// Counts the buffer of `frame` until its client has read it: the encoder doubles it while it grows.
+    /// Counts the buffer of `frame` until its client has read it.
     fn count(&self, frame: Frame<Bytes>) -> Frame<Bytes> {
         frame.map_data(|bytes| {
             let held = self.held.flow().hold();
-            held.force_take(bytes.len().next_power_of_two());
+            held.force_take(frame_bytes(&bytes));
             unread(bytes, held, self.activity.as_ref())
         })
     }

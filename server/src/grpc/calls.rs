@@ -276,6 +276,7 @@ where
             call,
             streams_requests: rpc.streams_requests,
             streams_answers: rpc.streams_answers,
+            is_read: rpc.is_read(),
             service: settings.shared.service.clone(),
             whole: Bytes::new(),
         };

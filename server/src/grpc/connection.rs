@@ -211,7 +211,7 @@ impl Connection {
         self.open.activity().set_stalled(written.is_pending());
         match written {
             Poll::Ready(Ok(bytes @ 1..)) => {
-                self.open.activity().note_departure();
+                self.open.activity().note_departure(bytes);
                 self.written_bytes += bytes;
             }
             _ => self.written_bytes = 0,

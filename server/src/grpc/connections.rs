@@ -77,19 +77,30 @@ struct State {
     streams: Arc<Semaphore>,
     /// Those of streams for reflection, and of requests for health that have not arrived whole.
     arriving: Arc<Semaphore>,
-    unread: Mutex<UnreadFrames>,
+    waits: Mutex<Waits>,
     backlog: Arc<ConnectionBacklog>,
 }
 
-/// The frames of answers that wait for a client to read them.
+/// What waits for a client: frames of answers until it reads them, and requests until it sends the rest.
 #[derive(Debug)]
-struct UnreadFrames {
-    /// The time since which each waits, by its number.
-    since: BTreeMap<u64, Instant>,
-    /// The frames so far.
-    frames: u64,
-    /// The last time that the client read one.
-    read_at: Instant,
+struct Waits {
+    /// By their numbers.
+    all: BTreeMap<u64, Wait>,
+    /// Their number so far.
+    count: u64,
+    /// The frames among them.
+    frames: usize,
+    /// The time since which the first of the frames waits, or the last time that the client read one.
+    frames_since: Instant,
+    /// The bytes that the client has read.
+    read_bytes: u64,
+}
+
+#[derive(Debug)]
+struct Wait {
+    since: Instant,
+    /// The bytes that the client had read by then.
+    read_bytes: u64,
 }
 
 /// An open connection, until it is dropped.
@@ -112,7 +123,11 @@ pub(super) struct ActiveCall(Activity);
 
 /// A frame of an answer on its way out, until it is dropped.
 #[derive(Debug)]
-pub(super) struct Sending {
+pub(super) struct Sending(Waiting);
+
+/// Something waits for a client, until this is dropped.
+#[derive(Debug)]
+pub(super) struct Waiting {
     state: Arc<State>,
     number: u64,
 }
@@ -157,10 +172,12 @@ impl Connections {
             flow: self.admission.open(),
             streams: Arc::new(Semaphore::new(self.max_streams)),
             arriving: Arc::new(Semaphore::new(MAX_ARRIVING)),
-            unread: Mutex::new(UnreadFrames {
-                since: BTreeMap::new(),
+            waits: Mutex::new(Waits {
+                all: BTreeMap::new(),
+                count: 0,
                 frames: 0,
-                read_at: Instant::now(),
+                frames_since: Instant::now(),
+                read_bytes: 0,
             }),
             backlog: Arc::new(ConnectionBacklog::new(Arc::clone(
                 self.admission.of_backlogs(),
@@ -186,17 +203,31 @@ impl State {
     }
 }
 
-impl UnreadFrames {
-    /// The time for which the first of them waits; None if there is none.
-    fn longest_wait(&self) -> Option<Duration> {
-        let (_, first) = self.since.first_key_value()?;
-        Some(first.elapsed())
+impl Waits {
+    fn add(&mut self) -> u64 {
+        let number = self.count;
+        self.count += 1;
+        let wait = Wait {
+            since: Instant::now(),
+            read_bytes: self.read_bytes,
+        };
+        self.all.insert(number, wait);
+        number
     }
 
-    /// The time for which some wait and the client reads none.
+    /// The time for which frames wait and the client reads none.
     fn standstill(&self) -> Option<Duration> {
-        let wait = self.longest_wait()?;
-        Some(wait.min(self.read_at.elapsed()))
+        (self.frames > 0).then(|| self.frames_since.elapsed())
+    }
+
+    /// True if something has waited for `time`, and the client reads so slowly since then that `bytes` would take longer than
+    /// `most`.
+    fn are_late(&self, time: Duration, bytes: usize, most: Duration) -> bool {
+        self.all.first_key_value().is_some_and(|(_, first)| {
+            let (waited, read) = (first.since.elapsed(), self.read_bytes - first.read_bytes);
+            let needed = bytes as f64 * waited.as_secs_f64() / most.as_secs_f64();
+            waited >= time && (read as f64) < needed
+        })
     }
 }
 
@@ -230,8 +261,10 @@ impl Activity {
     }
 
     /// Notes that bytes have left, which are a sign of life if an answer waits for its client.
-    pub(super) fn note_departure(&self) {
-        if !self.state.unread.lock().since.is_empty() {
+    pub(super) fn note_departure(&self, bytes: usize) {
+        let mut waits = self.state.waits.lock();
+        waits.read_bytes += bytes as u64;
+        if waits.frames > 0 {
             self.state.note_activity();
         }
     }
@@ -293,23 +326,39 @@ impl Activity {
 
     /// A frame of an answer waits for the client to read it, until the result is dropped.
     pub(super) fn send(&self) -> Sending {
-        let mut unread = self.state.unread.lock();
-        let number = unread.frames;
-        unread.since.insert(number, Instant::now());
-        unread.frames += 1;
-        Sending {
+        let mut waits = self.state.waits.lock();
+        if waits.frames == 0 {
+            waits.frames_since = Instant::now();
+        }
+        waits.frames += 1;
+        Sending(Waiting {
+            number: waits.add(),
             state: Arc::clone(&self.state),
-            number,
+        })
+    }
+
+    /// A request waits for the client to send the rest, until the result is dropped.
+    pub(super) fn receive(&self) -> Waiting {
+        Waiting {
+            number: self.state.waits.lock().add(),
+            state: Arc::clone(&self.state),
         }
     }
 }
 
 impl Drop for Sending {
     fn drop(&mut self) {
-        let mut unread = self.state.unread.lock();
-        unread.since.remove(&self.number);
-        unread.read_at = Instant::now();
-        self.state.note_activity();
+        let state = &self.0.state;
+        let mut waits = state.waits.lock();
+        waits.frames -= 1;
+        waits.frames_since = Instant::now();
+        state.note_activity();
+    }
+}
+
+impl Drop for Waiting {
+    fn drop(&mut self) {
+        self.state.waits.lock().all.remove(&self.number);
     }
 }
 

@@ -118,7 +118,7 @@ pub(crate) async fn serve(
     let send_timeout = Duration::from_millis(config.send_timeout_ms);
     let watched = Arc::clone(&connections);
     let _watching = AbortOnDropHandle::new(tokio::spawn(async move {
-        watched.cut_unread(send_timeout).await;
+        watched.cut_waiting(send_timeout).await;
     }));
     let read_queue = Arc::clone(connections.read_queue());
     let _reading = AbortOnDropHandle::new(tokio::spawn(async move {

@@ -20,7 +20,7 @@ use tonic::{Status, body::Body};
 
 use super::{
     backlog::StreamBacklog,
-    connections::Activity,
+    connections::{Activity, Waiting},
     refusals::{self, MessageLimit},
 };
 use crate::{admission::HeldBytes, service::Service, status};
@@ -55,6 +55,8 @@ pub(super) struct RequestBody {
     began: Instant,
     /// Set at the first wait for a message.
     timer: Option<Pin<Box<Sleep>>>,
+    /// Set at the first wait for the rest of a message.
+    waiting: Option<Waiting>,
     service: Service,
     /// Set at the first wait: the time at which the server begins to stop.
     stopping: Option<Pin<Box<WaitForCancellationFutureOwned>>>,
@@ -82,6 +84,7 @@ impl RequestBody {
             messages: Messages::default(),
             began,
             timer: None,
+            waiting: None,
             service,
             stopping: None,
         }
@@ -107,6 +110,7 @@ impl RequestBody {
         self.messages.advance(bytes);
         if before.0 == 0 || self.messages.ended > before.1 {
             self.timer = None;
+            self.waiting = None;
         }
         let is_held = match self.is_stream {
             true => {
@@ -143,6 +147,9 @@ impl RequestBody {
             false => self.began,
         };
         let end = began + self.limits.time;
+        if self.waiting.is_none() && !self.messages.are_whole() {
+            self.waiting = self.activity.as_ref().map(Activity::receive);
+        }
         let timer = || Box::pin(sleep_until(end.into()));
         let timer = self.timer.get_or_insert_with(timer);
         timer.as_mut().poll(context).is_ready()

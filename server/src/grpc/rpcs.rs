@@ -82,6 +82,11 @@ impl Rpc {
         self.lasts && !self.streams_requests
     }
 
+    /// True if it reads points and has one answer, which may be large.
+    pub(super) fn is_read(self) -> bool {
+        matches!(self.verb, "get" | "knn" | "query")
+    }
+
     /// True if it is a call of `IndexService`.
     pub(super) fn is_of_indices(self) -> bool {
         self.path.starts_with("IndexService/")

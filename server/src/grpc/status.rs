@@ -125,7 +125,7 @@ impl<S: Source> Parts<S> {
         let making = self.flow.as_ref().filter(|_| bytes > 0);
         let making = making.map(|flow| flow.hold());
         if let Some(making) = &making {
-            if !making.has_room() {
+            if !making.has_room(bytes) {
                 self.source.give_up_room();
             }
             if !making.wait_for(bytes).await {

@@ -182,7 +182,7 @@ pub(super) async fn answer(State(api): State<Arc<Api>>, request: HttpRequest) ->
         received = arrived.elapsed();
         let _place = api.calls.acquire().await;
         // Answers that were not read may have taken the room meanwhile.
-        if !held.check_room() {
+        if !held.check_room(0) {
             return Err(status::too_many_bytes(held.flow().max_bytes()));
         }
         let working = ask(&api.shared, &call, target, parts.uri.query(), &body);

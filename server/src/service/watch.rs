@@ -285,7 +285,7 @@ impl Watch {
             }
             message.mutations.push(piece);
         }
-        let has_room = self.ahead.as_ref().is_none_or(|ahead| ahead.has_room());
+        let has_room = self.ahead.as_ref().is_none_or(|ahead| ahead.has_room(0));
         if self.is_cached || !has_room || self.next.is_empty() {
             self.forget_read_ahead();
         }

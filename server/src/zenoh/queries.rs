@@ -28,7 +28,7 @@ use super::{
     encoding,
     flows::Flows,
     inline::{self, Inline},
-    response::{Replies, Response},
+    response::{Replies, Response, reply_bytes},
     wildcard,
 };
 use crate::{
@@ -195,10 +195,9 @@ impl Queries {
         } = accepted;
         let answer_in = *form.as_ref().unwrap_or(&Form::Json);
         let target = Target::of(&self.prefix, query.key_expr().as_str());
-        let rpc = match &target {
-            Ok(target) => target.verb.name(),
-            Err(_) => "other",
-        };
+        let verb = target.as_ref().ok().map(|target| target.verb);
+        let rpc = verb.map_or("other", Verb::name);
+        let is_read = verb.is_some_and(|verb| !verb.is_mutation() && !verb.is_of_server());
         let attached = attached(query.attachment());
         // It bounds the wait for a turn too. A wrong one is refused in the turn.
         let named = query.parameters().iter();
@@ -224,11 +223,18 @@ impl Queries {
         );
         let span = record.span().clone();
         let evaluation = async {
-            if !held.check_room() {
-                return Err(status::too_many_bytes(held.flow().max_bytes()));
-            }
+            let check_room = |bytes| match held.check_room(bytes) {
+                true => Ok(()),
+                false => Err(status::too_many_bytes(held.flow().max_bytes())),
+            };
+            check_room(0)?;
             let replies = self.replies(&query, form, target, arrived, call).await;
-            replies.map_err(|error| status::from_error(&error))
+            let replies = replies.map_err(|error| status::from_error(&error))?;
+            // Only now their size is known. Those to a mutation, which took place, are always given.
+            if is_read {
+                check_room(reply_bytes(&replies))?;
+            }
+            Ok(replies)
         };
         let answering = AssertUnwindSafe(turns.run(evaluation)).catch_unwind();
         let answered = timeout_at(deadline.into(), answering.instrument(span)).await;

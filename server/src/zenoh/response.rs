@@ -23,11 +23,15 @@ pub(super) struct Response {
     pub(super) under_way: TaskTrackerToken,
 }
 
+/// The bytes of all replies.
+pub(super) fn reply_bytes(replies: &Replies) -> usize {
+    replies.iter().map(|(_, payload)| payload.len()).sum()
+}
+
 impl Response {
     /// The bytes of all replies.
     pub(super) fn bytes(&self) -> usize {
-        let replies = self.result.iter().flatten();
-        replies.map(|(_, payload)| payload.len()).sum()
+        self.result.as_ref().map_or(0, reply_bytes)
     }
 
     /// Sends the result. Blocks as [`reply`] does.

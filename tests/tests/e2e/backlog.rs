@@ -53,6 +53,33 @@ pub(crate) fn begin(
     message: &[u8],
     flags: u8,
 ) -> io::Result<()> {
+    let mut framed = BytesMut::from(&[0][..]);
+    framed.put_u32(message.len() as u32);
+    framed.put_slice(message);
+    let mut sent = headers(stream, path);
+    put_frame(&mut sent, DATA, flags, stream, &framed);
+    socket.write_all(&sent)
+}
+
+/// Begins a call on a stream of a connection with the first half of a message of so many bytes.
+pub(crate) fn begin_half(
+    socket: &mut TcpStream,
+    stream: u32,
+    path: &str,
+    bytes: usize,
+) -> io::Result<()> {
+    let mut framed = BytesMut::from(&[0][..]);
+    framed.put_u32(bytes as u32);
+    framed.put_bytes(0, bytes / 2);
+    let mut sent = headers(stream, path);
+    for part in framed.chunks(MAX_FRAME) {
+        put_frame(&mut sent, DATA, 0, stream, part);
+    }
+    socket.write_all(&sent)
+}
+
+/// The frame that begins a call.
+fn headers(stream: u32, path: &str) -> BytesMut {
     let mut headers = BytesMut::new();
     for (name, value) in [
         (":method", "POST"),
@@ -71,11 +98,7 @@ pub(crate) fn begin(
     }
     let mut sent = BytesMut::new();
     put_frame(&mut sent, HEADERS, END_HEADERS, stream, &headers);
-    let mut framed = BytesMut::from(&[0][..]);
-    framed.put_u32(message.len() as u32);
-    framed.put_slice(message);
-    put_frame(&mut sent, DATA, flags, stream, &framed);
-    socket.write_all(&sent)
+    sent
 }
 
 /// Sends frames of `bytes` between large ones that are ignored, until the connection ends.

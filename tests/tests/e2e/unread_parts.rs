@@ -1,4 +1,4 @@
-//! Clients that begin streamed answers and read next to nothing of them.
+//! Clients that begin streamed answers and read next to nothing of them, or requests that they do not end.
 
 use std::{io::Read, net::TcpStream, path::Path, thread, time::Duration};
 
@@ -9,10 +9,12 @@ use wayfold_proto::v1::{
     GetIndexRequest, Include, InsertRequest, Revision, ScanRequest, SnapshotIndexRequest,
     WatchRequest,
 };
-use wayfold_tests::{ServerProcess, States, Stubs, figures::anonymous_bytes, row_states, server};
+use wayfold_tests::{
+    ServerProcess, Signal, States, Stubs, figures::anonymous_bytes, row_states, server,
+};
 
 use crate::{
-    backlog::{END_STREAM, begin, connection},
+    backlog::{END_STREAM, begin, begin_half, connection},
     metrics::figures,
 };
 
@@ -50,13 +52,7 @@ impl Attack {
         stubs.create("arm", "R3").await;
         let mut states = States::new("R3".parse().unwrap(), 19);
         for _ in 0..MUTATIONS {
-            let inserted = InsertRequest {
-                index_name: "arm".into(),
-                states: Some(row_states(&states.rows(ROWS), 3)),
-                payloads: vec![vec![7; PAYLOAD_BYTES].into(); ROWS],
-                ..Default::default()
-            };
-            stubs.insert(inserted).await;
+            stubs.insert(inserted(&mut states)).await;
         }
         let index = GetIndexRequest {
             index_name: "arm".into(),
@@ -89,16 +85,18 @@ impl Attack {
         });
         let begun = begun.collect();
         for _ in 0..LOOKS {
-            let held = figures(&self.pages)["wayfold_in_flight_bytes{of=\"held\"}"];
+            let held = self.held();
             // Each connection may make one more part.
-            assert!(
-                held < (MAX_BYTES + CONNECTIONS * 2 * MIB) as f64,
-                "{held} bytes"
-            );
+            assert!(held < MAX_BYTES + CONNECTIONS * 2 * MIB, "{held} bytes");
             let grown = used().saturating_sub(before);
             assert!(grown < 2 * MAX_BYTES, "{grown} bytes");
         }
         begun
+    }
+
+    /// The bytes that calls hold.
+    fn held(&self) -> usize {
+        figures(&self.pages)["wayfold_in_flight_bytes{of=\"held\"}"] as usize
     }
 
     fn watch(&self) -> WatchRequest {
@@ -108,6 +106,16 @@ impl Attack {
             include: Some(include()),
             ..Default::default()
         }
+    }
+}
+
+/// A mutation.
+fn inserted(states: &mut States) -> InsertRequest {
+    InsertRequest {
+        index_name: "arm".into(),
+        states: Some(row_states(&states.rows(ROWS), 3)),
+        payloads: vec![vec![7; PAYLOAD_BYTES].into(); ROWS],
+        ..Default::default()
     }
 }
 
@@ -173,17 +181,8 @@ fn read_a_little(mut socket: TcpStream, request: &[u8]) {
     }
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn clients_that_read_a_little_do_not_keep_the_bytes_of_all() {
-    const ROWS: usize = 1000;
-    let directory = tempfile::tempdir().unwrap();
-    let mut attack = Attack::prepare(directory.path()).await;
-    let scan = ScanRequest {
-        index_name: "arm".into(),
-        include: Some(include()),
-        ..Default::default()
-    };
-    let begun = attack.begin("/wayfold.v1.PointService/Scan", &scan, 255);
+/// Inserts until the server has room for it, while these clients read a little.
+async fn insert_beside(mut attack: Attack, begun: Vec<TcpStream>) {
     let request = GetIndexRequest {
         index_name: "arm".into(),
     };
@@ -192,12 +191,7 @@ async fn clients_that_read_a_little_do_not_keep_the_bytes_of_all() {
         thread::spawn(move || read_a_little(socket, &request))
     });
     let clients: Vec<_> = clients.collect();
-    let rows = States::new("R3".parse().unwrap(), 20).rows(ROWS);
-    let request = InsertRequest {
-        index_name: "arm".into(),
-        states: Some(row_states(&rows, 3)),
-        ..Default::default()
-    };
+    let request = inserted(&mut States::new("R3".parse().unwrap(), 20));
     let inserted = timeout(MAX_WAIT, async {
         let mut pauses = interval(Duration::from_millis(100));
         let mut refused = 0;
@@ -211,10 +205,46 @@ async fn clients_that_read_a_little_do_not_keep_the_bytes_of_all() {
         }
     });
     assert!(inserted.await.expect("no bytes are left for an insert") > 0);
-    drop(attack);
+    attack.server.process().signal(Signal::Kill);
     for client in clients {
         client.join().unwrap();
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn clients_that_leave_answers_unread_do_not_keep_the_bytes_of_all() {
+    let directory = tempfile::tempdir().unwrap();
+    let attack = Attack::prepare(directory.path()).await;
+    let scan = ScanRequest {
+        index_name: "arm".into(),
+        include: Some(include()),
+        ..Default::default()
+    };
+    let begun = attack.begin("/wayfold.v1.PointService/Scan", &scan, 255);
+    insert_beside(attack, begun).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn clients_that_send_half_of_their_requests_do_not_keep_the_bytes_of_all() {
+    // With the insert they hold more than half of all bytes.
+    const HALVES: usize = MAX_BYTES / MIB - 1;
+    const MAX_LOOKS: usize = 10_000;
+    let directory = tempfile::tempdir().unwrap();
+    let attack = Attack::prepare(directory.path()).await;
+    let mut sockets: Vec<_> = (0..CONNECTIONS)
+        .map(|_| connection(attack.server.uri(), 255))
+        .collect();
+    for half in 0..HALVES {
+        let (socket, number) = (&mut sockets[half % CONNECTIONS], half / CONNECTIONS);
+        let path = "/wayfold.v1.PointService/Insert";
+        begin_half(socket, 2 * number as u32 + 1, path, MIB).unwrap();
+        // Only then it may send the next one.
+        let mut looks = 0..MAX_LOOKS;
+        while attack.held() < (half + 1) * MIB / 2 {
+            assert!(looks.next().is_some(), "{half}: {}", attack.held());
+        }
+    }
+    insert_beside(attack, sockets).await;
 }
 
 /// The client takes no byte, so the server makes only the short first part of each snapshot. It has read the next part

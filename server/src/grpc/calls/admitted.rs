@@ -22,7 +22,7 @@ use tonic::{Status, body::Body};
 use crate::{
     admission::{CallTurns, HeldBytes},
     grpc::{
-        body::{AnswerFrame, CallBody, CallResources},
+        body::{AnswerFrame, CallBody, CallResources, frame_bytes},
         connections::Activity,
         refusals,
         request_body::{HEADER_BYTES, RequestBody, RequestLimits},
@@ -44,6 +44,8 @@ pub(super) struct Admitted<S> {
     pub(super) call: Call,
     pub(super) streams_requests: bool,
     pub(super) streams_answers: bool,
+    /// True if it reads points and has one answer.
+    pub(super) is_read: bool,
     pub(super) service: Service,
     /// The request, unless it is a stream.
     pub(super) whole: Bytes,
@@ -146,9 +148,7 @@ where
         mut self,
         mut request: Request<Body>,
     ) -> Result<(Response<Body>, Option<AnswerFrame>), Status> {
-        if !self.held.check_room() {
-            return Err(status::too_many_bytes(self.held.flow().max_bytes()).into());
-        }
+        self.check_room(0)?;
         if !self.streams_requests {
             let message = self.whole.get(HEADER_BYTES..).unwrap_or_default();
             let is_write = request.uri().path() == WRITE;
@@ -169,6 +169,20 @@ where
             Poll::Ready(made) => made,
             Poll::Pending => None,
         };
+        // Only now its size is known. The answer to a mutation, which took place, is always given.
+        if self.is_read
+            && let Some(Ok(frame)) = &made
+            && let Some(bytes) = frame.data_ref()
+        {
+            self.check_room(frame_bytes(bytes))?;
+        }
         Ok((response, made))
+    }
+
+    fn check_room(&self, bytes: usize) -> Result<(), Status> {
+        match self.held.check_room(bytes) {
+            true => Ok(()),
+            false => Err(status::too_many_bytes(self.held.flow().max_bytes()).into()),
+        }
     }
 }

@@ -237,3 +237,34 @@ async fn a_call_that_waits_needs_room_at_its_turn() {
         "TOO_MANY_BYTES"
     );
 }
+
+/// Each connection has one large answer, whose client reads nothing.
+#[tokio::test]
+async fn many_answers_that_are_not_read_leave_a_quarter_of_all_bytes() {
+    const BYTES: usize = 1 << 22;
+    let large = || Response::new(Body::new(Full::new(Bytes::from(vec![0; BYTES]))));
+    for (path, is_read) in [("Knn", true), ("Insert", false)] {
+        let (shared, under_way) = (shared(), TaskTracker::new());
+        let path = format!("/wayfold.v1.PointService/{path}");
+        let max = shared.admission.bytes().1 as usize;
+        let mut answers = Vec::new();
+        for _ in 0..max / BYTES {
+            let answer = call_path(&path, &shared, &under_way, large).await;
+            match Status::from_header_map(answer.headers()) {
+                Some(refused) => assert_eq!(refused.code(), Code::ResourceExhausted),
+                None => answers.push(answer),
+            }
+        }
+        let most = match is_read {
+            true => max / 4 * 3,
+            // It took place and is answered, as long as it may begin.
+            false => max,
+        };
+        assert!(
+            answers.len() * BYTES > most - 2 * BYTES,
+            "{}",
+            answers.len()
+        );
+        assert!(answers.len() * BYTES <= most, "{}", answers.len());
+    }
+}

@@ -1,6 +1,6 @@
 //! Health and reflection, which strangers may call and no load closes. No budget counts their requests, so few of those of a
-//! connection may be on their way: a request for health until it is whole, and not for long, and a stream for reflection
-//! for as long as its client likes, and until its answers are read. Few streams for reflection of all connections may be
+//! connection may be on their way: a request for health until it is whole, and a stream for reflection until its answers
+//! are read, both not for long. Few streams for reflection of all connections may be
 //! open, and few of their bytes wait.
 
 use std::{
@@ -8,6 +8,7 @@ use std::{
     pin::pin,
     sync::{Arc, OnceLock},
     task::Poll,
+    time::Duration,
 };
 
 use bytes::{Buf, Bytes, BytesMut};
@@ -17,7 +18,7 @@ use http_body::Frame;
 use http_body_util::{BodyExt, Full, StreamBody};
 use tokio::{
     sync::{Semaphore, mpsc},
-    time::timeout,
+    time::{Instant, sleep_until, timeout},
 };
 use tokio_stream::wrappers::UnboundedReceiverStream;
 use tonic::{Status, body::Body};
@@ -56,7 +57,8 @@ where
     async move {
         let is_stream = request.uri().path().starts_with(REFLECTION);
         let refused = Arc::new(OnceLock::new());
-        let mut receiving = pin!(receive(request, is_stream.then(|| Arc::clone(&refused))));
+        let ending = is_stream.then(|| (Arc::clone(&refused), time));
+        let mut receiving = pin!(receive(request, ending));
         let mut received = poll!(receiving.as_mut());
         let mut places = None;
         if is_stream || received.is_pending() {
@@ -106,13 +108,13 @@ where
     }
 }
 
-/// Receives a request whole, unless it is a stream, which is refused later if too much of it waits.
+/// Receives a request whole, unless it is a stream, which is refused later if too much of it waits or it lasts for too long.
 async fn receive(
     request: Request<Body>,
-    stream: Option<Arc<OnceLock<Status>>>,
+    stream: Option<(Arc<OnceLock<Status>>, Duration)>,
 ) -> Result<Request<Body>, Status> {
-    if let Some(refused) = stream {
-        return Ok(request.map(|body| read_on(body, refused)));
+    if let Some((refused, time)) = stream {
+        return Ok(request.map(|body| read_on(body, refused, time)));
     }
     let (parts, mut body) = request.into_parts();
     let mut whole = BytesMut::new();
@@ -133,16 +135,21 @@ async fn receive(
     ))
 }
 
-/// Reads a stream at once, whether or not the service does, and ends it if too much of it waits. HTTP/2 would keep it,
-/// and with each frame of one byte the thousands that it read together with it.
-fn read_on(mut body: Body, refused: Arc<OnceLock<Status>>) -> Body {
+/// Reads a stream at once, whether or not the service does, and ends it if too much of it waits, and after `time`. HTTP/2 would
+/// keep it, and with each frame of one byte the thousands that it read together with it.
+fn read_on(mut body: Body, refused: Arc<OnceLock<Status>>, time: Duration) -> Body {
     let (send, receive) = mpsc::unbounded_channel();
     let room = Arc::new(Semaphore::new(MAX_WAITING_BYTES));
+    let end = Instant::now() + time;
     tokio::spawn(async move {
         loop {
             let frame = tokio::select! {
                 frame = body.frame() => frame,
                 () = send.closed() => return,
+                () = sleep_until(end) => {
+                    let status = || refusals::too_slow(time).into();
+                    Some(Err(refused.get_or_init(status).clone()))
+                }
             };
             let part = match frame {
                 Some(Ok(frame)) => match frame.into_data() {
@@ -176,12 +183,25 @@ fn read_on(mut body: Body, refused: Arc<OnceLock<Status>>) -> Body {
 mod tests {
     use super::*;
 
+    const TIME: Duration = Duration::from_secs(60);
+
+    #[tokio::test(start_paused = true)]
+    async fn a_stream_that_its_client_does_not_end_is_ended() {
+        let sent = futures_util::stream::pending::<Result<Frame<Bytes>, Status>>();
+        let refused = Arc::new(OnceLock::new());
+        let mut read = read_on(Body::new(StreamBody::new(sent)), Arc::clone(&refused), TIME);
+        assert!(timeout(TIME / 2, read.frame()).await.is_err());
+        assert!(refused.get().is_none());
+        assert!(read.frame().await.unwrap().is_err());
+        assert!(read.frame().await.is_none() && refused.get().is_some());
+    }
+
     #[tokio::test]
     async fn a_stream_whose_bytes_wait_is_ended() {
         let (send, receive) = mpsc::channel(1);
         let sent = tokio_stream::wrappers::ReceiverStream::new(receive);
         let refused = Arc::new(OnceLock::new());
-        let mut read = read_on(Body::new(StreamBody::new(sent)), Arc::clone(&refused));
+        let mut read = read_on(Body::new(StreamBody::new(sent)), Arc::clone(&refused), TIME);
         let part = Bytes::from_static(&[7]);
         let mut parts = 0;
         while send
@@ -208,7 +228,7 @@ mod tests {
     async fn a_stream_that_is_read_goes_on() {
         let (send, receive) = mpsc::channel(1);
         let sent = tokio_stream::wrappers::ReceiverStream::new(receive);
-        let mut read = read_on(Body::new(StreamBody::new(sent)), Arc::default());
+        let mut read = read_on(Body::new(StreamBody::new(sent)), Arc::default(), TIME);
         let part = Bytes::from(vec![7; MAX_WAITING_BYTES / 2]);
         for _ in 0..10 {
             send.send(Ok::<_, Status>(Frame::data(part.clone())))

@@ -1,4 +1,4 @@
-//! Cuts connections whose clients do not read their answers.
+//! Cuts connections whose clients do not read their answers, or do not send the rest of their requests.
 
 use std::{sync::Arc, time::Duration};
 
@@ -10,40 +10,46 @@ use super::{Activity, Connections, State};
 /// A stream stands that has not read for so long, if its client reads no answers meanwhile.
 pub(super) const STANDING_TIME: Duration = Duration::from_secs(1);
 
-/// A stream stands that has not read for so long, whatever its client reads: under overload, a stream waits for seconds.
+/// A stream stands that has not read for so long, whatever its client reads: under overload, a stream waits for seconds. What
+/// waits for a client for so long may be late.
 pub(super) const MAX_STANDING_TIME: Duration = Duration::from_secs(10);
 
 /// The time between two looks at the backlogs of all connections.
 pub(super) const LOOK_INTERVAL: Duration = Duration::from_millis(5);
 
-/// The longest time between two looks at the unread answers of all connections.
-pub(super) const UNREAD_LOOK_INTERVAL: Duration = Duration::from_secs(1);
+/// The longest time between two looks at what waits for clients.
+pub(super) const WAIT_LOOK_INTERVAL: Duration = Duration::from_secs(1);
+
+/// A connection that holds at most this part of all bytes is not cut for others: it would free too little.
+pub(super) const SPARED_PARTS: u64 = 256;
 
 impl Connections {
     /// Cuts each connection whose client reads nothing of its answers for `most`. While calls are refused for their bytes, also
-    /// the one that holds the most, of those with a part of an answer that has waited for [`MAX_STANDING_TIME`]: a client
-    /// could read a little now and then, and leave the rest for ever.
-    pub(in crate::grpc) async fn cut_unread(&self, most: Duration) {
-        let mut looks = interval(UNREAD_LOOK_INTERVAL.min(most / 4));
+    /// the one that holds the most of those that are late: something waits for its client for [`MAX_STANDING_TIME`], and
+    /// at the speed at which it reads all that it holds would take longer than `most`.
+    pub(in crate::grpc) async fn cut_waiting(&self, most: Duration) {
+        let mut looks = interval(WAIT_LOOK_INTERVAL.min(most / 4));
         loop {
             looks.tick().await;
+            let is_short = self.admission.is_short_of_bytes();
+            let spared = self.admission.bytes().1 / SPARED_PARTS;
             let open = self.open.lock();
-            let uncut = open.values().filter(|state| !state.cut.is_cancelled());
-            let (standing, others): (Vec<_>, Vec<_>) = uncut.partition(|state| {
-                let standstill = state.unread.lock().standstill();
-                standstill.is_some_and(|time| time > most)
-            });
-            let is_late =
-                |state: &&Arc<State>| state.unread.lock().longest_wait() >= Some(MAX_STANDING_TIME);
-            let largest = match self.admission.is_short_of_bytes() {
-                true => others
-                    .into_iter()
-                    .filter(is_late)
-                    .max_by_key(|state| state.flow.held()),
-                false => None,
-            };
-            for state in standing.into_iter().chain(largest) {
-                debug!(peer = ?state.peer, "a client that does not read its answers is cut");
+            let mut largest: Option<(usize, &Arc<State>)> = None;
+            for state in open.values().filter(|it| !it.cut.is_cancelled()) {
+                let (held, waits) = (state.flow.held(), state.waits.lock());
+                if waits.standstill().is_some_and(|time| time > most) {
+                    debug!(peer = ?state.peer, "a client that does not read its answers is cut");
+                    state.cut.cancel();
+                } else if is_short
+                    && held as u64 > spared
+                    && largest.is_none_or(|(most, _)| held > most)
+                    && waits.are_late(MAX_STANDING_TIME, held, most)
+                {
+                    largest = Some((held, state));
+                }
+            }
+            if let Some((bytes, state)) = largest {
+                debug!(peer = ?state.peer, bytes, "a client that is late is cut: others need its bytes");
                 state.cut.cancel();
             }
         }
@@ -61,7 +67,7 @@ impl Activity {
         *looked_at = Some(Instant::now());
         let open = self.connections.open.lock();
         let standing = open.values().map(|state| {
-            let standstill = state.unread.lock().standstill();
+            let standstill = state.waits.lock().standstill();
             let time = match standstill.is_some_and(|time| time >= STANDING_TIME) {
                 true => STANDING_TIME,
                 false => MAX_STANDING_TIME,

@@ -12,11 +12,11 @@ use http_body_util::Full;
 use tokio::time::{advance, timeout};
 
 use super::{
-    cut::{LOOK_INTERVAL, MAX_STANDING_TIME, STANDING_TIME, UNREAD_LOOK_INTERVAL},
+    cut::{LOOK_INTERVAL, MAX_STANDING_TIME, SPARED_PARTS, STANDING_TIME, WAIT_LOOK_INTERVAL},
     places::{MAX_GUESTS, MAX_SILENCE, MAX_WAIT, MIN_IDLE},
     *,
 };
-use crate::config::Config;
+use crate::{admission::HeldBytes, config::Config};
 
 fn is_guest(open: Option<&Open>) -> bool {
     open.is_some_and(|open| open.activity().check_place().is_err())
@@ -227,46 +227,48 @@ async fn the_longest_backlog_goes_once_the_budget_of_all_is_spent() {
     assert_eq!(cut(&open), [false, false, true]);
 }
 
-/// All clients read an answer every second. Three leave another one unread.
+/// All clients read an answer every second.
 #[tokio::test(start_paused = true)]
-async fn the_largest_connection_that_leaves_an_answer_unread_goes_while_bytes_are_short() {
+async fn the_largest_late_connection_goes_while_bytes_are_short() {
+    const MOST: Duration = Duration::from_secs(60);
     let admission = Admission::new(&Config::default().admission, 1, 0);
     let max = admission.bytes().1 as usize;
-    let connections = Connections::new(4, 1, admission);
+    let (tenth, little) = (max / 10, max / SPARED_PARTS as usize);
+    let connections = Connections::new(5, 1, admission);
     let mut open = Vec::new();
-    // The largest one reads everything.
-    for sixteenth in [1, 3, 2, 4] {
+    for held_bytes in [2 * tenth, 3 * tenth, tenth, 2 * tenth, little] {
         let cut = CancellationToken::new();
         let connection = connections.open(None, cut.clone()).await.unwrap();
         let held = connection.activity().flow().hold();
-        held.force_take(sixteenth * max / 16);
-        let unread = (sixteenth < 4).then(|| connection.activity().send());
-        open.push((connection, held, unread, cut));
+        held.force_take(held_bytes);
+        open.push((connection, held, cut));
     }
-    let cut = |open: &[(Open, _, _, CancellationToken)]| {
+    let activities: Vec<_> = open.iter().map(|it| it.0.activity().clone()).collect();
+    // The first client sends half a request. Each of the others leaves an answer unread, but the third one.
+    let _half_sent = activities[0].receive();
+    let _unread = [1, 3, 4].map(|at| activities[at].send());
+    let mut looking = pin!(connections.cut_waiting(MOST));
+    let mut cut_after = async |seconds: u32, open: &[(Open, HeldBytes, CancellationToken)]| {
+        for _ in 0..seconds {
+            assert!(poll!(looking.as_mut()).is_pending());
+            for activity in &activities {
+                drop(activity.send());
+            }
+            // The second one reads all that it holds within the time.
+            activities[1].note_departure(3 * tenth / MOST.as_secs() as usize + 1);
+            advance(WAIT_LOOK_INTERVAL).await;
+        }
         let cut = open.iter().map(|(.., cut)| cut.is_cancelled());
         cut.collect::<Vec<_>>()
     };
-    let mut looking = pin!(connections.cut_unread(6 * MAX_STANDING_TIME));
-    let mut go_on =
-        async |time: Duration, open: &[(Open, crate::admission::HeldBytes, Option<Sending>, _)]| {
-            let end = Instant::now() + time;
-            while Instant::now() < end {
-                assert!(poll!(looking.as_mut()).is_pending());
-                for (connection, ..) in open {
-                    drop(connection.activity().send());
-                }
-                advance(UNREAD_LOOK_INTERVAL).await;
-            }
-        };
-    go_on(MAX_STANDING_TIME, &open).await;
-    assert_eq!(cut(&open), [false; 4]);
-    go_on(UNREAD_LOOK_INTERVAL, &open).await;
-    assert_eq!(cut(&open), [false, true, false, false]);
+    let standing = MAX_STANDING_TIME.as_secs() as u32;
+    assert_eq!(cut_after(standing, &open).await, [false; 5]);
+    let cut = cut_after(4, &open).await;
+    assert_eq!(cut, [true, false, false, true, false]);
     // The others hold less than half of all bytes.
-    drop(open.remove(1));
-    go_on(10 * MAX_STANDING_TIME, &open).await;
-    assert_eq!(cut(&open), [false; 3]);
+    open.remove(3);
+    open.remove(0);
+    assert_eq!(cut_after(10 * standing, &open).await, [false; 3]);
 }
 
 #[tokio::test(start_paused = true)]
@@ -278,7 +280,7 @@ async fn a_connection_whose_client_reads_nothing_goes_after_its_time() {
     let _idle = connections.open(None, cuts[1].clone()).await.unwrap();
     let unread = [first.activity().send(), first.activity().send()];
     let most = 6 * MAX_STANDING_TIME;
-    let mut looking = pin!(connections.cut_unread(most));
+    let mut looking = pin!(connections.cut_waiting(most));
     let mut is_cut = async |time: Duration| {
         advance(time).await;
         assert!(poll!(looking.as_mut()).is_pending());
@@ -288,7 +290,7 @@ async fn a_connection_whose_client_reads_nothing_goes_after_its_time() {
     let [read, _unread] = unread;
     drop(read);
     assert_eq!(is_cut(most).await, [false, false]);
-    assert_eq!(is_cut(UNREAD_LOOK_INTERVAL).await, [true, false]);
+    assert_eq!(is_cut(WAIT_LOOK_INTERVAL).await, [true, false]);
 }
 
 #[tokio::test(start_paused = true)]

@@ -25,9 +25,9 @@ pub(super) async fn read(
 ) -> Result<Vec<Arc<Record>>, RegistryError> {
     let reading = tokio::spawn(async move {
         let mut permit = READS.acquire().await;
-        while let Some(ahead) = ahead.as_ref().filter(|ahead| !ahead.has_room()) {
+        while let Some(ahead) = ahead.as_ref().filter(|ahead| !ahead.has_room(0)) {
             drop(permit);
-            ahead.room().await;
+            ahead.room(0).await;
             permit = READS.acquire().await;
         }
         // It ends even if the watch does: it has the permit.
