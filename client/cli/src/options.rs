@@ -71,6 +71,24 @@ pub(crate) fn revision(revision: &RevisionArg, index: &IndexHandle) -> Revision 
     }
 }
 
+/// What a read sees of a cluster.
+#[derive(Debug, clap::Args)]
+pub(crate) struct LatestArgs {
+    /// See all that any server of a cluster has acknowledged; a server alone always shows it
+    #[arg(long)]
+    latest: bool,
+}
+
+impl LatestArgs {
+    /// The index as it is to be read.
+    pub(crate) fn of(&self, index: IndexHandle) -> IndexHandle {
+        match self.latest {
+            true => index.latest(),
+            false => index,
+        }
+    }
+}
+
 /// The columns of an answer.
 #[derive(Debug, clap::Args)]
 pub(crate) struct IncludeArgs {

@@ -117,7 +117,7 @@ int main(int count, char **arguments) {
     shared.flush();
     CHECK(shared.pending() == 0);
 
-    const auto remote = wayfold::Index::remote(uri, "cell");
+    const auto remote = wayfold::Index::remote(uri, "cell", {}, {}, 0, true);
     same(remote);
     const auto id = remote.insert({1, 2, 3}, 9, "by another");
     // No id is given twice.

@@ -30,12 +30,17 @@ public:
     static Index shared(const std::string &uri, const std::string &name, const NewIndex &create = {},
                         const Credentials &credentials = {}, std::uint64_t timeout_ms = 0,
                         std::uint64_t max_pending_bytes = 0) {
-        return open(wayfold_index_shared, uri, name, create, credentials, timeout_ms, max_pending_bytes);
+        wayfold_server server{};
+        server.max_pending_bytes = max_pending_bytes;
+        return open(wayfold_index_shared, server, uri, name, create, credentials, timeout_ms);
     }
-    // Each call is one of the server's.
+    // Each call is one of the server's. With `latest`, searches, gets and scans see all that any server of a cluster
+    // acknowledged before; otherwise they see the caller's own writes, and may lag behind those of others.
     static Index remote(const std::string &uri, const std::string &name, const NewIndex &create = {},
-                        const Credentials &credentials = {}, std::uint64_t timeout_ms = 0) {
-        return open(wayfold_index_remote, uri, name, create, credentials, timeout_ms);
+                        const Credentials &credentials = {}, std::uint64_t timeout_ms = 0, bool latest = false) {
+        wayfold_server server{};
+        server.reads_latest = latest;
+        return open(wayfold_index_remote, server, uri, name, create, credentials, timeout_ms);
     }
 
     // Waits until the server has acknowledged every write before this call, at most for the index's timeout.
@@ -379,15 +384,13 @@ private:
 
     using Open = wayfold_code (*)(const wayfold_server *, wayfold_index **);
 
-    static Index open(Open open, const std::string &uri, const std::string &name, const NewIndex &create,
-                      const Credentials &credentials, std::uint64_t timeout_ms, std::uint64_t max_pending_bytes = 0) {
-        wayfold_server server{};
+    static Index open(Open open, wayfold_server server, const std::string &uri, const std::string &name,
+                      const NewIndex &create, const Credentials &credentials, std::uint64_t timeout_ms) {
         server.uri = uri.c_str();
         server.name = name.c_str();
         server.space = create.space.empty() ? nullptr : create.space.c_str();
         server.payload_encoding = static_cast<std::uint32_t>(create.payload_encoding);
         server.timeout_ms = timeout_ms;
-        server.max_pending_bytes = max_pending_bytes;
         credentials.set(server);
         wayfold_index *made = nullptr;
         detail::check(open(&server, &made));

@@ -40,8 +40,8 @@ pub(crate) fn shared(
 
 /// The index of this name on a server, without a copy: each call goes to the server.
 #[pyfunction]
-#[pyo3(signature = (url, name, *, create=None, payload_encoding=None, timeout=30.0, token=None, ca_certificate=None,
-    client_certificate=None))]
+#[pyo3(signature = (url, name, *, create=None, payload_encoding=None, timeout=30.0, latest=false, token=None,
+    ca_certificate=None, client_certificate=None))]
 #[expect(clippy::too_many_arguments, reason = "each has a name in Python")]
 pub(crate) fn remote(
     py: Python<'_>,
@@ -50,6 +50,7 @@ pub(crate) fn remote(
     create: Option<&Bound<'_, PyAny>>,
     payload_encoding: Option<&str>,
     timeout: f64,
+    latest: bool,
     token: Option<String>,
     ca_certificate: Option<Vec<u8>>,
     client_certificate: Option<(Vec<u8>, Vec<u8>)>,
@@ -59,6 +60,9 @@ pub(crate) fn remote(
         .credentials(credentials(token, ca_certificate, client_certificate));
     if let Some((space, encoding)) = created(py, create, payload_encoding)? {
         open = open.create(&space).payload_encoding(encoding);
+    }
+    if latest {
+        open = open.latest();
     }
     let index = py.detach(|| open.open()).or_raise(py)?;
     Index::of(py, index, Form::Remote)

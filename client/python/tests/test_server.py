@@ -90,7 +90,7 @@ def test_all_forms_answer_alike(server: Server) -> None:
         memory.insert(state, id=id)
     shared.flush()
     assert shared.pending() == 0
-    remote = wayfold.remote(server.url, "alike")
+    remote = wayfold.remote(server.url, "alike", latest=True)
     assert (memory.form, shared.form, remote.form) == ("memory", "shared", "remote")
     for index in (shared, remote):
         assert len(index) == 500 and index.space == memory.space

@@ -4,6 +4,8 @@
 use std::process::Command;
 
 use futures_util::{FutureExt, future::BoxFuture};
+use tokio::task::spawn_blocking;
+use wayfold::Index;
 use wayfold_proto::v1::{self, InsertRequest, knn_request::KForm, query_request::RadiusForm};
 use wayfold_tests::{
     Process, ServerProcess, Stubs,
@@ -120,4 +122,26 @@ async fn a_search_waits_for_what_another_server_acknowledged() {
         way.lead_to(&journal);
         assert_eq!(latest.await, acknowledged);
     }
+
+    // The same by the library.
+    way.hold(&journal);
+    let at = 3.0;
+    let acknowledged = insert(&mut owner, &index, at).await;
+    let ask = |latest: bool| {
+        let open = Index::remote(servers[1].uri(), &index);
+        let open = if latest { open.latest() } else { open };
+        spawn_blocking(move || open.open().unwrap().nearest_r([at], 0.0).unwrap())
+    };
+    let mut latest = ask(true);
+    tokio::select! {
+        biased;
+        early = &mut latest => panic!("{early:?}"),
+        before = ask(false) => assert!(before.unwrap().is_empty()),
+    }
+    way.lead_to(&journal);
+    let found = latest.await.unwrap();
+    assert_eq!(
+        found.iter().map(|it| it.id).collect::<Vec<_>>(),
+        acknowledged
+    );
 }

@@ -40,6 +40,9 @@ pub struct WayfoldServer {
     /// The most bytes of writes that a shared index has pending: a write that exceeds them waits. 0 for the client's own,
     /// 16 MiB. The remote form has no pending writes.
     pub max_pending_bytes: u64,
+    /// True: searches, gets and scans of a remote index see all that any server of a cluster acknowledged before. False: they
+    /// see the caller's own writes, and may lag behind those of others. The shared form ignores it.
+    pub reads_latest: bool,
 }
 
 /// The builder of an index, whose methods both forms have.
@@ -96,8 +99,12 @@ pub unsafe extern "C" fn wayfold_index_remote(
     call(|| {
         // SAFETY: the caller's promise.
         let settings = unsafe { Settings::read(server) }?;
+        let mut open = opening!(Index::remote, settings);
+        if settings.reads_latest {
+            open = open.latest();
+        }
         // SAFETY: the caller's promise.
-        unsafe { give(opening!(Index::remote, settings).open()?, index) }
+        unsafe { give(open.open()?, index) }
     })
 }
 
@@ -160,6 +167,7 @@ struct Settings<'a> {
     timeout: Option<Duration>,
     payload_encoding: PayloadEncoding,
     max_pending_bytes: Option<usize>,
+    reads_latest: bool,
 }
 
 impl<'a> Settings<'a> {
@@ -185,6 +193,7 @@ impl<'a> Settings<'a> {
             },
             max_pending_bytes: (server.max_pending_bytes > 0)
                 .then(|| usize::try_from(server.max_pending_bytes).unwrap_or(usize::MAX)),
+            reads_latest: server.reads_latest,
         };
         if !server.space.is_null() {
             // SAFETY: the caller's promise.

@@ -5,7 +5,7 @@ use serde::Serialize;
 use crate::{
     Context,
     failure::Failure,
-    options::{IncludeArgs, POINT_COLUMNS},
+    options::{IncludeArgs, LatestArgs, POINT_COLUMNS},
     output::{Format, JsonId, JsonRevision, Row, json_payload},
     parse,
 };
@@ -21,6 +21,8 @@ pub(crate) struct GetArgs {
     ids: Vec<u64>,
     #[command(flatten)]
     include: IncludeArgs,
+    #[command(flatten)]
+    latest: LatestArgs,
 }
 
 /// A point as a line of JSON.
@@ -54,7 +56,7 @@ impl<'a> PointLine<'a> {
 
 pub(crate) async fn get(args: GetArgs, context: &mut Context) -> Result<(), Failure> {
     let include = args.include.include_or(POINT_COLUMNS);
-    let index = context.index(&args.name).await?;
+    let index = args.latest.of(context.index(&args.name).await?);
     let points = index.get(args.ids).include(include).await?;
     let output = &mut context.output;
     for point in points.iter() {

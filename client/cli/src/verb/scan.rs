@@ -12,7 +12,7 @@ use super::get::PointLine;
 use crate::{
     Context, atomic_file,
     failure::Failure,
-    options::{FilterArgs, IncludeArgs, POINT_COLUMNS},
+    options::{FilterArgs, IncludeArgs, LatestArgs, POINT_COLUMNS},
     output::{Format, JsonRevision, Output, Row, json_payload},
     progress,
 };
@@ -45,6 +45,8 @@ pub(crate) struct ScanArgs {
     filter: FilterArgs,
     #[command(flatten)]
     include: IncludeArgs,
+    #[command(flatten)]
+    latest: LatestArgs,
 }
 
 fn file(text: &str) -> Result<PathBuf, String> {
@@ -64,7 +66,7 @@ struct Written<'a> {
 }
 
 pub(crate) async fn scan(args: ScanArgs, context: &mut Context) -> Result<(), Failure> {
-    let index = context.index(&args.name).await?;
+    let index = args.latest.of(context.index(&args.name).await?);
     let file = args.file.filter(|path| path != Path::new("-"));
     let is_csv = file.is_some() || context.output.format == Format::Text;
     let include = args.include.include_or(match is_csv {

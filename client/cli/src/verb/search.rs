@@ -12,7 +12,7 @@ use crate::{
     Context,
     failure::Failure,
     input::{self, Columns, InputError, Row, Source},
-    options::{FilterArgs, IncludeArgs, RadiusArgs},
+    options::{FilterArgs, IncludeArgs, LatestArgs, RadiusArgs},
     output::{Format, JsonRevision, Output},
     parse, progress,
 };
@@ -74,6 +74,8 @@ struct SearchArgs {
     filter: FilterArgs,
     #[command(flatten)]
     include: IncludeArgs,
+    #[command(flatten)]
+    latest: LatestArgs,
 }
 
 impl SearchArgs {
@@ -170,7 +172,7 @@ async fn run(
     context: &mut Context,
     request: impl Fn(&IndexHandle, &States) -> Answer,
 ) -> Result<(), Failure> {
-    let index = context.index(&args.name).await?;
+    let index = args.latest.of(context.index(&args.name).await?);
     let source = match (&args.states.state, &args.states.file) {
         (Some(state), _) => Source::Literal(state.clone()),
         (None, Some(file)) => Source::file(file),

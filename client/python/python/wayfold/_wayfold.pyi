@@ -363,11 +363,16 @@ def remote(
     create: str | Space | None = None,
     payload_encoding: Literal["edges", "weighted-edges"] | None = None,
     timeout: float = 30.0,
+    latest: bool = False,
     token: str | None = None,
     ca_certificate: bytes | None = None,
     client_certificate: tuple[bytes, bytes] | None = None,
 ) -> Index:
-    """The index of this name on a server, without a copy: each call goes to the server."""
+    """The index of this name on a server, without a copy: each call goes to the server.
+
+    With `latest`, reads see all that any server of a cluster acknowledged before; otherwise they see the caller's own
+    writes, and may lag behind those of others.
+    """
 
 def _restore(
     space: str | Space,

@@ -19,6 +19,7 @@ pub struct OpenRemote {
     space: Option<Space>,
     payload_encoding: PayloadEncoding,
     timeout: Duration,
+    latest: bool,
     credentials: Credentials,
 }
 
@@ -30,6 +31,7 @@ impl OpenRemote {
             space: None,
             payload_encoding: PayloadEncoding::Unspecified,
             timeout: Duration::from_secs(30),
+            latest: false,
             credentials: Credentials::default(),
         }
     }
@@ -53,6 +55,14 @@ impl OpenRemote {
         self
     }
 
+    /// Its searches, gets and scans see all that any server of a cluster acknowledged before (see
+    /// [`IndexHandle::latest`](crate::IndexHandle::latest)). Unless set, they see the caller's own writes, and may lag behind
+    /// those of others.
+    pub fn latest(mut self) -> OpenRemote {
+        self.latest = true;
+        self
+    }
+
     /// The certificates and the token of the connection: none unless set.
     pub fn credentials(mut self, credentials: Credentials) -> OpenRemote {
         self.credentials = credentials;
@@ -69,13 +79,17 @@ impl OpenRemote {
             let client = Client::builder().timeout(self.timeout);
             let client = client.credentials(self.credentials);
             let client = client.connect(&self.uri).await?;
-            match &self.space {
+            let index = match &self.space {
                 Some(space) => {
                     let declared = self.payload_encoding;
                     client.create_index_with(&self.name, space, declared).await
                 }
                 None => client.index(&self.name).await,
-            }
+            }?;
+            Ok(match self.latest {
+                true => index.latest(),
+                false => index,
+            })
         })?;
         Ok(Index::of(Arc::new(Remote { index })))
     }
