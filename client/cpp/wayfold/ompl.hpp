@@ -29,6 +29,10 @@
 #include <utility>
 #include <vector>
 
+namespace ompl::control {
+class SyclopRRT;
+} // namespace ompl::control
+
 namespace ompl::geometric {
 class ATRRT;
 class BITstar;
@@ -44,12 +48,13 @@ namespace detail {
 template <class P, class = void> struct CanSwap : std::false_type {};
 // The setNearestNeighbors of BIT* and of quotient spaces has no body in OMPL's headers: a call of it would not link. That of
 // ATRRT, in OMPL 2.0, reads a structure that is not made yet. SPARSdb does not tell the states of its vertices. TSRRT measures
-// the distance of projections, and asks for the neighbours of motions whose state is not set.
+// the distance of projections, and asks for the neighbours of motions whose state is not set. That of SyclopRRT sets the planner
+// up, which a planner that is set up again does not survive.
 template <class P, class... Refused> constexpr bool is_none_of = !(std::is_base_of_v<Refused, P> || ...);
 template <class P>
 struct CanSwap<P, std::void_t<decltype(std::declval<P &>().template setNearestNeighbors<NearestNeighborsWayfold>())>>
-    : std::bool_constant<is_none_of<P, ompl::geometric::ATRRT, ompl::geometric::BITstar, ompl::geometric::QuotientSpaceGraph,
-                                    ompl::geometric::SPARSdb, ompl::geometric::TSRRT>> {};
+    : std::bool_constant<is_none_of<P, ompl::control::SyclopRRT, ompl::geometric::ATRRT, ompl::geometric::BITstar,
+                                    ompl::geometric::QuotientSpaceGraph, ompl::geometric::SPARSdb, ompl::geometric::TSRRT>> {};
 
 // The states of a roadmap's vertices are in a protected property map, which a derived class may name.
 template <class Roadmap> struct Vertices : Roadmap {
