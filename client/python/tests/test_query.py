@@ -135,6 +135,20 @@ def test_the_bound_of_a_query_is_open_and_a_ball_is_closed() -> None:
     assert index.query_ball_point([0.0], 1.0) == [0]
 
 
+@pytest.mark.parametrize(("states", "radii"), [((), (1,)), ((1,), (1,)), ((5,), (1, 1)), ((5,), (1,)), ((2, 3), (3,))])
+def test_radii_broadcast_as_scipy_s(states: tuple[int, ...], radii: tuple[int, ...]) -> None:
+    tree, index = cKDTree(np.zeros((1, 3))), wayfold.Index("R3")
+    index.insert([0.0, 0.0, 0.0])
+    queries, radius = np.zeros((*states, 3)), np.ones(radii)
+    try:
+        expected = np.shape(tree.query_ball_point(queries, radius, return_length=True))
+    except ValueError:
+        with pytest.raises(ValueError):
+            index.query_ball_point(queries, radius, return_length=True)
+    else:
+        assert np.shape(index.query_ball_point(queries, radius, return_length=True)) == expected
+
+
 def test_many_radii_see_one_state_of_the_index() -> None:
     # A writer changes the number of points all the time: all states of a call find as many.
     index = wayfold.Index("R1")
