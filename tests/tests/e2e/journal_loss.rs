@@ -231,6 +231,27 @@ async fn records_that_nats_loses_come_back_from_a_data_directory() {
     lose(true).await;
 }
 
+/// No call notices the loss: the server looks at the end of the stream after half a minute without a message.
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_idle_server_notices_that_nats_has_lost_its_newest_record() {
+    const RECORDS: u64 = 3;
+    let cluster = Cluster::empty();
+    let mut server = cluster.start(0);
+    let mut stubs = Stubs::connect(server.uri()).await;
+    let arm = stubs.create("arm", "R1").await.revision.unwrap().uid;
+    for id in 0..RECORDS {
+        insert(&mut stubs, id).await.unwrap();
+    }
+    assert!(cluster.nats.remove_record(&arm, RECORDS).await);
+
+    server.log_until("the journal had lost its newest records");
+    let (_, messages) = cluster.nats.messages(&arm).await;
+    let last = messages.last().unwrap().headers.get("Wayfold-Last");
+    assert_eq!(last.unwrap().as_str(), RECORDS.to_string());
+    server.stop(Signal::Kill);
+}
+
 /// The number of the stream of an index.
 fn stream(uid: &str) -> u8 {
     u8::from_str_radix(&uid[..2], 16).unwrap() % 4

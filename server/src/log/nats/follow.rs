@@ -4,13 +4,14 @@ use std::{sync::Arc, time::Duration};
 
 use async_nats::jetstream::consumer::{AckPolicy, DeliverPolicy, pull};
 use futures_util::{StreamExt, stream};
-use tokio::time::{Interval, MissedTickBehavior, interval};
-use tracing::debug;
+use tokio::time::{Interval, MissedTickBehavior, interval, timeout};
+use tracing::{debug, warn};
 
 use super::{
     RETRY_INTERVAL,
     connection::{Connection, unreachable, within},
     message::{PackPosition, Unpacker},
+    tail::{AfterLook, LOOK_INTERVAL, TailLooks},
 };
 use crate::log::{Digest, LogError, Record, RecordStream, Uid};
 
@@ -41,6 +42,7 @@ struct Follower {
     is_suspect: bool,
     /// The number of subscriptions in turn for which NATS lacked the newest returned record.
     behind: u32,
+    looks: TailLooks,
     /// The times of subscriptions.
     attempts: Option<Interval>,
 }
@@ -62,6 +64,7 @@ pub(super) fn follow(
         unpacker: Unpacker::default(),
         is_suspect: false,
         behind: 0,
+        looks: TailLooks::default(),
         attempts: None,
     };
     let batches = stream::unfold(Some(follower), |follower| async move {
@@ -83,7 +86,8 @@ pub(super) fn follow(
 }
 
 impl Follower {
-    /// The next records; none if a message brought only known ones, or a part of a pack.
+    /// The next records; none if a message brought only known ones or a part of a pack, or if none came for
+    /// [`LOOK_INTERVAL`].
     async fn next(&mut self) -> Result<Vec<Arc<Record>>, LogError> {
         let messages = match &mut self.messages {
             Some(messages) => messages,
@@ -107,10 +111,12 @@ impl Follower {
                 self.messages.insert(subscribed?)
             }
         };
-        let message = match messages.next().await {
-            Some(Ok(message)) => message,
-            Some(Err(error)) => return Err(unreachable(error)),
-            None => return Err(resubscribe("the subscription has ended")),
+        let arrived = timeout(LOOK_INTERVAL, messages.next()).await;
+        let message = match arrived {
+            Ok(Some(Ok(message))) => message,
+            Ok(Some(Err(error))) => return Err(unreachable(error)),
+            Ok(None) => return Err(resubscribe("the subscription has ended")),
+            Err(_) => return self.look().await,
         };
         let headers = message.headers.clone().unwrap_or_default();
         let next = self.after + 1;
@@ -132,7 +138,44 @@ impl Follower {
         if let Some(last) = records.last() {
             (self.after, self.digest) = (last.revision(), Some(*last.digest()));
             self.is_suspect = false;
+            self.looks = TailLooks::default();
         }
+        Ok(records)
+    }
+
+    /// Compares its place with the end of the stream. Returns the next records if subscriptions do not bring them.
+    async fn look(&mut self) -> Result<Vec<Arc<Record>>, LogError> {
+        let end = match self.connection.last(self.uid).await {
+            Ok(last) => last.last_record,
+            // The subscription notices a lost server of NATS without this, and outlives a slow answer.
+            Err(LogError::Unreachable { .. }) => return Ok(Vec::new()),
+            Err(error) => return Err(error),
+        };
+        match self.looks.note(self.after, self.digest, end) {
+            AfterLook::Wait => Ok(Vec::new()),
+            AfterLook::Subscribe => Err(resubscribe("the stream ends at another record")),
+            AfterLook::Read => self.read_hidden().await,
+        }
+    }
+
+    /// Reads the next records without a subscription. Fails if the stream, which has them, does not give them. The looks keep
+    /// their count until a subscription brings a record, so the next look reads on.
+    async fn read_hidden(&mut self) -> Result<Vec<Arc<Record>>, LogError> {
+        let (uid, after) = (self.uid, self.after);
+        warn!(
+            %uid,
+            after,
+            "no subscription brings the newest records of the stream in NATS: reading them one by one"
+        );
+        let records = read(&self.connection, uid, Some(after), PULL_BYTES).await?;
+        let Some(last) = records.last() else {
+            let what = "its stream in NATS does not give it";
+            return Err(LogError::journal_damaged(uid, after + 1, what));
+        };
+        (self.after, self.digest) = (last.revision(), Some(*last.digest()));
+        // The next subscription begins after these records.
+        self.messages = None;
+        self.unpacker = Unpacker::default();
         Ok(records)
     }
 }

@@ -15,6 +15,7 @@ mod follow;
 mod message;
 mod publisher;
 mod settings;
+mod tail;
 
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
