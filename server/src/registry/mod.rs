@@ -62,6 +62,7 @@ pub use options::RegistryOptions;
 use payload_sizes::PayloadSizes;
 pub(crate) use peer_comparison::ComparisonFailure;
 pub(crate) use reseed::{Seed, reseed};
+pub(crate) use restore::AwaitedCopy;
 pub use restore::Restore;
 pub(crate) use stopped::Stopped;
 pub use subscribers::Subscriber;
@@ -115,6 +116,8 @@ struct Host {
     labels: Labels,
     /// The names of the indices that are being restored: they count towards the limits.
     restoring: Mutex<Vec<String>>,
+    /// The restored indices that wait for another server to take a copy. A restart forgets them.
+    uncopied: Mutex<Vec<Uid>>,
 }
 
 impl Registry {
@@ -149,6 +152,7 @@ impl Registry {
                 run: *Uid::unique().as_bytes(),
                 labels: Labels::default(),
                 restoring: Mutex::default(),
+                uncopied: Mutex::default(),
             }),
             indexes: RwLock::default(),
             change_lock: Mutex::new(()),

@@ -39,6 +39,19 @@ impl Drop for Counted {
     }
 }
 
+/// While this lives, this server takes no mutation of a restored index: no other server has its points yet.
+#[must_use]
+pub(crate) struct AwaitedCopy {
+    host: Arc<Host>,
+    uid: Uid,
+}
+
+impl Drop for AwaitedCopy {
+    fn drop(&mut self) {
+        self.host.uncopied.lock().retain(|uid| *uid != self.uid);
+    }
+}
+
 impl Registry {
     /// Begins to restore an index as a copy of another, under a new uid. [`RegistryError::Taken`] if the name is taken,
     /// [`RegistryError::TooManyIndexes`] if there are as many indices as `limits` allow. [`Registry::host`] checks the name
@@ -187,6 +200,14 @@ impl Restore {
         })
     }
 
+    /// Refuses mutations of the index until the result is dropped. Call it before [`Registry::host`], which gives the index its
+    /// name.
+    pub(crate) fn await_copy(&self) -> AwaitedCopy {
+        let (host, uid) = (Arc::clone(&self.host), self.entry.uid);
+        host.uncopied.lock().push(uid);
+        AwaitedCopy { host, uid }
+    }
+
     /// The space of the index.
     pub(crate) fn space(&self) -> &Space {
         &self.entry.space
@@ -211,6 +232,13 @@ impl Restore {
             }
         }
         Ok(())
+    }
+}
+
+impl Hosted {
+    /// True while an [`AwaitedCopy`] refuses its mutations.
+    pub(crate) fn awaits_copy(&self) -> bool {
+        self.host.uncopied.lock().contains(&self.uid())
     }
 }
 

@@ -35,7 +35,8 @@ const ARRIVAL_TIME: Duration = Duration::from_secs(5);
 const DOING: &str = "while asking the other servers for their records; nothing was changed";
 
 impl Service {
-    /// Fails if another member has applied records that this server lacks, or others of the same revision.
+    /// Fails if another member has applied records that this server lacks, or others of the same revision, or if no other member
+    /// has the points of a restored index yet.
     pub(super) async fn may_write(&self, call: &Call, hosted: &Arc<Hosted>) -> Result<(), Error> {
         let Some((owners, peers)) = self.inner.owners.get().zip(self.inner.peers.get()) else {
             return Ok(());
@@ -45,6 +46,16 @@ impl Service {
         }
         if let Some(why) = hosted.contradiction() {
             return Err(registry_error(hosted.name(), why));
+        }
+        // A restored index is not compared before its wait has ended, so no call passes by `is_compared`.
+        if hosted.awaits_copy() {
+            return Err(Error::StorageFailed {
+                what: format!(
+                    "index \"{}\" was restored on this server, and no other server has its points yet; nothing was changed, so \
+                     call again",
+                    hosted.name()
+                ),
+            });
         }
         if hosted.is_closed() {
             return Ok(());

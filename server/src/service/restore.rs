@@ -1,13 +1,13 @@
 //! `RestoreIndex`: an index from the parts of a snapshot.
 
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use tokio::{
     task::JoinError,
     time::{MissedTickBehavior, interval, timeout},
 };
-use tracing::{Span, warn};
+use tracing::{Instrument, Span, warn};
 use wayfold_proto::{
     snapshot::{Content, Reader, SnapshotError},
     v1,
@@ -24,7 +24,7 @@ use super::{
 use crate::{
     identity::{Caller, Role},
     log::{Durability, Origin, Record, Sessions, StoredPoint},
-    registry::{Hosted, RegistryError, Restore},
+    registry::{AwaitedCopy, Hosted, RegistryError, Restore},
 };
 
 /// The first revision that no snapshot may have: an index that is restored needs revisions for its mutations.
@@ -67,8 +67,13 @@ const COPY_INTERVAL: Duration = Duration::from_millis(200);
 
 impl Service {
     /// Waits until another server of a cluster has a copy of a restored index: its points are in no journal. The only live
-    /// server of a cluster does not wait.
-    async fn await_copy(&self, call: &Call, hosted: &Hosted) -> Result<(), Error> {
+    /// server of a cluster does not wait. However the wait ends, mutations are taken then: they do not depend on a server that
+    /// may never come back.
+    async fn await_copy(
+        self,
+        hosted: Arc<Hosted>,
+        _awaited: Option<AwaitedCopy>,
+    ) -> Result<(), Error> {
         let Some(peers) = self.inner.peers.get() else {
             return Ok(());
         };
@@ -106,18 +111,15 @@ impl Service {
                 }
             }
         };
-        let missing = || Error::StorageFailed {
-            what: format!(
-                "index \"{}\" is restored on this server, and no other server has a copy yet: do not restore it again, and \
-                 keep the directory of this server",
-                hosted.name()
-            ),
-        };
-        let bounded = timeout(Duration::from_secs(self.limits().max_scan_seconds), copied);
-        let copied = call
-            .bound("while another server took a copy", bounded)
-            .await;
-        copied.map_err(|_| missing())?.map_err(|_| missing())
+        let max_time = Duration::from_secs(self.limits().max_scan_seconds);
+        timeout(max_time, copied).await.map_err(|_| {
+            warn!(
+                index = hosted.name(),
+                uid = hosted.uid_text(),
+                "no other server has taken a copy: a restored index is on this one alone, and takes mutations now"
+            );
+            uncopied(&hosted)
+        })
     }
 }
 
@@ -153,11 +155,18 @@ impl RestoreCall {
         let (service, span) = (self.service.clone(), Span::current());
         let finished = tokio::task::spawn_blocking(move || {
             let _entered = span.enter();
+            // The maintenance serves the index once it has its name, maybe before `host` returns.
+            let awaited = service.inner.peers.get().map(|_| restore.await_copy());
             let hosted = service.registry()?.host(restore, sessions);
-            hosted.map_err(|error| not_restored(&name, error))
+            let hosted = hosted.map_err(|error| not_restored(&name, error))?;
+            // It goes on if the caller leaves, so that mutations wait for the copy all the same.
+            let copied = service.await_copy(Arc::clone(&hosted), awaited);
+            Ok::<_, Error>((hosted, tokio::spawn(copied.in_current_span())))
         });
-        let hosted = finished.await.map_err(stopped)??;
-        self.service.await_copy(&self.call, &hosted).await?;
+        let (hosted, copied) = finished.await.map_err(stopped)??;
+        let doing = "while another server took a copy";
+        let copied = self.call.bound(doing, copied).await;
+        copied.map_err(|_| uncopied(&hosted))?.map_err(stopped)??;
         Ok(v1::RestoreIndexResponse {
             index: Some(describe(&hosted, &hosted.published())),
         })
@@ -284,6 +293,17 @@ fn not_restored(name: &str, error: RegistryError) -> Error {
         RegistryError::Taken => Error::NameTaken { name: name.into() },
         RegistryError::TooManyIndexes { setting, max } => too_many_indexes(setting, max),
         error => registry_error(name, error),
+    }
+}
+
+/// The error of a restore whose index no other server has copied.
+fn uncopied(hosted: &Hosted) -> Error {
+    Error::StorageFailed {
+        what: format!(
+            "index \"{}\" is restored on this server, and no other server has a copy yet: do not restore it again, and keep the \
+             directory of this server",
+            hosted.name()
+        ),
     }
 }
 

@@ -6,7 +6,10 @@ use std::{
 use bytes::Bytes;
 use futures_util::{FutureExt, StreamExt, future::BoxFuture, stream};
 use parking_lot::Mutex;
-use tokio::sync::{Notify, watch};
+use tokio::{
+    sync::{Notify, watch},
+    time::interval,
+};
 use wayfold_proto::v1;
 
 use super::*;
@@ -191,6 +194,10 @@ impl Server {
     }
 
     async fn insert(&self) -> Result<u64, Error> {
+        self.insert_into("arm").await
+    }
+
+    async fn insert_into(&self, index: &str) -> Result<u64, Error> {
         let call = Call {
             caller: Caller::default(),
             ..Call::default()
@@ -200,7 +207,7 @@ impl Server {
             coordinates: vec![0.5],
         };
         let request = v1::InsertRequest {
-            index_name: "arm".into(),
+            index_name: index.into(),
             states: Some(states),
             ..Default::default()
         };
@@ -323,6 +330,48 @@ async fn an_index_that_resumes_after_a_loss_is_compared_again() {
     let refused = server.insert().await.unwrap_err();
     assert_eq!(refused.code(), Code::Unavailable, "{refused}");
     assert_eq!(server.own.newest(entry.uid), Ok(written));
+}
+
+/// Its points are in no journal. The member does not answer, and is not live in the end.
+#[tokio::test(start_paused = true)]
+async fn a_restored_index_takes_no_mutation_while_it_waits_for_a_copy() {
+    let (entry, records) = (arm(), more(&[], 1, RECORDS));
+    let server = Server::new(&entry, &records);
+    server.set(vec![None]);
+    let (service, call) = (&server.service, Call::default());
+    let request = v1::SnapshotIndexRequest {
+        index_name: "arm".into(),
+        ..Default::default()
+    };
+    let mut snapshot = service.snapshot_index(&call, request).await.unwrap();
+    let mut restoring = service.restore_index(&call).unwrap();
+    while let Some(part) = snapshot.next().await {
+        let name = "leg".into();
+        let part = part.unwrap().part;
+        let message = v1::RestoreIndexRequest { name, part };
+        restoring.add(message).await.unwrap();
+    }
+    // The caller leaves, and the wait goes on.
+    let finishing = timeout(Duration::from_secs(1), restoring.finish());
+    assert!(finishing.await.is_err());
+    let refused = server.insert_into("leg").await.unwrap_err();
+    assert_eq!(refused.code(), Code::Unavailable, "{refused}");
+    let what = "no other server has its points yet";
+    assert!(refused.to_string().contains(what), "{refused}");
+    server.insert().await.unwrap();
+
+    server.set(Vec::new());
+    let inserted = async {
+        let mut attempts = interval(Duration::from_millis(10));
+        loop {
+            attempts.tick().await;
+            if let Ok(revision) = server.insert_into("leg").await {
+                return revision;
+            }
+        }
+    };
+    let inserted = timeout(Duration::from_secs(1), inserted).await;
+    assert_eq!(inserted.unwrap(), RECORDS + 1);
 }
 
 /// It makes a record too.
