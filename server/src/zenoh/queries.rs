@@ -223,16 +223,15 @@ impl Queries {
         );
         let span = record.span().clone();
         let evaluation = async {
-            let check_room = |bytes| match held.check_room(bytes) {
-                true => Ok(()),
-                false => Err(status::too_many_bytes(held.flow().max_bytes())),
-            };
-            check_room(0)?;
+            let no_room = || status::too_many_bytes(held.flow().max_bytes());
+            if !held.check_room(0) {
+                return Err(no_room());
+            }
             let replies = self.replies(&query, form, target, arrived, call).await;
             let replies = replies.map_err(|error| status::from_error(&error))?;
             // Only now their size is known. Those to a mutation, which took place, are always given.
-            if is_read {
-                check_room(reply_bytes(&replies))?;
+            if is_read && !held.check_room(reply_bytes(&replies)) {
+                return Err(no_room());
             }
             Ok(replies)
         };
