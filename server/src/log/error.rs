@@ -102,6 +102,18 @@ pub enum LogError {
         /// The cause.
         what: String,
     },
+    /// The journal never takes a record as large as that of the mutation. Nothing was submitted.
+    #[error(
+        "index {uid}: the record of the mutation takes {bytes} bytes, and the journal takes {max_bytes} at most"
+    )]
+    RecordTooLarge {
+        /// The index.
+        uid: Uid,
+        /// The bytes of the record.
+        bytes: usize,
+        /// The bytes of the largest record that the journal takes.
+        max_bytes: usize,
+    },
     /// Requested records have been trimmed.
     #[error("index {uid}: the records after revision {after} are held only from {oldest} on")]
     Trimmed {

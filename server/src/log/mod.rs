@@ -106,6 +106,11 @@ pub trait Journal: Send + Sync {
     /// way. May block if [`Journal::is_busy`], or if points are replaced or removed.
     fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError>;
 
+    /// Fails with [`LogError::RecordTooLarge`] if the journal never takes the record of these effects.
+    fn check_size(&self, _: Uid, _: &Effects) -> Result<(), LogError> {
+        Ok(())
+    }
+
     /// Publishes the first record of a restored index, which follows its origin. A shared journal takes it only if it has no
     /// record of the index; the journal of the same engine begins at the origin by itself. Blocks.
     fn begin(&self, _: Uid, _: Arc<Record>) -> Result<(), LogError> {

@@ -8,7 +8,7 @@ use super::{Effects, LogError, RecordPosition, Uid};
 
 mod encoding;
 
-pub(super) use encoding::{push_operation, read_operation};
+pub(super) use encoding::{push_operation, read_operation, stored_bytes};
 
 /// A SHA-256.
 pub type Digest = [u8; 32];

@@ -69,6 +69,12 @@ impl Hosted {
         self.submitted_outcome(submitted).await
     }
 
+    /// Fails if the journal never takes the record of these effects.
+    pub fn check_size(&self, effects: &Effects) -> Result<(), RegistryError> {
+        let checked = self.host.log.journal.check_size(self.uid(), effects);
+        checked.map_err(RegistryError::from)
+    }
+
     async fn submitted_outcome(
         &self,
         submitted: Result<oneshot::Receiver<Decision>, RegistryError>,

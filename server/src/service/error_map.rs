@@ -64,6 +64,14 @@ fn storage_error(what: String, error: LogError) -> Error {
                 "{what}; the index goes on here from a copy of another server: call again, or call another server"
             ),
         },
+        LogError::RecordTooLarge {
+            bytes, max_bytes, ..
+        } => Error::LimitExceeded {
+            limit: "max_record_bytes",
+            value: max_bytes as u64,
+            requested: bytes as u64,
+            advice: "NATS takes at most 1,000 messages for a mutation: split the call, or raise max_payload of NATS",
+        },
         LogError::Storage { .. }
         | LogError::StorageStopped
         | LogError::DamagedStore { .. }

@@ -184,6 +184,11 @@ impl Service {
         if let Some(key) = key {
             key.mark(&mut effects, response.encode_to_vec().into());
         }
+        // The record holds the response too.
+        if let Err(error) = hosted.check_size(&effects) {
+            refused(call, hosted, writer, registry_error(index, error)).await?;
+            return Ok(None);
+        }
         // With a shared journal the response may be stale until the journal accepts a record after it. That record holds the
         // operation, so every server remembers it.
         if effects.is_empty() && !hosted.is_shared() {

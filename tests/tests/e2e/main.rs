@@ -21,6 +21,7 @@ mod health;
 #[cfg(target_os = "linux")]
 mod idle_memory;
 mod journal_loss;
+mod large_mutation;
 mod latest;
 #[cfg(target_os = "linux")]
 mod little_memory;

@@ -17,6 +17,9 @@ const DIGEST: &str = "Wayfold-Digest";
 /// The number of the message in its pack, from 1, and the number of messages.
 const PART: &str = "Wayfold-Part";
 
+/// The most messages of a pack: NATS refuses a larger atomic batch.
+const MAX_PARTS: usize = 1000;
+
 const FOREIGN: &str = "a message of its stream in NATS was not published by Wayfold";
 
 /// A message's place in its stream, and the records in it.
@@ -87,6 +90,16 @@ pub(super) fn headers(first: &Record, last: &Record, part: usize, parts: usize) 
 /// The bytes that a record takes in a payload, of a stored form of this length.
 pub(super) fn packed_bytes(stored: usize) -> usize {
     8 + stored
+}
+
+/// The number of messages that a pack of these bytes takes.
+pub(super) fn part_count(pack: usize, max_payload: usize) -> usize {
+    pack.div_ceil(max_payload)
+}
+
+/// The bytes of the largest stored form that NATS takes. A larger one than a message is the only one of its pack.
+pub(super) fn max_stored_bytes(max_payload: usize) -> usize {
+    (MAX_PARTS * max_payload).saturating_sub(packed_bytes(0))
 }
 
 /// Appends a record in its stored form to a payload.
@@ -216,6 +229,16 @@ mod tests {
             assert!(take(&mut unpacker, part).is_err());
         }
         assert!(take(&mut unpacker, 1).is_ok() && take(&mut unpacker, 3).is_err());
+    }
+
+    #[test]
+    fn the_largest_record_fills_the_largest_batch() {
+        for max_payload in [276, 64 * 1024 - 1024, 1024 * 1024 - 1024] {
+            let parts = |stored| part_count(packed_bytes(stored), max_payload);
+            let largest = max_stored_bytes(max_payload);
+            assert_eq!(parts(largest), MAX_PARTS);
+            assert_eq!(parts(largest + 1), MAX_PARTS + 1);
+        }
     }
 
     #[test]

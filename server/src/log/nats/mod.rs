@@ -32,8 +32,8 @@ use self::{
     catalogue::NatsCatalogue, connection::Connection, message::PackPosition, publisher::Submission,
 };
 use super::{
-    Catalogue, Journal, Log, LogError, PointStore, Receipt, Record, RecordPosition, RecordStream,
-    Uid,
+    Catalogue, Effects, Journal, Log, LogError, PointStore, Receipt, Record, RecordPosition,
+    RecordStream, Uid, record::stored_bytes,
 };
 
 /// The time between two attempts of a follower to read a stream.
@@ -217,7 +217,21 @@ impl NatsJournal {
 
 impl Journal for NatsJournal {
     fn submit(&self, uid: Uid, record: Arc<Record>) -> Result<Receipt, LogError> {
+        self.check_size(uid, record.effects())?;
         Ok(Receipt::Awaited(self.send(uid, record, false)))
+    }
+
+    fn check_size(&self, uid: Uid, effects: &Effects) -> Result<(), LogError> {
+        let bytes = stored_bytes(effects);
+        let max_bytes = message::max_stored_bytes(self.connection.max_payload);
+        if bytes <= max_bytes {
+            return Ok(());
+        }
+        Err(LogError::RecordTooLarge {
+            uid,
+            bytes,
+            max_bytes,
+        })
     }
 
     fn begin(&self, uid: Uid, record: Arc<Record>) -> Result<(), LogError> {

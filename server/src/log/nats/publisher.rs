@@ -239,7 +239,7 @@ impl Publisher {
     ) -> Result<PublishAck, PublishError> {
         let (context, subject) = (&self.connection.context, self.connection.subject(self.uid));
         let client = context.client();
-        let parts = pack.len().div_ceil(self.connection.max_payload);
+        let parts = message::part_count(pack.len(), self.connection.max_payload);
         let batch = Uuid::new_v4().to_string();
         for part in 1..=parts {
             let start = (part - 1) * self.connection.max_payload;

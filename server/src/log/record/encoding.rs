@@ -6,7 +6,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use wayfold_index::{PointRef, Space};
 
-use super::{Digest, Record};
+use super::{Digest, Record, RunId};
 use crate::log::{Batch, Effects, Operation, Outcome, cursor::Cursor};
 
 /// The form of a record without a run and a session's batch. A changed form needs a new text.
@@ -66,6 +66,30 @@ pub(super) fn write(record: &Record, mut take: impl FnMut(&[u8])) {
         push_batch(&mut part, batch);
     }
     take(&part);
+}
+
+/// The bytes of the stored form of a record with these effects. A record of the old form takes 24 less.
+pub(in crate::log) fn stored_bytes(effects: &Effects) -> usize {
+    const NUMBER: usize = size_of::<u64>();
+    const DIGEST: usize = size_of::<Digest>();
+    // The revision, the time, the width of the rows, and the numbers of points, removed ids, operations and batches.
+    const HEAD: usize = FORM.len() + 7 * NUMBER + size_of::<RunId>();
+    // The id, the tag, the revision, the outcome, the state, and the length of the payload.
+    let point = 4 * NUMBER + 1 + NUMBER * effects.stored.coordinates();
+    let payloads: usize = effects.payloads.iter().map(Bytes::len).sum();
+    let operation = effects.operation.as_ref().map_or(0, |operation| {
+        2 * NUMBER + DIGEST + operation.id.len() + operation.response.len()
+    });
+    let batch = effects.batch.as_ref().map_or(0, |batch| {
+        6 * NUMBER + DIGEST + batch.response.len() + NUMBER * batch.ended.len()
+    });
+    // The digest of the previous record and the record's own.
+    HEAD + 2 * DIGEST
+        + point * effects.stored.len()
+        + payloads
+        + NUMBER * effects.removed.len()
+        + operation
+        + batch
 }
 
 fn push_batch(part: &mut Vec<u8>, batch: &Batch) {
@@ -197,7 +221,7 @@ fn sequence<'a>(cursor: &mut Cursor<'a>) -> Option<&'a [u8]> {
 mod tests {
     use super::*;
     use crate::log::{
-        Record,
+        Record, RecordPosition,
         record::tests::{batch, effects},
     };
 
@@ -218,6 +242,17 @@ mod tests {
         for length in 0..bytes.len() {
             assert!(Record::decode(&bytes[..length]).is_err(), "{length} bytes");
         }
+    }
+
+    #[test]
+    fn the_stored_bytes_are_known_before_the_record_is_made() {
+        for effects in [Effects::new(3), effects(), with_batch()] {
+            let bytes = stored_bytes(&effects);
+            let record = Record::made_by([6; 16], RecordPosition::START, effects);
+            assert_eq!(record.encode().len(), bytes);
+        }
+        let old = Record::after(RecordPosition::START, effects());
+        assert_eq!(old.encode().len() + 24, stored_bytes(old.effects()));
     }
 
     /// Found by fuzzing: recovery counts the bytes of a record, and a huge row width overflowed that count.

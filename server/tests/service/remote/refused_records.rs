@@ -1,6 +1,6 @@
 //! Values of records that the journal refused, and refusals by such values.
 
-use std::sync::Arc;
+use std::sync::{Arc, atomic::Ordering::Relaxed};
 
 use tokio::task::yield_now;
 use wayfold_proto::v1;
@@ -72,6 +72,32 @@ async fn a_full_table_of_sessions_is_refused_only_after_a_record() {
     let refused = service.open_session(&CALL, request()).await.unwrap_err();
     assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");
     assert_eq!(stream.records(entry.uid).len(), 2);
+}
+
+/// Other servers may have made the stored points smaller, which an update writes again.
+#[tokio::test]
+async fn a_record_that_the_journal_never_takes_is_refused_only_after_a_record() {
+    let (stream, entry) = (Stream::new(18, 0.0), named_arm());
+    let (service, _, journal) = server(&stream, &entry);
+    let stored = insertion(&[[1.0], [2.0], [3.0]], &[1, 2, 3]);
+    service.insert(&CALL, stored).await.unwrap();
+    journal.max_points.store(2, Relaxed);
+    let tagging = |ids: &[u64]| v1::UpdateRequest {
+        index_name: "arm".into(),
+        ids: ids.into(),
+        tags: vec![7],
+        operation_id: "tags".into(),
+        ..Default::default()
+    };
+    let refused = refusal(service.update(&CALL, tagging(&[1, 2, 3])).await);
+    let expected = (Code::ResourceExhausted, "LIMIT_EXCEEDED", String::new());
+    assert_eq!(refused, expected);
+    let records = stream.records(entry.uid);
+    assert_eq!(records.len(), 2);
+    assert!(records[1].effects().is_empty());
+    // The refused call has not used its operation id.
+    let updated = service.update(&CALL, tagging(&[1, 2])).await.unwrap();
+    assert_eq!((updated.updated_count, updated.revision.number()), (2, 3));
 }
 
 /// The answer may be small by what other servers have changed.

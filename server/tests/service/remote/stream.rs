@@ -179,6 +179,8 @@ pub(crate) struct Remote {
     turns: Arc<Semaphore>,
     /// True while no record reaches the server, until it reads the stream itself.
     is_behind: watch::Sender<bool>,
+    /// The most points of a record.
+    pub(super) max_points: AtomicUsize,
 }
 
 impl Remote {
@@ -190,6 +192,7 @@ impl Remote {
             submissions,
             turns: Arc::clone(&turns),
             is_behind: watch::Sender::new(false),
+            max_points: AtomicUsize::new(usize::MAX),
         });
         let stream = Arc::clone(stream);
         tokio::spawn(async move {
@@ -240,6 +243,18 @@ impl Journal for Remote {
         submitted.map_err(|_| LogError::Closed)?;
         let outcome = outcome.map(|outcome| outcome.unwrap_or(Err(LogError::Closed)));
         Ok(Receipt::Awaited(outcome.boxed()))
+    }
+
+    fn check_size(&self, uid: Uid, effects: &Effects) -> Result<(), LogError> {
+        let (points, max_points) = (effects.len(), self.max_points.load(Relaxed));
+        if points <= max_points {
+            return Ok(());
+        }
+        Err(LogError::RecordTooLarge {
+            uid,
+            bytes: points,
+            max_bytes: max_points,
+        })
     }
 
     fn follow(&self, uid: Uid, after: u64) -> RecordStream {
