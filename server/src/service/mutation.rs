@@ -77,7 +77,12 @@ impl Service {
                     }
                     continue;
                 }
-                recalled => recalled?,
+                // The journal may refuse the pending records that the error comes from.
+                Err(error) => {
+                    refused(call, hosted, writer, error).await?;
+                    continue;
+                }
+                Ok(recalled) => recalled,
             };
             let Some(response) = recalled else {
                 return Ok(Start::Writing(writer));

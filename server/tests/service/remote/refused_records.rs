@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, atomic::Ordering::Relaxed};
 
+use futures_util::FutureExt;
 use tokio::task::yield_now;
 use wayfold_proto::v1;
 use wayfold_server::{
@@ -9,7 +10,7 @@ use wayfold_server::{
     service::{Code, Limits},
 };
 
-use super::{Stream, named_arm, points_at, server, server_over};
+use super::{Stream, named_arm, points_at, server, server_over, settled};
 use crate::support::*;
 
 /// The same state with another payload.
@@ -51,6 +52,77 @@ async fn an_insert_forgets_the_payloads_of_refused_records() {
         let at = points.ids.iter().position(|id| *id == 7).unwrap();
         assert_eq!(points.payloads[at], "old");
     }
+}
+
+/// A request under an operation id and one under a batch number, each while another request under the same one is pending,
+/// which the journal refuses.
+#[tokio::test(start_paused = true)]
+async fn no_request_is_a_mismatch_with_a_refused_record() {
+    let (stream, entry) = (Stream::new(19, 0.0), named_arm());
+    let (one, registry, journal) = server(&stream, &entry);
+    let (other, ..) = server(&stream, &entry);
+    let opening = v1::OpenSessionRequest {
+        index_name: "arm".into(),
+        ..Default::default()
+    };
+    let session = one.open_session(&CALL, opening).await.unwrap().session;
+    let hosted = registry.get("arm").unwrap();
+    let insert = |state: f64| {
+        let request = v1::InsertRequest {
+            operation_id: "once".into(),
+            ..insertion(&[[state]], &[])
+        };
+        let service = one.clone();
+        async move { service.insert(&CALL, request).await.map(drop) }
+    };
+    let reserve = |reserve_count: u64| {
+        let request = v1::WriteRequest {
+            index_name: "arm".into(),
+            uid: entry.uid.to_string(),
+            session,
+            batch: 1,
+            reserve_count,
+            ..Default::default()
+        };
+        let service = one.clone();
+        async move { service.write(&CALL, request).await.map(drop) }
+    };
+    let pairs = [
+        [insert(1.0).boxed(), insert(2.0).boxed()],
+        [reserve(1).boxed(), reserve(2).boxed()],
+    ];
+    for [abandoned, rival] in pairs {
+        let before = stream.newest(entry.uid).revision;
+        let held = journal.hold().await;
+        let abandoned = tokio::spawn(abandoned);
+        for _ in 0..20 {
+            yield_now().await;
+        }
+        // Its record stays pending, and nothing evaluates the call again.
+        abandoned.abort();
+        assert!(abandoned.await.unwrap_err().is_cancelled());
+        let pending = hosted.write().await.unwrap().revision();
+        assert_eq!(pending, before + 1);
+        let rival = tokio::spawn(rival);
+        for _ in 0..20 {
+            yield_now().await;
+        }
+        let fenced = hosted.write().await.unwrap().revision();
+        assert_eq!(fenced, before + 2);
+        other.insert(&CALL, insertion(&[[9.0]], &[])).await.unwrap();
+        drop(held);
+        rival.await.unwrap().unwrap();
+        // Each published record uses up a permit, and holding needs as many as before.
+        journal.let_pass(100);
+    }
+    for mismatch in [insert(3.0).boxed(), reserve(3).boxed()] {
+        let before = stream.records(entry.uid).len();
+        let reason = mismatch.await.unwrap_err().reason();
+        assert!(reason.ends_with("_MISMATCH"), "{reason}");
+        assert_eq!(stream.records(entry.uid).len(), before + 1);
+    }
+    let found = settled(&stream, &entry, &[&one, &other]).await;
+    assert_eq!(found.states.unwrap().coordinates, [9.0, 2.0, 9.0]);
 }
 
 /// A session may have ended in records that this server lacks.
