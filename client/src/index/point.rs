@@ -110,6 +110,8 @@ impl<'a> InsertOptions<'a> {
     }
 
     /// Asks for the neighbours that the point has at its insertion: of any two points, the later one finds the earlier.
+    /// A shared index answers from its copy, and scales `k` and the radius by the size of the copy.
+    /// [`Index::meanwhile`](crate::Index::meanwhile) later names the other neighbours among all points before this one.
     /// A remote index does not end this search by its [timeout](Search::timeout), but by that of the call.
     pub fn neighbors(mut self, search: Search) -> InsertOptions<'a> {
         self.search = Some(search);

@@ -81,8 +81,9 @@ impl Index {
     }
 
     /// The answers about own points that were inserted with a search: the neighbours that others stored before them
-    /// in the index's order and that the insert could not see. Each point is answered once, when the feed has named it,
-    /// also without such neighbours. In the other forms an insert sees all.
+    /// in the index's order and that the insert could not see, and with a scaled `k` the older ones that the insert left
+    /// out. Each point is answered once, when the feed has named it, also without such neighbours. In the other forms an
+    /// insert sees all.
     pub fn meanwhile(&self) -> MeanwhileAnswers {
         self.shared
             .as_ref()

@@ -1,14 +1,16 @@
 //! The places of own points in the index's order, and the neighbours before them that their inserts could not see.
 
 mod arrival;
+mod open_search;
 
 use std::collections::{HashMap, VecDeque};
 
-use wayfold_index::{Filter, ForestSnapshot, Neighbor, Search, Space};
+use wayfold_index::{ForestSnapshot, Neighbor, Search, Space};
 
 use super::rebased::Content;
 use arrival::Arrival;
 pub(super) use arrival::Reloaded;
+pub(super) use open_search::{InsertSearch, OpenSearch};
 
 /// The most bytes of the answers that wait for the caller.
 const MAX_BYTES: usize = 16 << 20;
@@ -27,7 +29,11 @@ const MAX_DISTANCES: usize = 1 << 26;
 /// The most distances that the thread of all calls computes at once: about a millisecond.
 const MAX_INLINE_DISTANCES: usize = 1 << 14;
 
-/// An own point's place in the index's order, and the neighbours that it had there beyond those that its insert found.
+/// An own point's place in the index's order, and the neighbours that it had there beyond those that its insert answered.
+///
+/// With a scaled `k` or radius the insert counts the points of the copy, and this answer counts
+/// [`points_before`](Meanwhile::points_before). If that gives a greater `k`, the neighbours include the older points that the
+/// insert left out. The point's neighbours among all points before it are the k(`points_before`) nearest of both answers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Meanwhile {
     /// The id of the own point.
@@ -38,7 +44,8 @@ pub struct Meanwhile {
     pub neighbors: Vec<Neighbor>,
     /// True if all points were read again between, or others stored very many: some neighbours may have been in the answer of
     /// the insert, or come after the point, and one that was stored again after it may be missing. If others stored very
-    /// many, they are as this process shows them, with its later writes.
+    /// many, they are as this process shows them, with its later writes. For a scaled `k`, as many points as the copy had and
+    /// 4,096 more count as very many.
     pub is_superset: bool,
 }
 
@@ -57,88 +64,6 @@ pub struct MeanwhileAnswers {
 impl Meanwhile {
     fn bytes(&self) -> usize {
         size_of::<Meanwhile>() + size_of_val(&self.neighbors[..])
-    }
-}
-
-/// The insert came after the copy was read the last time.
-pub(super) const AFTER_ALL: u64 = u64::MAX;
-
-/// The search of an insert that the server has not stored yet.
-#[derive(Clone, Debug)]
-pub(super) struct OpenSearch {
-    id: u64,
-    /// The position of the insert in its batch.
-    pub(super) step: usize,
-    row: Vec<f64>,
-    filter: Filter,
-    k: usize,
-    /// A neighbour that the answer could not see is no farther than this, unless a point of the answer has left.
-    bound: f64,
-    /// The radius of the search, which bounds all neighbours.
-    radius: f64,
-    /// The neighbours that the insert found, if the last of them is the bound.
-    found: Vec<Neighbor>,
-    /// The change that stored the point in the copy.
-    change: u64,
-    /// The number of published points before the insert, once it is published.
-    pub(super) points_before: usize,
-    /// The revision of the insert, or [`AFTER_ALL`]; None if the copy was read again, and had it already at one that is not
-    /// known.
-    pub(super) revision: Option<u64>,
-    /// The first and the last change since by which the copy was read again; `u64::MAX` for none.
-    first_reload: u64,
-    last_reload: u64,
-    /// True if the copy was read again since, or too many points arrived.
-    is_superset: bool,
-    /// True if too many points arrived.
-    searches_all: bool,
-}
-
-impl OpenSearch {
-    /// The search with which the point `id` was inserted by a step of its batch, and what it found: change number
-    /// `change` of the copy stored the point.
-    pub(super) fn new(
-        (id, step): (u64, usize),
-        row: &[f64],
-        search: &Search<'_>,
-        found: &[Neighbor],
-        change: u64,
-    ) -> OpenSearch {
-        let farthest = found.last().filter(|_| found.len() >= search.k);
-        OpenSearch {
-            id,
-            step,
-            row: row.to_vec(),
-            filter: search.filter,
-            k: search.k,
-            bound: farthest.map_or(search.radius, |farthest| farthest.distance),
-            radius: search.radius,
-            // Otherwise the radius is the bound.
-            found: farthest.map_or_else(Vec::new, |_| found.to_vec()),
-            change,
-            points_before: 0,
-            revision: Some(AFTER_ALL),
-            first_reload: u64::MAX,
-            last_reload: u64::MAX,
-            is_superset: false,
-            searches_all: false,
-        }
-    }
-
-    /// The bytes that it holds until its point is published.
-    pub(super) fn bytes(&self) -> usize {
-        size_of::<OpenSearch>() + size_of_val(&self.row[..]) + size_of_val(&self.found[..])
-    }
-
-    /// The copy was read again, as change number `change`: the answer will be a superset.
-    pub(super) fn reload(&mut self, change: u64) {
-        self.first_reload = self.first_reload.min(change);
-        (self.last_reload, self.is_superset) = (change, true);
-    }
-
-    /// The answer will be a superset, of all points.
-    pub(super) fn search_all(&mut self) {
-        (self.is_superset, self.searches_all) = (true, true);
     }
 }
 
@@ -163,8 +88,10 @@ pub(super) type Versions = Vec<(usize, Option<Content>)>;
 #[derive(Debug)]
 pub(super) struct Answerable {
     searches: Vec<OpenSearch>,
-    /// The changes of each point, the oldest first, its id, and its contents.
-    arrived: Vec<(Vec<Arrival>, u64, Versions)>,
+    /// By the id of each point that an answer may name: its changes, the oldest first, and its contents.
+    points: HashMap<u64, (Vec<Arrival>, Versions)>,
+    /// The number of own writes in the batch of the searches and in the pending ones after it.
+    later: usize,
     /// The last change by which another writer removed or moved a point, or gave it another tag.
     departure: u64,
     snapshot: Option<ForestSnapshot>,
@@ -232,11 +159,13 @@ impl OpenSearches {
         self.stored = VecDeque::new();
     }
 
-    /// The server has stored the points of these searches. `published` has what is published under an id, and `snapshot` takes
-    /// all points. `oldest` is the oldest of the searches that stay open.
+    /// The server has stored the points of these searches, whose batch and the pending ones after it have `later` writes.
+    /// `published` has what is published under an id, and `snapshot` takes all points. `oldest` is the oldest of the searches
+    /// that stay open.
     pub(super) fn answerable(
         &mut self,
         mut searches: Vec<OpenSearch>,
+        later: usize,
         oldest: Option<&OpenSearch>,
         mut published: impl FnMut(u64) -> Versions,
         snapshot: impl FnOnce() -> ForestSnapshot,
@@ -250,16 +179,25 @@ impl OpenSearches {
             searches.iter_mut().for_each(OpenSearch::search_all);
             after = self.stored.len();
         }
+        let short = searches.iter_mut().filter(|open| open.is_short());
+        short.for_each(OpenSearch::search_all);
         let mut changes: HashMap<u64, Vec<Arrival>> = HashMap::new();
         for arrival in self.stored.range(after..) {
             changes.entry(arrival.id).or_default().push(*arrival);
         }
+        // An older point that the insert did not answer may have no change, and is looked up too.
+        for open in searches.iter().filter(|open| !open.searches_all) {
+            for neighbor in open.unanswered() {
+                changes.entry(neighbor.id).or_default();
+            }
+        }
         // A point that was stored twice counts as it is now.
-        let arrived = changes
+        let points = changes
             .into_iter()
-            .map(|(id, changes)| (changes, id, published(id)));
+            .map(|(id, changes)| (id, (changes, published(id))));
         let answerable = Answerable {
-            arrived: arrived.collect(),
+            points: points.collect(),
+            later,
             departure: self.departure,
             snapshot: searches.iter().any(|open| open.searches_all).then(snapshot),
             searches,
@@ -305,7 +243,7 @@ impl OpenSearches {
 impl Answerable {
     /// True if the answers take too long for a thread that other tasks wait for.
     pub(super) fn is_long(&self) -> bool {
-        self.snapshot.is_some() || self.searches.len() * self.arrived.len() > MAX_INLINE_DISTANCES
+        self.snapshot.is_some() || self.searches.len() * self.points.len() > MAX_INLINE_DISTANCES
     }
 
     /// The answers, in the order of the searches.
@@ -314,22 +252,20 @@ impl Answerable {
             id: open.id,
             points_before: open.points_before,
             neighbors: match open.searches_all {
-                false => self.arrived(open, space),
+                false => self.unseen(open, space),
                 true => self.superset(open, space),
             },
             is_superset: open.is_superset,
         })
     }
 
-    /// The points that arrived after the search's own, within its bound.
-    fn arrived(&self, open: &OpenSearch, space: &Space) -> Vec<Neighbor> {
+    /// The points that arrived after the search's own, within its bound, and the older ones that its insert did not answer.
+    fn unseen(&self, open: &OpenSearch, space: &Space) -> Vec<Neighbor> {
         let filter = open.filter;
         let passes = |tag: u64| tag & filter.tag_mask == filter.tag_value;
-        let contents = self.arrived.iter().filter_map(|(changes, id, versions)| {
-            let mut versions = versions.iter();
-            let (_, content) = versions.find(|(step, _)| *step > open.step)?;
-            Some((changes, *id, content.as_ref()?))
-        });
+        let points = self.points.iter();
+        let contents = points
+            .filter_map(|(id, (changes, versions))| Some((changes, *id, open.content(versions)?)));
         let unseen = contents.filter(|(changes, id, (tag, _))| {
             let unseen = changes.iter().filter(|arrival| arrival.is_unseen(open));
             let Some(first) = unseen.clone().next() else {
@@ -346,15 +282,27 @@ impl Answerable {
             let is_before = last.is_some_and(|it| it.is_unseen(open) && it.is_before(open));
             (Neighbor { distance, id }, is_before)
         });
+        // An older point that was moved is among the arrivals.
+        let stays = |old: &&Neighbor| {
+            let known = self.points.get(&old.id);
+            let content = known.and_then(|(_, versions)| open.content(versions));
+            content.is_some_and(|(tag, row)| {
+                passes(*tag) && space.distance(&open.row, row) == old.distance
+            })
+        };
+        let older = open.unanswered().iter().filter(stays);
+        let neighbors = neighbors.chain(older.map(|old| (*old, true)));
         let bound = match self.departure > open.change {
-            true => open.radius,
-            false => open.bound,
+            true => open.radius_at_place(space.dimension()),
+            false => open.bound(space.dimension()),
         };
         let near = neighbors.filter(|(neighbor, _)| neighbor.distance <= bound);
         let mut neighbors: Vec<_> = near.collect();
         neighbors.sort_unstable();
+        // An older point may have been stored again with the same state.
+        neighbors.dedup_by_key(|(neighbor, _)| neighbor.id);
         // Those that may have come later take no place of the others.
-        let mut left = open.k;
+        let mut left = open.k_at_place();
         let within = neighbors.into_iter().take_while(|(_, is_before)| {
             let has_place = left > 0;
             left = left.saturating_sub(usize::from(*is_before));
@@ -363,8 +311,8 @@ impl Answerable {
         within.map(|(neighbor, _)| neighbor).collect()
     }
 
-    /// All points within the bound. If there is no bound, or a point of the insert's answer has left or moved: the
-    /// [`MAX_SUPERSET`] nearest within the radius.
+    /// All points within the bound. If there is no bound, or a point that the insert found has left or moved: the nearest
+    /// within the radius.
     fn superset(&self, open: &OpenSearch, space: &Space) -> Vec<Neighbor> {
         let Some(points) = &self.snapshot else {
             return Vec::new();
@@ -375,11 +323,12 @@ impl Answerable {
                     && space.distance(&open.row, &point.row) == found.distance
             })
         };
-        let mut search = match open.bound.is_finite() && open.found.iter().all(stays) {
-            true => Search::nearest_r(open.bound),
+        let bound = open.bound(space.dimension());
+        let mut search = match bound.is_finite() && open.nearest().iter().all(stays) {
+            true => Search::nearest_r(bound),
             false => Search {
-                radius: open.radius,
-                ..Search::nearest_k(MAX_SUPERSET)
+                radius: open.radius_at_place(space.dimension()),
+                ..Search::nearest_k(open.max_superset(self.later))
             },
         };
         search.filter = open.filter;

@@ -43,6 +43,7 @@ use super::{
 };
 use crate::Error;
 use batch::{Batch, Step};
+use meanwhile::InsertSearch;
 
 /// The most rows that `insert_many` stores at once: readers wait for them.
 const MAX_ROWS_AT_ONCE: usize = 4_096;
@@ -167,9 +168,10 @@ impl NearestNeighbors for SharedIndex {
                 return Err(Error::IdTaken { id });
             }
             if let Some(scaled) = scaled {
-                let among = points.among(scaled);
-                *found = points.forest.search(point.row, &among)?.neighbors;
-                search = Some(among);
+                let (size, dimension) = (points.forest.len(), self.core.space.dimension());
+                let asked = InsertSearch::new(scaled, size, dimension);
+                *found = points.forest.search(point.row, &asked.search)?.neighbors;
+                search = Some(asked);
             }
         }
         let id = match point.id {
@@ -187,6 +189,9 @@ impl NearestNeighbors for SharedIndex {
         let read_revision = points.read_revision();
         if let Some(search) = search {
             writes.note_search(id, point.row, &search, found, read_revision.0);
+            // The others wait for the point's place in the order.
+            let answer_len = search.answer_len(found);
+            found.truncate(answer_len);
         }
         self.core.end_write(&mut writes, &mut points);
         Ok((id, read_revision))

@@ -9,13 +9,13 @@ use std::{
     sync::Arc,
 };
 
-use wayfold_index::{Neighbor, Search};
+use wayfold_index::Neighbor;
 use wayfold_proto::v1;
 
 use super::{
     batch::{Batch, Step, UnsentWrite},
     ids::ReservedIds,
-    meanwhile::{OpenSearch, OpenSearches},
+    meanwhile::{InsertSearch, OpenSearch, OpenSearches},
     rebased::RebasedPoint,
 };
 use crate::{Error, index::local::LocalPoints};
@@ -147,7 +147,7 @@ impl PendingWrites {
         &mut self,
         id: u64,
         row: &[f64],
-        search: &Search<'_>,
+        search: &InsertSearch<'_>,
         found: &[Neighbor],
         change: u64,
     ) {

@@ -6,8 +6,8 @@ use std::{
     thread,
 };
 
-use wayfold::{Client, Index, InsertOptions, Search, WatchEvent};
-use wayfold_index::{Linear, Neighbor, Space};
+use wayfold::{Client, Index, InsertOptions, Scaling, Search, WatchEvent};
+use wayfold_index::{Linear, Neighbor, ScaledSearch, Space};
 use wayfold_tests::{
     Process, ServerProcess, States,
     brute_force::{self, pairs},
@@ -71,7 +71,7 @@ async fn order(client: &Client) -> Vec<(u64, Vec<f64>)> {
     }
 }
 
-async fn check(ask: Search, replayed: wayfold_index::Search<'static>) {
+async fn check(ask: Search, search: wayfold_index::Search<'static>, scaling: Scaling) {
     let directory = tempfile::tempdir().unwrap();
     let mut command = command(&directory.path().join("data"), "127.0.0.1:0");
     let server = ServerProcess::ready(Process::spawn(&mut command));
@@ -92,9 +92,12 @@ async fn check(ask: Search, replayed: wayfold_index::Search<'static>) {
             known.extend(meanwhile.neighbors);
         }
     }
+    let scaled = ScaledSearch { search, scaling };
+    let dimension = space.dimension();
     let mut points = Linear::new(space);
     let mut all = 0;
     for (id, state) in order {
+        let replayed = scaled.among(points.len(), dimension);
         let expected = brute_force::search(&points, &state, &replayed);
         assert_eq!(places[&id], points.len());
         let mut found = edges.remove(&id).unwrap();
@@ -114,11 +117,22 @@ async fn four_workers_find_every_pair_within_the_radius_once() {
         radius: RADIUS,
         ..wayfold_index::Search::nearest_k(usize::MAX)
     };
-    check(Search::within(RADIUS), replayed).await;
+    check(Search::within(RADIUS), replayed, Scaling::default()).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn four_workers_find_the_nearest_that_one_would() {
     let replayed = wayfold_index::Search::nearest_k(K);
-    check(Search::k(K as u32), replayed).await;
+    check(Search::k(K as u32), replayed, Scaling::default()).await;
+}
+
+/// Each worker's copy has fewer points at the insert than the index has before the point.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn four_workers_find_as_many_as_one_would_by_the_size_of_the_index() {
+    let scaling = Scaling {
+        k_factor: Some(Scaling::K_FACTOR),
+        ..Scaling::default()
+    };
+    let all = wayfold_index::Search::nearest_k(usize::MAX);
+    check(Search::k_factor(Scaling::K_FACTOR), all, scaling).await;
 }

@@ -2,7 +2,10 @@
 
 use wayfold_index::ForestSnapshot;
 
-use super::{AFTER_ALL, MAX_ARRIVALS, OpenSearch};
+use super::{
+    MAX_ARRIVALS,
+    open_search::{AFTER_ALL, OpenSearch},
+};
 
 /// A point that another writer stored.
 #[derive(Clone, Copy, Debug)]

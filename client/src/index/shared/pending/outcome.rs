@@ -122,6 +122,7 @@ impl PendingWrites {
                 self.rebased.remove(&id);
             }
         }
+        let later = batch.len() + self.queue.iter().map(Batch::len).sum::<usize>();
         let oldest = self.queue.iter().find_map(|batch| batch.searches.first());
         let published = |id| {
             let last = match self.rebased.get(&id) {
@@ -135,7 +136,7 @@ impl PendingWrites {
         let snapshot = || points.forest.snapshot();
         Ok(self
             .open_searches
-            .answerable(searches, oldest, published, snapshot))
+            .answerable(searches, later, oldest, published, snapshot))
     }
 
     /// Another writer has removed and stored points, as one record.

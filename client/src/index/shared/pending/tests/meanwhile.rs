@@ -9,7 +9,8 @@ fn insert_near_1(writes: &mut PendingWrites, points: &mut LocalPoints, search: &
         distance: 1.0,
         id: 1,
     }];
-    writes.note_search(id, &[0.0], search, &found, points.read_revision().0);
+    let change = points.read_revision().0;
+    writes.note_search(id, &[0.0], &(*search).into(), &found, change);
 }
 
 /// Another writer's record that gives a stored point another tag.
@@ -47,7 +48,7 @@ fn a_question_is_answered_when_its_point_is_published() {
     let ask = |writes: &mut PendingWrites, points: &mut LocalPoints, row: f64| {
         let id = insert(writes, points, row);
         let change = points.read_revision().0;
-        writes.note_search(id, &[row], &Search::nearest_k(1), &[], change);
+        writes.note_search(id, &[row], &Search::nearest_k(1).into(), &[], change);
         id
     };
     foreign(&mut writes, &mut points, 1, 0, 0.0);
@@ -91,7 +92,7 @@ fn after_a_reload_the_points_that_were_there_before_are_not_told() {
     let ask = |writes: &mut PendingWrites, points: &mut LocalPoints| {
         let id = insert(writes, points, 0.5);
         let change = points.read_revision().0;
-        writes.note_search(id, &[0.5], &search, &[], change);
+        writes.note_search(id, &[0.5], &search.into(), &[], change);
         writes.next(1, 0).expect("a batch");
         id
     };
@@ -167,7 +168,7 @@ fn an_answer_counts_the_points_before_its_own() {
     let ask = |writes: &mut PendingWrites, points: &mut LocalPoints| {
         let id = insert(writes, points, 1.0);
         let change = points.read_revision().0;
-        writes.note_search(id, &[1.0], &Search::nearest_r(0.1), &[], change);
+        writes.note_search(id, &[1.0], &Search::nearest_r(0.1).into(), &[], change);
         id
     };
     let first = ask(&mut writes, &mut points);
@@ -249,7 +250,7 @@ fn a_point_is_no_neighbor_of_its_own() {
     let own = put(0, &[0.0]);
     writes.change(5, &own, &mut points).expect("a state");
     let change = points.read_revision().0;
-    writes.note_search(5, &[0.0], &Search::nearest_k(1), &[], change);
+    writes.note_search(5, &[0.0], &Search::nearest_k(1).into(), &[], change);
     foreign(&mut writes, &mut points, 5, 0, 0.5);
     foreign(&mut writes, &mut points, 6, 0, 2.0);
     writes.next(1, 0).expect("a batch");
@@ -265,7 +266,7 @@ fn a_later_write_of_its_own_hides_no_neighbor() {
     for is_sent in [true, false] {
         let (mut writes, mut points) = pending_writes();
         let id = insert(&mut writes, &mut points, 0.0);
-        writes.note_search(id, &[0.0], &search, &[], points.read_revision().0);
+        writes.note_search(id, &[0.0], &search.into(), &[], points.read_revision().0);
         if is_sent {
             writes.next(1, 0).expect("a batch");
         }
@@ -290,7 +291,7 @@ fn a_search_finds_what_is_published_at_its_place_in_the_batch() {
     foreign(&mut writes, &mut points, 2, 0, 5.0);
     for is_first in [true, false] {
         let id = insert(&mut writes, &mut points, 0.0);
-        writes.note_search(id, &[0.0], &search, &[], points.read_revision().0);
+        writes.note_search(id, &[0.0], &search.into(), &[], points.read_revision().0);
         if is_first {
             let step = Step::SetTag(1);
             writes.change(2, &step, &mut points).expect("a tag");
@@ -315,7 +316,7 @@ fn very_many_points_of_others_make_a_superset() {
     let search = Search::nearest_r(0.5);
     for _ in 0..SEARCHES {
         let id = insert(&mut writes, &mut points, 0.0);
-        writes.note_search(id, &[0.0], &search, &[], points.read_revision().0);
+        writes.note_search(id, &[0.0], &search.into(), &[], points.read_revision().0);
     }
     writes.next(1, 0).expect("a batch");
     let rows: Vec<(u64, [f64; 1])> = (10_000..80_000).map(|id| (id, [id as f64])).collect();
