@@ -289,11 +289,6 @@ impl Flow {
         HeldBytes::new(Arc::clone(self))
     }
 
-    /// The bytes that it holds.
-    pub(crate) fn held(&self) -> usize {
-        self.own.held()
-    }
-
     /// The most bytes that all flows hold.
     pub(crate) fn max_bytes(&self) -> usize {
         self.all.max()

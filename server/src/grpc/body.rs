@@ -88,10 +88,11 @@ pub(super) fn unread<H: Send + 'static>(
     held: H,
     activity: Option<&Activity>,
 ) -> Bytes {
+    let sending = activity.map(|it| it.send(frame_bytes(&bytes)));
     Bytes::from_owner(UnreadFrame {
         bytes,
         _held: held,
-        _sending: activity.map(Activity::send),
+        _sending: sending,
     })
 }
 

@@ -84,23 +84,20 @@ struct State {
 /// What waits for a client: frames of answers until it reads them, and requests until it sends the rest.
 #[derive(Debug)]
 struct Waits {
-    /// By their numbers.
-    all: BTreeMap<u64, Wait>,
-    /// Their number so far.
-    count: u64,
-    /// The frames among them.
+    /// The bytes of all.
+    bytes: usize,
+    /// The frames.
     frames: usize,
     /// The time since which the first of the frames waits, or the last time that the client read one.
     frames_since: Instant,
-    /// The bytes that the client has read.
-    read_bytes: u64,
-}
-
-#[derive(Debug)]
-struct Wait {
-    since: Instant,
-    /// The bytes that the client had read by then.
-    read_bytes: u64,
+    /// The bytes that the client has read or sent.
+    moved: u64,
+    /// The last look at them.
+    looked_at: Instant,
+    bytes_then: usize,
+    moved_then: u64,
+    /// The bytes that waited from the look before that on, if the client moved too few meanwhile.
+    late_bytes: usize,
 }
 
 /// An open connection, until it is dropped.
@@ -125,11 +122,11 @@ pub(super) struct ActiveCall(Activity);
 #[derive(Debug)]
 pub(super) struct Sending(Waiting);
 
-/// Something waits for a client, until this is dropped.
+/// Bytes that wait for a client, until this is dropped.
 #[derive(Debug)]
 pub(super) struct Waiting {
     state: Arc<State>,
-    number: u64,
+    bytes: usize,
 }
 
 impl Connections {
@@ -173,11 +170,14 @@ impl Connections {
             streams: Arc::new(Semaphore::new(self.max_streams)),
             arriving: Arc::new(Semaphore::new(MAX_ARRIVING)),
             waits: Mutex::new(Waits {
-                all: BTreeMap::new(),
-                count: 0,
+                bytes: 0,
                 frames: 0,
                 frames_since: Instant::now(),
-                read_bytes: 0,
+                moved: 0,
+                looked_at: Instant::now(),
+                bytes_then: 0,
+                moved_then: 0,
+                late_bytes: 0,
             }),
             backlog: Arc::new(ConnectionBacklog::new(Arc::clone(
                 self.admission.of_backlogs(),
@@ -204,30 +204,26 @@ impl State {
 }
 
 impl Waits {
-    fn add(&mut self) -> u64 {
-        let number = self.count;
-        self.count += 1;
-        let wait = Wait {
-            since: Instant::now(),
-            read_bytes: self.read_bytes,
-        };
-        self.all.insert(number, wait);
-        number
-    }
-
     /// The time for which frames wait and the client reads none.
     fn standstill(&self) -> Option<Duration> {
         (self.frames > 0).then(|| self.frames_since.elapsed())
     }
 
-    /// True if something has waited for `time`, and the client reads so slowly since then that `bytes` would take longer than
-    /// `most`.
-    fn are_late(&self, time: Duration, bytes: usize, most: Duration) -> bool {
-        self.all.first_key_value().is_some_and(|(_, first)| {
-            let (waited, read) = (first.since.elapsed(), self.read_bytes - first.read_bytes);
-            let needed = bytes as f64 * waited.as_secs_f64() / most.as_secs_f64();
-            waited >= time && (read as f64) < needed
-        })
+    /// The bytes that are late: they have waited from one look to the next, `interval` or more apart, and at the speed at which
+    /// the client read and sent meanwhile they would take longer than `most`.
+    fn late_bytes(&mut self, interval: Duration, most: Duration) -> usize {
+        let time = self.looked_at.elapsed();
+        if time >= interval {
+            let (stood, moved) = (
+                self.bytes.min(self.bytes_then),
+                self.moved - self.moved_then,
+            );
+            let needed = stood as f64 * time.as_secs_f64() / most.as_secs_f64();
+            self.late_bytes = if (moved as f64) < needed { stood } else { 0 };
+            (self.looked_at, self.bytes_then, self.moved_then) =
+                (Instant::now(), self.bytes, self.moved);
+        }
+        self.late_bytes.min(self.bytes)
     }
 }
 
@@ -256,14 +252,15 @@ impl Activity {
     }
 
     /// Notes that a part of a request has arrived.
-    pub(super) fn note_arrival(&self) {
+    pub(super) fn note_arrival(&self, bytes: usize) {
+        self.state.waits.lock().moved += bytes as u64;
         self.state.note_activity();
     }
 
     /// Notes that bytes have left, which are a sign of life if an answer waits for its client.
     pub(super) fn note_departure(&self, bytes: usize) {
         let mut waits = self.state.waits.lock();
-        waits.read_bytes += bytes as u64;
+        waits.moved += bytes as u64;
         if waits.frames > 0 {
             self.state.note_activity();
         }
@@ -324,24 +321,23 @@ impl Activity {
         }
     }
 
-    /// A frame of an answer waits for the client to read it, until the result is dropped.
-    pub(super) fn send(&self) -> Sending {
+    /// A frame of an answer waits for the client to read it, until the result is dropped. Its buffer has so many bytes.
+    pub(super) fn send(&self, bytes: usize) -> Sending {
+        let waiting = self.receive(bytes);
         let mut waits = self.state.waits.lock();
         if waits.frames == 0 {
             waits.frames_since = Instant::now();
         }
         waits.frames += 1;
-        Sending(Waiting {
-            number: waits.add(),
-            state: Arc::clone(&self.state),
-        })
+        Sending(waiting)
     }
 
-    /// A request waits for the client to send the rest, until the result is dropped.
-    pub(super) fn receive(&self) -> Waiting {
+    /// These bytes of a request wait for the client to send the rest, until the result is dropped.
+    pub(super) fn receive(&self, bytes: usize) -> Waiting {
+        self.state.waits.lock().bytes += bytes;
         Waiting {
-            number: self.state.waits.lock().add(),
             state: Arc::clone(&self.state),
+            bytes,
         }
     }
 }
@@ -358,7 +354,7 @@ impl Drop for Sending {
 
 impl Drop for Waiting {
     fn drop(&mut self) {
-        self.state.waits.lock().all.remove(&self.number);
+        self.state.waits.lock().bytes -= self.bytes;
     }
 }
 

@@ -55,7 +55,7 @@ pub(super) struct RequestBody {
     began: Instant,
     /// Set at the first wait for a message.
     timer: Option<Pin<Box<Sleep>>>,
-    /// Set at the first wait for the rest of a message.
+    /// The bytes of a message at the last wait for the rest of it.
     waiting: Option<Waiting>,
     service: Service,
     /// Set at the first wait: the time at which the server begins to stop.
@@ -104,7 +104,7 @@ impl RequestBody {
 
     fn receive(&mut self, bytes: &Bytes) -> Result<(), Status> {
         if let Some(activity) = &self.activity {
-            activity.note_arrival();
+            activity.note_arrival(bytes.len());
         }
         let before = (self.messages.unfinished, self.messages.ended);
         self.messages.advance(bytes);
@@ -147,9 +147,8 @@ impl RequestBody {
             false => self.began,
         };
         let end = began + self.limits.time;
-        if self.waiting.is_none() && !self.messages.are_whole() {
-            self.waiting = self.activity.as_ref().map(Activity::receive);
-        }
+        let waiting = self.activity.as_ref();
+        self.waiting = waiting.map(|it| it.receive(self.messages.unfinished));
         let timer = || Box::pin(sleep_until(end.into()));
         let timer = self.timer.get_or_insert_with(timer);
         timer.as_mut().poll(context).is_ready()

@@ -3,6 +3,7 @@
 use std::{sync::Arc, time::Duration};
 
 use bytes::Bytes;
+use futures_util::future::join_all;
 use tokio::{
     task::JoinError,
     time::{MissedTickBehavior, interval, timeout},
@@ -65,6 +66,9 @@ impl Service {
 /// The time between two checks for a copy of a restored index.
 const COPY_INTERVAL: Duration = Duration::from_millis(200);
 
+/// The time that a server has for the answer about its copy, with that for a connection to it.
+const ANSWER_TIME: Duration = Duration::from_secs(2);
+
 impl Service {
     /// Waits until another server of a cluster has a copy of a restored index: its points are in no journal. The only live
     /// server of a cluster does not wait. However the wait ends, mutations are taken then: they do not depend on a server that
@@ -85,8 +89,8 @@ impl Service {
             checks.set_missed_tick_behavior(MissedTickBehavior::Delay);
             loop {
                 checks.tick().await;
-                let members = peers.peers(hosted.uid());
-                if members.is_empty() {
+                // A server that is cut off sees none, not even itself.
+                if self.members() == 1 {
                     warn!(
                         index = hosted.name(),
                         uid = hosted.uid_text(),
@@ -94,20 +98,27 @@ impl Service {
                     );
                     return;
                 }
-                for member in &members {
+                let members = peers.peers(hosted.uid());
+                let answers = members.iter().map(|member| {
                     let request = StoredRequest {
                         uids: vec![hosted.uid_text().into()],
                         revisions: Vec::new(),
                     };
-                    let answer = timeout(COPY_INTERVAL, peers.stored(member, request)).await;
+                    timeout(ANSWER_TIME, peers.stored(member, request))
+                });
+                let has_copy = join_all(answers).await.into_iter().any(|answer| {
                     let stored = answer.ok().and_then(Result::ok);
                     let stored = stored.and_then(|stored| stored.indexes.into_iter().next());
                     // A copy in memory alone does not outlive a loss of power.
-                    if stored.is_some_and(|stored| {
+                    stored.is_some_and(|stored| {
                         stored.revision >= revision && (stored.is_durable || !is_durable)
-                    }) {
-                        return;
-                    }
+                    })
+                });
+                let is_deleted = self
+                    .registry()
+                    .is_ok_and(|it| it.by_uid(hosted.uid()).is_none());
+                if has_copy || is_deleted {
+                    return;
                 }
             }
         };

@@ -1,6 +1,6 @@
 //! Health and reflection, which strangers may call and no load closes. No budget counts their requests, so few of those of a
-//! connection may be on their way: a request for health until it is whole, and a stream for reflection until its answers
-//! are read, both not for long. Few streams for reflection of all connections may be
+//! connection may be on their way: a request for health until it is whole, and a stream for reflection until its requests
+//! end, both not for long, and until its answers are read. Few streams for reflection of all connections may be
 //! open, and few of their bytes wait.
 
 use std::{

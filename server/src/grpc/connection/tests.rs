@@ -111,7 +111,7 @@ async fn a_client_that_reads_its_answer_slowly_gives_signs_of_life() {
     advance(STEP).await;
     connection.write_all(b"ping").await.unwrap();
     assert_eq!(activity.silence(), opened + STEP);
-    let _answer = activity.send();
+    let _answer = activity.send(1);
     connection.write_all(b"a part").await.unwrap();
     assert_eq!(activity.silence(), Duration::ZERO);
     // The client reads nothing: the rest of the answer waits.

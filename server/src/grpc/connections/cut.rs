@@ -1,17 +1,17 @@
 //! Cuts connections whose clients do not read their answers, or do not send the rest of their requests.
 
-use std::{sync::Arc, time::Duration};
+use std::time::Duration;
 
 use tokio::time::{Instant, interval};
 use tracing::debug;
 
-use super::{Activity, Connections, State};
+use super::{Activity, Connections};
 
 /// A stream stands that has not read for so long, if its client reads no answers meanwhile.
 pub(super) const STANDING_TIME: Duration = Duration::from_secs(1);
 
 /// A stream stands that has not read for so long, whatever its client reads: under overload, a stream waits for seconds. What
-/// waits for a client for so long may be late.
+/// waits for a client for less is never late.
 pub(super) const MAX_STANDING_TIME: Duration = Duration::from_secs(10);
 
 /// The time between two looks at the backlogs of all connections.
@@ -20,36 +20,32 @@ pub(super) const LOOK_INTERVAL: Duration = Duration::from_millis(5);
 /// The longest time between two looks at what waits for clients.
 pub(super) const WAIT_LOOK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// A connection that holds at most this part of all bytes is not cut for others: it would free too little.
+/// A connection is not cut for others if at most this part of all bytes is late: it would free too little.
 pub(super) const SPARED_PARTS: u64 = 256;
 
 impl Connections {
-    /// Cuts each connection whose client reads nothing of its answers for `most`. While calls are refused for their bytes, also
-    /// the one that holds the most of those that are late: something waits for its client for [`MAX_STANDING_TIME`], and
-    /// at the speed at which it reads all that it holds would take longer than `most`.
+    /// Cuts each connection whose client reads nothing of its answers for `most`. While little is left of the bytes of all, also
+    /// the one with the most [late bytes](super::Waits::late_bytes): a client could read a little now and then, and leave
+    /// the rest for ever.
     pub(in crate::grpc) async fn cut_waiting(&self, most: Duration) {
         let mut looks = interval(WAIT_LOOK_INTERVAL.min(most / 4));
         loop {
             looks.tick().await;
-            let is_short = self.admission.is_short_of_bytes();
-            let spared = self.admission.bytes().1 / SPARED_PARTS;
+            let spared = (self.admission.bytes().1 / SPARED_PARTS) as usize;
+            let (mut latest, mut most_bytes) = (None, spared);
             let open = self.open.lock();
-            let mut largest: Option<(usize, &Arc<State>)> = None;
             for state in open.values().filter(|it| !it.cut.is_cancelled()) {
-                let (held, waits) = (state.flow.held(), state.waits.lock());
+                let mut waits = state.waits.lock();
+                let late_bytes = waits.late_bytes(MAX_STANDING_TIME, most);
                 if waits.standstill().is_some_and(|time| time > most) {
                     debug!(peer = ?state.peer, "a client that does not read its answers is cut");
                     state.cut.cancel();
-                } else if is_short
-                    && held as u64 > spared
-                    && largest.is_none_or(|(most, _)| held > most)
-                    && waits.are_late(MAX_STANDING_TIME, held, most)
-                {
-                    largest = Some((held, state));
+                } else if late_bytes > most_bytes {
+                    (latest, most_bytes) = (Some(state), late_bytes);
                 }
             }
-            if let Some((bytes, state)) = largest {
-                debug!(peer = ?state.peer, bytes, "a client that is late is cut: others need its bytes");
+            if let Some(state) = latest.filter(|_| self.admission.is_short_of_bytes()) {
+                debug!(peer = ?state.peer, bytes = most_bytes, "a client that is late is cut: others need its bytes");
                 state.cut.cancel();
             }
         }

@@ -37,7 +37,7 @@ async fn a_silent_stream_makes_room_only_after_its_time() {
     while silent.activity().silence() < MAX_SILENCE {
         assert!(is_guest());
         assert!(!cuts[0].is_cancelled());
-        drop(live.activity().send());
+        drop(live.activity().send(1));
         advance(step).await;
     }
     assert!(is_guest());
@@ -94,7 +94,7 @@ async fn the_network_with_the_most_connections_makes_room() {
         assert!(poll!(newcomer.as_mut()).is_pending());
         assert_eq!(is_cut(&open), [false; 5]);
         for (place, ..) in &open {
-            place.activity().note_arrival();
+            place.activity().note_arrival(1);
         }
         advance(MIN_IDLE).await;
     }
@@ -206,7 +206,7 @@ async fn the_longest_backlog_goes_once_the_budget_of_all_is_spent() {
     assert!(!open[0].1.note_read(budget / 4));
     let activity = open[0].0.activity().clone();
     // Only the client of the last one reads its answers.
-    let unread = open[..3].iter().map(|open| open.0.activity().send());
+    let unread = open[..3].iter().map(|open| open.0.activity().send(1));
     let _unread: Vec<_> = unread.collect();
     activity.cut_longest_backlog();
     assert_eq!(cut(&open), [false; 4]);
@@ -227,48 +227,64 @@ async fn the_longest_backlog_goes_once_the_budget_of_all_is_spent() {
     assert_eq!(cut(&open), [false, false, true]);
 }
 
-/// All clients read an answer every second.
+/// All clients read an answer every second. The second one reads what waits for it within the time, and the third one sends
+/// the rest of its request.
 #[tokio::test(start_paused = true)]
-async fn the_largest_late_connection_goes_while_bytes_are_short() {
+async fn the_connection_with_the_most_late_bytes_goes_while_bytes_are_short() {
     const MOST: Duration = Duration::from_secs(60);
     let admission = Admission::new(&Config::default().admission, 1, 0);
     let max = admission.bytes().1 as usize;
     let (tenth, little) = (max / 10, max / SPARED_PARTS as usize);
     let connections = Connections::new(5, 1, admission);
     let mut open = Vec::new();
-    for held_bytes in [2 * tenth, 3 * tenth, tenth, 2 * tenth, little] {
+    for bytes in [2 * tenth, 3 * tenth, tenth, 2 * tenth, little] {
         let cut = CancellationToken::new();
         let connection = connections.open(None, cut.clone()).await.unwrap();
         let held = connection.activity().flow().hold();
-        held.force_take(held_bytes);
+        held.force_take(bytes);
         open.push((connection, held, cut));
     }
     let activities: Vec<_> = open.iter().map(|it| it.0.activity().clone()).collect();
-    // The first client sends half a request. Each of the others leaves an answer unread, but the third one.
-    let _half_sent = activities[0].receive();
-    let _unread = [1, 3, 4].map(|at| activities[at].send());
+    let _half_sent = [0, 2].map(|at| activities[at].receive(2 * tenth / (at + 1)));
+    let unread = [(1, 3 * tenth), (3, 2 * tenth), (4, little)];
+    let _unread = unread.map(|(at, bytes)| activities[at].send(bytes));
     let mut looking = pin!(connections.cut_waiting(MOST));
-    let mut cut_after = async |seconds: u32, open: &[(Open, HeldBytes, CancellationToken)]| {
+    let mut cut_after = async |seconds: u64, open: &[(Open, HeldBytes, CancellationToken)]| {
         for _ in 0..seconds {
             assert!(poll!(looking.as_mut()).is_pending());
             for activity in &activities {
-                drop(activity.send());
+                drop(activity.send(1));
             }
-            // The second one reads all that it holds within the time.
             activities[1].note_departure(3 * tenth / MOST.as_secs() as usize + 1);
+            activities[2].note_arrival(tenth / MOST.as_secs() as usize + 1);
             advance(WAIT_LOOK_INTERVAL).await;
         }
         let cut = open.iter().map(|(.., cut)| cut.is_cancelled());
         cut.collect::<Vec<_>>()
     };
-    let standing = MAX_STANDING_TIME.as_secs() as u32;
-    assert_eq!(cut_after(standing, &open).await, [false; 5]);
-    let cut = cut_after(4, &open).await;
+    let standing = MAX_STANDING_TIME.as_secs();
+    assert_eq!(cut_after(2 * standing, &open).await, [false; 5]);
+    assert_eq!(
+        cut_after(1, &open).await,
+        [true, false, false, false, false]
+    );
+    let cut = cut_after(10 * standing, &open).await;
     assert_eq!(cut, [true, false, false, true, false]);
-    // The others hold less than half of all bytes.
-    open.remove(3);
-    open.remove(0);
-    assert_eq!(cut_after(10 * standing, &open).await, [false; 3]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn no_connection_is_late_while_others_have_room() {
+    let admission = Admission::new(&Config::default().admission, 1, 0);
+    let max = admission.bytes().1 as usize;
+    let connections = Connections::new(1, 1, admission);
+    let cut = CancellationToken::new();
+    let connection = connections.open(None, cut.clone()).await.unwrap();
+    let held = connection.activity().flow().hold();
+    held.force_take(max / 4);
+    let _half_sent = connection.activity().receive(max / 4);
+    let looking = connections.cut_waiting(6 * MAX_STANDING_TIME);
+    let looking = timeout(20 * MAX_STANDING_TIME, looking);
+    assert!(looking.await.is_err() && !cut.is_cancelled());
 }
 
 #[tokio::test(start_paused = true)]
@@ -278,7 +294,7 @@ async fn a_connection_whose_client_reads_nothing_goes_after_its_time() {
     let cuts = [CancellationToken::new(), CancellationToken::new()];
     let first = connections.open(None, cuts[0].clone()).await.unwrap();
     let _idle = connections.open(None, cuts[1].clone()).await.unwrap();
-    let unread = [first.activity().send(), first.activity().send()];
+    let unread = [first.activity().send(1), first.activity().send(1)];
     let most = 6 * MAX_STANDING_TIME;
     let mut looking = pin!(connections.cut_waiting(most));
     let mut is_cut = async |time: Duration| {

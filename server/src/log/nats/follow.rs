@@ -154,7 +154,8 @@ impl Follower {
         match self.looks.note(self.after, self.digest, end) {
             AfterLook::Wait => Ok(Vec::new()),
             AfterLook::Subscribe => Err(resubscribe("the stream ends at another record")),
-            AfterLook::Read => self.read_hidden().await,
+            // A new leader of NATS may answer with an older state, so no answer is final here.
+            AfterLook::Read => self.read_hidden().await.map_err(unreachable),
         }
     }
 
@@ -169,10 +170,10 @@ impl Follower {
         );
         let records = read(&self.connection, uid, Some(after), PULL_BYTES).await?;
         let Some(last) = records.last() else {
-            let what = "its stream in NATS does not give it";
-            return Err(LogError::journal_damaged(uid, after + 1, what));
+            return Err(resubscribe("the stream does not give its newest records"));
         };
         (self.after, self.digest) = (last.revision(), Some(*last.digest()));
+        self.is_suspect = false;
         // The next subscription begins after these records.
         self.messages = None;
         self.unpacker = Unpacker::default();
