@@ -28,7 +28,7 @@ use wayfold::{ConnectionStatus, Index};
 use wayfold_index::Space;
 use wayfold_tests::{Process, ServerProcess, Signal};
 
-use checks::{check_all, wait_for_status};
+use checks::{check_all, check_revisions, wait_for_status};
 use history::{History, check_meanwhile, content, start_writers, store_common};
 use proxy::Proxy;
 
@@ -131,6 +131,7 @@ fn every_write_is_there_once_after_kills() {
     for history in &histories[1..] {
         history.check_prefixes(&of_writer);
     }
+    runtime.block_on(check_revisions(&uri, &of_reader));
     server.stop(Signal::Terminate);
     println!(
         "{killed} kills, {starting} of them of a starting server; {} cuts; {compared:?} answers compared",

@@ -2,8 +2,8 @@
 
 use std::{collections::BTreeSet, thread, time::Duration};
 
-use wayfold::{Code, ConnectionStatus, Error, Index, OpenShared};
-use wayfold_tests::{ServerProcess, Signal, States};
+use wayfold::{Client, Code, ConnectionStatus, Error, Index, OpenShared, WatchEvent};
+use wayfold_tests::{ServerProcess, Signal, States, bits};
 
 use super::history::{Content, History, check_copies, content, wait_for_all};
 
@@ -39,6 +39,35 @@ pub(super) fn check_all(
     let distinct: BTreeSet<u64> = given.iter().copied().collect();
     assert_eq!(given.len(), distinct.len(), "an id was given twice");
     println!("{} points given, {} stored", given.len(), stored.len());
+}
+
+/// Asserts that each of these contents of one copy without pending writes, in their order, is that of some revision, which
+/// never goes backwards.
+pub(super) async fn check_revisions(uri: &str, contents: &[Content]) {
+    let client = Client::connect(uri).await.unwrap();
+    let index = client.index("arm").await.unwrap();
+    let newest = index.revision().number;
+    let mut watch = index.watch().after(index.revision_at(0)).await.unwrap();
+    let mut contents = contents.iter().enumerate().peekable();
+    let (mut points, mut revision) = (Content::new(), 0);
+    loop {
+        while contents.next_if(|(_, shown)| **shown == points).is_some() {}
+        let Some((number, _)) = contents.peek() else {
+            return;
+        };
+        assert!(revision < newest, "content {number} is of no revision");
+        let event = watch.next().await.unwrap();
+        let Some(WatchEvent::Mutation(mutation)) = event else {
+            panic!("{event:?}");
+        };
+        revision = mutation.revision.number;
+        for id in &mutation.removed_ids {
+            points.remove(id);
+        }
+        for point in mutation.stored.iter() {
+            points.insert(point.id, (point.tag, bits(point.state)));
+        }
+    }
 }
 
 /// Asserts that the pending writes of an index in the plane are bounded while its server is silent, and that the server

@@ -7,7 +7,7 @@ use wayfold_index::Space;
 use wayfold_tests::Signal;
 
 use super::{
-    checks::{check_all, wait_for_status},
+    checks::{check_all, check_revisions, wait_for_status},
     history::{History, content, start_writers, store_common},
     proxy::Proxy,
     shared,
@@ -78,4 +78,5 @@ async fn every_write_is_there_once_after_kills_of_server_and_router() {
     for history in &histories {
         history.check_prefixes(&of_reader);
     }
+    check_revisions(&way.uri, &of_reader).await;
 }
