@@ -269,8 +269,8 @@ impl Flow {
         }
     }
 
-    /// The most bytes of all flows for this one to take `bytes` more. A quarter of them is for flows that hold little then, and
-    /// another one for those that hold little now: a few greedy ones cannot take everything, nor can many with one large
+    /// The most bytes of all flows for this one to take `bytes` more. An eighth of them is for flows that hold little then, and
+    /// three more for those that hold little now: a few greedy ones cannot take everything, nor can many with one large
     /// answer each.
     fn most_of_all(&self, bytes: usize) -> usize {
         let (max, own) = (self.all.max(), self.own.held());
@@ -278,7 +278,7 @@ impl Flow {
         if own.saturating_add(bytes) <= little {
             max
         } else if own <= little {
-            max - max / 4
+            max - max / 8
         } else {
             max / 2
         }

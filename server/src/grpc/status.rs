@@ -9,7 +9,7 @@ use tonic::{Code, Response, Status};
 use wayfold_proto::v1;
 
 use crate::{
-    admission::Flow,
+    admission::{Flow, HeldBytes},
     observe::Ending,
     service::{self, Error, Scan, Snapshot, Verification, Watch},
     status,
@@ -101,13 +101,22 @@ pub(crate) fn respond_all<S: Source>(
     flow: Option<Arc<Flow>>,
     source: Result<S, Error>,
 ) -> Answer<Messages<S::Message>> {
-    respond(source.map(|source| stream::unfold(Parts { source, flow }, Parts::next).boxed()))
+    respond(source.map(|source| {
+        let parts = Parts {
+            source,
+            flow,
+            making: None,
+        };
+        stream::unfold(parts, Parts::next).boxed()
+    }))
 }
 
 /// The messages of a streamed answer.
 struct Parts<S> {
     source: S,
     flow: Option<Arc<Flow>>,
+    /// What making the last message took. It counts until the connection asks for the next one, when the message itself counts.
+    making: Option<HeldBytes>,
 }
 
 impl<S: Source> Parts<S> {
@@ -117,14 +126,15 @@ impl<S: Source> Parts<S> {
     }
 
     async fn make(&mut self) -> Option<Result<S::Message, Status>> {
+        self.making = None;
         let bytes = match self.source.next_bytes().await {
             Ok(bytes) => bytes,
             Err(error) => return Some(Err(from_error(&error))),
         };
         // A connection may ask for a message and never take it. Once it takes the message, that counts as unread.
-        let making = self.flow.as_ref().filter(|_| bytes > 0);
-        let making = making.map(|flow| flow.hold());
-        if let Some(making) = &making {
+        let flow = self.flow.as_ref().filter(|_| bytes > 0);
+        self.making = flow.map(|flow| flow.hold());
+        if let Some(making) = &self.making {
             if !making.has_room(bytes) {
                 self.source.give_up_room();
             }
