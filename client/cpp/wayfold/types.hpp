@@ -100,7 +100,8 @@ struct Changes {
     std::uint64_t read_revision;
 };
 
-// An own point's place in the order of a shared index, and the neighbours before it that its insert could not see.
+// An own point's place in the order of a shared index, and the neighbours before it that its insert could not see, or left out
+// because its scaled `k` was smaller then.
 struct Meanwhile {
     std::uint64_t id;
     // The number of points before it; if `is_superset`, maybe at a later moment.

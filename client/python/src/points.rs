@@ -225,7 +225,8 @@ impl Changes {
     }
 }
 
-/// An own point's place in the index's order, and the neighbours that its insert could not see.
+/// An own point's place in the index's order, and the neighbours that its insert could not see, or left out because its scaled
+/// `k` was smaller then.
 #[pyclass(frozen, get_all, module = "wayfold")]
 #[derive(Debug)]
 pub(crate) struct Meanwhile {

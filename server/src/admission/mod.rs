@@ -117,6 +117,11 @@ pub(crate) struct Flow {
 /// The value of [`Flow::caught_up_ns`] while it is not known.
 const UNKNOWN: u64 = u64::MAX;
 
+/// The bytes that a flow holds at most if it holds little.
+fn little(all: &ByteBudget) -> usize {
+    (all.max() / SMALL_PARTS).max(2 * CALL_BYTES)
+}
+
 impl Admission {
     /// At most `threads` calls compute at once. There is room for a message of `message_bytes`, whatever the settings
     /// are.
@@ -182,6 +187,11 @@ impl Admission {
     /// The bytes that are held, and the most.
     pub(crate) fn bytes(&self) -> (u64, u64) {
         (self.all.held() as u64, self.all.max() as u64)
+    }
+
+    /// The bytes that a flow holds at most if it holds little.
+    pub(crate) fn little(&self) -> usize {
+        little(&self.all)
     }
 
     /// True while flows that hold more than a little may soon be refused more: they have half of all bytes.
@@ -273,8 +283,7 @@ impl Flow {
     /// three more for those that hold little now: a few greedy ones cannot take everything, nor can many with one large
     /// answer each.
     fn most_of_all(&self, bytes: usize) -> usize {
-        let (max, own) = (self.all.max(), self.own.held());
-        let little = (max / SMALL_PARTS).max(2 * CALL_BYTES);
+        let (max, own, little) = (self.all.max(), self.own.held(), little(&self.all));
         if own.saturating_add(bytes) <= little {
             max
         } else if own <= little {
@@ -287,6 +296,11 @@ impl Flow {
     /// Begins to count the bytes of a call.
     pub(crate) fn hold(self: &Arc<Self>) -> HeldBytes {
         HeldBytes::new(Arc::clone(self))
+    }
+
+    /// The bytes that it holds.
+    pub(crate) fn held(&self) -> usize {
+        self.own.held()
     }
 
     /// The most bytes that all flows hold.

@@ -66,9 +66,9 @@ impl<H> AsRef<[u8]> for UnreadFrame<H> {
     }
 }
 
-/// The bytes of a frame's buffer: the encoder doubles it while it grows.
-pub(super) fn frame_bytes(frame: &Bytes) -> usize {
-    frame.len().next_power_of_two()
+/// The bytes of the buffer of a frame with so many bytes: the encoder doubles it while it grows.
+pub(super) fn frame_bytes(bytes: usize) -> usize {
+    bytes.next_power_of_two()
 }
 
 impl CallResources {
@@ -76,7 +76,7 @@ impl CallResources {
     fn count(&self, frame: Frame<Bytes>) -> Frame<Bytes> {
         frame.map_data(|bytes| {
             let held = self.held.flow().hold();
-            held.force_take(frame_bytes(&bytes));
+            held.force_take(frame_bytes(bytes.len()));
             unread(bytes, held, self.activity.as_ref())
         })
     }
@@ -88,7 +88,7 @@ pub(super) fn unread<H: Send + 'static>(
     held: H,
     activity: Option<&Activity>,
 ) -> Bytes {
-    let sending = activity.map(|it| it.send(frame_bytes(&bytes)));
+    let sending = activity.map(|it| it.send(frame_bytes(bytes.len())));
     Bytes::from_owner(UnreadFrame {
         bytes,
         _held: held,

@@ -209,8 +209,8 @@ impl Waits {
         (self.frames > 0).then(|| self.frames_since.elapsed())
     }
 
-    /// The bytes that are late: they have waited from one look to the next, `interval` or more apart, and at the speed at which
-    /// the client read and sent meanwhile they would take longer than `most`.
+    /// The bytes that are late: they have waited from one look to the next, `interval` or more apart, at the speed at which the
+    /// client read and sent meanwhile they would take longer than `most`, and they have not moved since.
     fn late_bytes(&mut self, interval: Duration, most: Duration) -> usize {
         let time = self.looked_at.elapsed();
         if time >= interval {
@@ -223,7 +223,10 @@ impl Waits {
             (self.looked_at, self.bytes_then, self.moved_then) =
                 (Instant::now(), self.bytes, self.moved);
         }
-        self.late_bytes.min(self.bytes)
+        let moved = self.moved - self.moved_then;
+        self.late_bytes
+            .saturating_sub(moved as usize)
+            .min(self.bytes)
     }
 }
 

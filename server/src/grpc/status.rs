@@ -8,6 +8,7 @@ use prost::Message;
 use tonic::{Code, Response, Status};
 use wayfold_proto::v1;
 
+use super::body::frame_bytes;
 use crate::{
     admission::{Flow, HeldBytes},
     observe::Ending,
@@ -45,7 +46,7 @@ pub(crate) fn respond<T>(result: Result<T, Error>) -> Answer<T> {
 /// The source of a streamed answer.
 pub(crate) trait Source: Send + Sized + 'static {
     /// A message.
-    type Message: Send + 'static;
+    type Message: Message + 'static;
 
     /// Waits until there is a message. Returns about how many bytes making it takes.
     fn next_bytes(&mut self) -> impl Future<Output = Result<usize, Error>> + Send;
@@ -115,7 +116,7 @@ pub(crate) fn respond_all<S: Source>(
 struct Parts<S> {
     source: S,
     flow: Option<Arc<Flow>>,
-    /// What making the last message took. It counts until the connection asks for the next one, when the message itself counts.
+    /// What making a message takes, and then the message until the connection asks for the next one: it counts as unread by then.
     making: Option<HeldBytes>,
 }
 
@@ -144,6 +145,9 @@ impl<S: Source> Parts<S> {
             }
         }
         let message = self.source.next().await?;
+        if let (Some(making), Ok(message)) = (&self.making, &message) {
+            making.release(bytes.saturating_sub(frame_bytes(message.encoded_len())));
+        }
         Some(message.map_err(|error| from_error(&error)))
     }
 }

@@ -10,8 +10,8 @@ use super::{
 };
 use crate::{code::Code, failure::call};
 
-/// An own point's place in the order of a shared index, and the neighbours before it that its insert could not see. The
-/// columns are valid until the answers are freed.
+/// An own point's place in the order of a shared index, and the neighbours before it that its insert could not see, or left
+/// out because its scaled `k` was smaller then. The columns are valid until the answers are freed.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct WayfoldAnswer {

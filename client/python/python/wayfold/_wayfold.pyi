@@ -141,7 +141,8 @@ class Changes:
     def read_revision(self) -> int: ...
 
 class Meanwhile:
-    """An own point's place in the index's order, and the neighbours that its insert could not see."""
+    """An own point's place in the index's order, and the neighbours that its insert could not see, or left out because its
+    scaled `k` was smaller then."""
 
     @property
     def id(self) -> int: ...

@@ -112,6 +112,11 @@ impl Batch {
         self.ids.len()
     }
 
+    /// The ids of its steps, in order.
+    pub(super) fn ids(&self) -> &[u64] {
+        &self.ids
+    }
+
     /// About as many bytes as its request has.
     pub(super) fn bytes(&self) -> usize {
         self.bytes

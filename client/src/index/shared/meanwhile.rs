@@ -3,7 +3,7 @@
 mod arrival;
 mod open_search;
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{HashMap, HashSet, VecDeque};
 
 use wayfold_index::{ForestSnapshot, Neighbor, Search, Space};
 
@@ -33,7 +33,8 @@ const MAX_INLINE_DISTANCES: usize = 1 << 14;
 ///
 /// With a scaled `k` or radius the insert counts the points of the copy, and this answer counts
 /// [`points_before`](Meanwhile::points_before). If that gives a greater `k`, the neighbours include the older points that the
-/// insert left out. The point's neighbours among all points before it are the k(`points_before`) nearest of both answers.
+/// insert left out. The point's neighbours among all points before it are the k(`points_before`) nearest of both answers that
+/// others have neither removed nor moved meanwhile.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Meanwhile {
     /// The id of the own point.
@@ -90,8 +91,8 @@ pub(super) struct Answerable {
     searches: Vec<OpenSearch>,
     /// By the id of each point that an answer may name: its changes, the oldest first, and its contents.
     points: HashMap<u64, (Vec<Arrival>, Versions)>,
-    /// The number of own writes in the batch of the searches and in the pending ones after it.
-    later: usize,
+    /// The ids of the own writes in the batch of the searches and in the pending ones after it, if there is a snapshot.
+    later: HashSet<u64>,
     /// The last change by which another writer removed or moved a point, or gave it another tag.
     departure: u64,
     snapshot: Option<ForestSnapshot>,
@@ -159,13 +160,13 @@ impl OpenSearches {
         self.stored = VecDeque::new();
     }
 
-    /// The server has stored the points of these searches, whose batch and the pending ones after it have `later` writes.
+    /// The server has stored the points of these searches. `later` are the ids of their batch and of the pending ones after it.
     /// `published` has what is published under an id, and `snapshot` takes all points. `oldest` is the oldest of the searches
     /// that stay open.
     pub(super) fn answerable(
         &mut self,
         mut searches: Vec<OpenSearch>,
-        later: usize,
+        later: impl FnOnce() -> HashSet<u64>,
         oldest: Option<&OpenSearch>,
         mut published: impl FnMut(u64) -> Versions,
         snapshot: impl FnOnce() -> ForestSnapshot,
@@ -195,11 +196,12 @@ impl OpenSearches {
         let points = changes
             .into_iter()
             .map(|(id, changes)| (id, (changes, published(id))));
+        let searches_all = searches.iter().any(|open| open.searches_all);
         let answerable = Answerable {
             points: points.collect(),
-            later,
+            later: searches_all.then(later).unwrap_or_default(),
             departure: self.departure,
-            snapshot: searches.iter().any(|open| open.searches_all).then(snapshot),
+            snapshot: searches_all.then(snapshot),
             searches,
         };
         if let Some(oldest) = oldest {
@@ -324,17 +326,29 @@ impl Answerable {
             })
         };
         let bound = open.bound(space.dimension());
-        let mut search = match bound.is_finite() && open.nearest().iter().all(stays) {
+        let is_bounded = bound.is_finite() && !open.is_short();
+        let mut search = match is_bounded && open.nearest().iter().all(stays) {
             true => Search::nearest_r(bound),
             false => Search {
                 radius: open.radius_at_place(space.dimension()),
-                ..Search::nearest_k(open.max_superset(self.later))
+                ..Search::nearest_k(open.max_superset(self.later.len()))
             },
         };
+        let is_limited = search.k < MAX_SUPERSET;
         search.filter = open.filter;
         let answer = points.search(&open.row, &search);
         let mut neighbors = answer.map_or_else(|_| Vec::new(), |answer| answer.neighbors);
         neighbors.retain(|neighbor| neighbor.id != open.id);
+        if is_limited {
+            // Own writes may have come later, and take no place of the others.
+            let mut left = open.k_at_place();
+            let within = neighbors.iter().take_while(|neighbor| {
+                let has_place = left > 0;
+                left -= usize::from(has_place && !self.later.contains(&neighbor.id));
+                has_place
+            });
+            neighbors.truncate(within.count());
+        }
         neighbors
     }
 }

@@ -174,7 +174,7 @@ where
             && let Some(Ok(frame)) = &made
             && let Some(bytes) = frame.data_ref()
         {
-            self.check_room(frame_bytes(bytes))?;
+            self.check_room(frame_bytes(bytes.len()))?;
         }
         Ok((response, made))
     }

@@ -20,9 +20,6 @@ pub(super) const LOOK_INTERVAL: Duration = Duration::from_millis(5);
 /// The longest time between two looks at what waits for clients.
 pub(super) const WAIT_LOOK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// A connection is not cut for others if at most this part of all bytes is late: it would free too little.
-pub(super) const SPARED_PARTS: u64 = 256;
-
 impl Connections {
     /// Cuts each connection whose client reads nothing of its answers for `most`. While little is left of the bytes of all, also
     /// the one with the most [late bytes](super::Waits::late_bytes): a client could read a little now and then, and leave
@@ -31,12 +28,14 @@ impl Connections {
         let mut looks = interval(WAIT_LOOK_INTERVAL.min(most / 4));
         loop {
             looks.tick().await;
-            let spared = (self.admission.bytes().1 / SPARED_PARTS) as usize;
-            let (mut latest, mut most_bytes) = (None, spared);
+            // One with fewer late bytes would free too little.
+            let (mut latest, mut most_bytes) = (None, self.admission.little());
             let open = self.open.lock();
             for state in open.values().filter(|it| !it.cut.is_cancelled()) {
                 let mut waits = state.waits.lock();
+                // Other budgets have the bytes of administration and reflection.
                 let late_bytes = waits.late_bytes(MAX_STANDING_TIME, most);
+                let late_bytes = late_bytes.min(state.flow.held());
                 if waits.standstill().is_some_and(|time| time > most) {
                     debug!(peer = ?state.peer, "a client that does not read its answers is cut");
                     state.cut.cancel();

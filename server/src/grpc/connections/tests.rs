@@ -12,7 +12,7 @@ use http_body_util::Full;
 use tokio::time::{advance, timeout};
 
 use super::{
-    cut::{LOOK_INTERVAL, MAX_STANDING_TIME, SPARED_PARTS, STANDING_TIME, WAIT_LOOK_INTERVAL},
+    cut::{LOOK_INTERVAL, MAX_STANDING_TIME, STANDING_TIME, WAIT_LOOK_INTERVAL},
     places::{MAX_GUESTS, MAX_SILENCE, MAX_WAIT, MIN_IDLE},
     *,
 };
@@ -234,7 +234,7 @@ async fn the_connection_with_the_most_late_bytes_goes_while_bytes_are_short() {
     const MOST: Duration = Duration::from_secs(60);
     let admission = Admission::new(&Config::default().admission, 1, 0);
     let max = admission.bytes().1 as usize;
-    let (tenth, little) = (max / 10, max / SPARED_PARTS as usize);
+    let (tenth, little) = (max / 10, admission.little());
     let connections = Connections::new(5, 1, admission);
     let mut open = Vec::new();
     for bytes in [2 * tenth, 3 * tenth, tenth, 2 * tenth, little] {

@@ -122,7 +122,12 @@ impl PendingWrites {
                 self.rebased.remove(&id);
             }
         }
-        let later = batch.len() + self.queue.iter().map(Batch::len).sum::<usize>();
+        let later = || {
+            let batches = std::iter::once(&batch).chain(&self.queue);
+            batches
+                .flat_map(|batch| batch.ids().iter().copied())
+                .collect()
+        };
         let oldest = self.queue.iter().find_map(|batch| batch.searches.first());
         let published = |id| {
             let last = match self.rebased.get(&id) {
