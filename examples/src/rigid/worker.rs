@@ -28,9 +28,7 @@ use super::{
     milestone::{self, PENDING},
     scene::Rooms,
 };
-use crate::planning::{
-    error::PlanningError, options::Source, prm_star::k, problem::Problem, sampling,
-};
+use crate::planning::{error::PlanningError, options::Source, problem::Problem, sampling};
 
 /// A worker that samples, checks and inserts.
 pub struct Worker<'a> {
@@ -67,8 +65,6 @@ struct UnorderedMilestone {
     checked: CheckedState,
     /// Its nearest milestones at its insert.
     found: Vec<Neighbor>,
-    /// The number of these that the insert asked for.
-    max_k: usize,
 }
 
 impl CheckedState {
@@ -183,28 +179,14 @@ impl<'a> Worker<'a> {
             return self.insert_apart(checked, tag, payload).await;
         }
         let options = InsertOptions::new().tag(tag).payload(&payload);
-        let (max_k, ask) = match self.is_shared {
-            true => {
-                // Enough, unless the roadmap more than doubles until the place is known.
-                let max_k = k(2 * self.index.len()? + 100);
-                (max_k, Search::k(u32::try_from(max_k).unwrap_or(u32::MAX)))
-            }
-            // The server knows n.
-            false => (0, Search::k_factor(Scaling::K_FACTOR)),
-        };
-        let inserted = self
-            .index
-            .insert_with(&checked.state[..], options.neighbors(ask))?;
+        let options = options.neighbors(Search::k_factor(Scaling::K_FACTOR));
+        let inserted = self.index.insert_with(&checked.state[..], options)?;
         self.account.times.waiting += start.elapsed();
         let (id, found) = (inserted.id, inserted.neighbors.neighbors);
         self.states.insert(id, checked.state.clone());
         match self.is_shared {
             true => {
-                let unplaced = UnorderedMilestone {
-                    checked,
-                    found,
-                    max_k,
-                };
+                let unplaced = UnorderedMilestone { checked, found };
                 self.unplaced.insert(id, unplaced);
             }
             false => self.complete(id, checked, &found).await?,

@@ -33,15 +33,14 @@ impl Worker<'_> {
             let Some(mut unplaced) = self.unplaced.remove(&answer.id) else {
                 continue;
             };
-            let k = k(answer.points_before);
-            if answer.is_superset || k > unplaced.max_k {
+            if answer.is_superset {
                 self.lost += 1;
                 continue;
             }
             let mut near = std::mem::take(&mut unplaced.found);
             near.extend(answer.neighbors);
             near.sort_unstable();
-            near.truncate(k);
+            near.truncate(k(answer.points_before));
             self.complete(answer.id, unplaced.checked, &near).await?;
         }
         if taken.open == 0 {
