@@ -111,8 +111,8 @@ impl HeldBytes {
         has_room
     }
 
-    /// True if the flow may hold so many more bytes, or all together hold no more than they may without them: a message is
-    /// never too large to be answered.
+    /// True if the flow may begin to hold so many more bytes. What it and all hold without them decides, so no message is too
+    /// large by itself.
     pub(crate) fn has_room(&self, bytes: usize) -> bool {
         let Flow { all, own, .. } = &*self.flow;
         own.held() <= own.max() && all.held() <= self.flow.most_of_all(bytes)

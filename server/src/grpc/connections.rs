@@ -92,11 +92,11 @@ struct Waits {
     frames_since: Instant,
     /// The bytes that the client has read or sent.
     moved: u64,
-    /// The last look at them.
+    /// The time of the last look, and the values then.
     looked_at: Instant,
     bytes_then: usize,
     moved_then: u64,
-    /// The bytes that waited from the look before that on, if the client moved too few meanwhile.
+    /// The bytes that had waited since the look before that, if the client had moved too few meanwhile; 0 otherwise.
     late_bytes: usize,
 }
 
@@ -122,7 +122,7 @@ pub(super) struct ActiveCall(Activity);
 #[derive(Debug)]
 pub(super) struct Sending(Waiting);
 
-/// Bytes that wait for a client, until this is dropped.
+/// Bytes that wait for a client to read them or to send the rest, until this is dropped.
 #[derive(Debug)]
 pub(super) struct Waiting {
     state: Arc<State>,
@@ -326,7 +326,7 @@ impl Activity {
 
     /// A frame of an answer waits for the client to read it, until the result is dropped. Its buffer has so many bytes.
     pub(super) fn send(&self, bytes: usize) -> Sending {
-        let waiting = self.receive(bytes);
+        let waiting = self.wait(bytes);
         let mut waits = self.state.waits.lock();
         if waits.frames == 0 {
             waits.frames_since = Instant::now();
@@ -335,8 +335,8 @@ impl Activity {
         Sending(waiting)
     }
 
-    /// These bytes of a request wait for the client to send the rest, until the result is dropped.
-    pub(super) fn receive(&self, bytes: usize) -> Waiting {
+    /// These bytes wait for the client, until the result is dropped.
+    pub(super) fn wait(&self, bytes: usize) -> Waiting {
         self.state.waits.lock().bytes += bytes;
         Waiting {
             state: Arc::clone(&self.state),

@@ -147,8 +147,8 @@ impl RequestBody {
             false => self.began,
         };
         let end = began + self.limits.time;
-        let waiting = self.activity.as_ref();
-        self.waiting = waiting.map(|it| it.receive(self.messages.unfinished));
+        let activity = self.activity.as_ref();
+        self.waiting = activity.map(|it| it.wait(self.messages.unfinished));
         let timer = || Box::pin(sleep_until(end.into()));
         let timer = self.timer.get_or_insert_with(timer);
         timer.as_mut().poll(context).is_ready()

@@ -245,7 +245,7 @@ async fn the_connection_with_the_most_late_bytes_goes_while_bytes_are_short() {
         open.push((connection, held, cut));
     }
     let activities: Vec<_> = open.iter().map(|it| it.0.activity().clone()).collect();
-    let _half_sent = [0, 2].map(|at| activities[at].receive(2 * tenth / (at + 1)));
+    let _half_sent = [0, 2].map(|at| activities[at].wait(2 * tenth / (at + 1)));
     let unread = [(1, 3 * tenth), (3, 2 * tenth), (4, little)];
     let _unread = unread.map(|(at, bytes)| activities[at].send(bytes));
     let mut looking = pin!(connections.cut_waiting(MOST));
@@ -281,7 +281,7 @@ async fn no_connection_is_late_while_others_have_room() {
     let connection = connections.open(None, cut.clone()).await.unwrap();
     let held = connection.activity().flow().hold();
     held.force_take(max / 4);
-    let _half_sent = connection.activity().receive(max / 4);
+    let _half_sent = connection.activity().wait(max / 4);
     let looking = connections.cut_waiting(6 * MAX_STANDING_TIME);
     let looking = timeout(20 * MAX_STANDING_TIME, looking);
     assert!(looking.await.is_err() && !cut.is_cancelled());
