@@ -351,7 +351,7 @@ pub(crate) fn later_row(error: Error, first: usize) -> Error {
 
 /// One radius for all states, or one for each.
 fn radii(r: &Bound<'_, PyAny>, shape: &[usize]) -> PyResult<Vec<f64>> {
-    // numpy turns an array of one element into a number too.
+    // That numpy turns an array of one element into a number is deprecated.
     let is_array = matches!(r.getattr("ndim").and_then(|it| it.extract()), Ok(1_usize..));
     if !is_array && let Ok(radius) = r.extract() {
         return Ok(vec![radius]);

@@ -30,7 +30,10 @@ def to_array(states: Any, names: tuple[str, ...]) -> npt.NDArray[np.float64]:
 def broadcast(values: Any, shape: Sequence[int]) -> list[float]:
     """A number for each of the states of this shape."""
     try:
-        return np.broadcast_to(_numbers(values), tuple(shape)).ravel().tolist()
+        numbers = _numbers(values)
+        # scipy takes one number of any shape for all states.
+        numbers = numbers.reshape(()) if numbers.size == 1 else numbers
+        return np.broadcast_to(numbers, tuple(shape)).ravel().tolist()
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidArgument(f"r: {error}", "INVALID_ARGUMENT") from error
 
