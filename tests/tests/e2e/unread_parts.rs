@@ -27,7 +27,7 @@ const MAX_BYTES: usize = 16 * MIB;
 /// The mutations of the index: more than the server keeps in memory.
 const MUTATIONS: usize = 12;
 /// The longest wait of the other client. It is shorter than the time after which the server cuts a connection that takes nothing.
-const MAX_WAIT: Duration = Duration::from_secs(30);
+const MAX_WAIT: Duration = Duration::from_secs(45);
 const PAYLOAD_BYTES: usize = 4096;
 const ROWS: usize = 200;
 
