@@ -71,7 +71,7 @@ pub(crate) fn revision(revision: &RevisionArg, index: &IndexHandle) -> Revision 
     }
 }
 
-/// What a read sees of a cluster.
+/// The choice to read the newest mutations of a cluster.
 #[derive(Debug, clap::Args)]
 pub(crate) struct LatestArgs {
     /// See all that any server of a cluster has acknowledged; a server alone always shows it
@@ -80,7 +80,7 @@ pub(crate) struct LatestArgs {
 }
 
 impl LatestArgs {
-    /// The index as it is to be read.
+    /// A handle of the index with this choice.
     pub(crate) fn of(&self, index: IndexHandle) -> IndexHandle {
         match self.latest {
             true => index.latest(),

@@ -61,8 +61,8 @@ impl HeldBytes {
         true
     }
 
-    /// Waits for a while until the flow may hold so many more bytes, and holds them then; false if it may not, which counts as
-    /// a refusal.
+    /// Waits until the flow may hold `bytes` more, for [`MAX_WAIT`] at most, and holds them then. Otherwise it returns false and
+    /// counts a refusal.
     #[must_use]
     pub(crate) async fn wait_for(&self, bytes: usize) -> bool {
         let waited = timeout(MAX_WAIT, self.room(bytes)).await;
@@ -73,7 +73,7 @@ impl HeldBytes {
         waited.is_ok()
     }
 
-    /// Waits until the flow may hold so many more bytes.
+    /// Waits until the flow may hold `bytes` more.
     pub(crate) async fn room(&self, bytes: usize) {
         let mut pause = MIN_PAUSE;
         while !self.has_room(bytes) {
@@ -101,8 +101,7 @@ impl HeldBytes {
         self.flow.all.release(bytes);
     }
 
-    /// False while the flow may not hold so many more bytes, since answers were not read: the call is refused, and counts as
-    /// that.
+    /// Returns false, and counts a refusal, if the flow may not hold `bytes` more: clients have not read their answers.
     pub(crate) fn check_room(&self, bytes: usize) -> bool {
         let has_room = self.has_room(bytes);
         if !has_room {
@@ -111,8 +110,8 @@ impl HeldBytes {
         has_room
     }
 
-    /// True if the flow may begin to hold so many more bytes. What it and all hold without them decides, so no message is too
-    /// large by itself.
+    /// True if the flow may begin to hold `bytes` more. The bytes that it and all hold already decide, so no message is too large
+    /// by itself.
     pub(crate) fn has_room(&self, bytes: usize) -> bool {
         let Flow { all, own, .. } = &*self.flow;
         own.held() <= own.max() && all.held() <= self.flow.most_of_all(bytes)

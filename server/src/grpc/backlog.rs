@@ -83,7 +83,7 @@ impl ConnectionBacklog {
         }
     }
 
-    /// Notes that the connection has read so many bytes, and counts again after each [`STEP`]. Returns false if the budget has
+    /// Notes that the connection has read `bytes`, and counts again after each [`STEP`]. Returns false if the budget has
     /// no room for the count.
     #[must_use]
     pub(super) fn note_read(&self, bytes: usize) -> bool {

@@ -66,7 +66,7 @@ impl<H> AsRef<[u8]> for UnreadFrame<H> {
     }
 }
 
-/// The bytes of the buffer of a frame with so many bytes: the encoder doubles it while it grows.
+/// The bytes of a frame's buffer, which the encoder doubles while it grows.
 pub(super) fn frame_bytes(bytes: usize) -> usize {
     bytes.next_power_of_two()
 }

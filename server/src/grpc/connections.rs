@@ -81,12 +81,12 @@ struct State {
     backlog: Arc<ConnectionBacklog>,
 }
 
-/// What waits for a client: frames of answers until it reads them, and requests until it sends the rest.
+/// The frames of answers that a client has not read, and the parts of requests whose rest it has not sent.
 #[derive(Debug)]
 struct Waits {
-    /// The bytes of all.
+    /// The bytes of both.
     bytes: usize,
-    /// The frames.
+    /// The number of frames.
     frames: usize,
     /// The time since which the first of the frames waits, or the last time that the client read one.
     frames_since: Instant,
@@ -209,8 +209,9 @@ impl Waits {
         (self.frames > 0).then(|| self.frames_since.elapsed())
     }
 
-    /// The bytes that are late: they have waited from one look to the next, `interval` or more apart, at the speed at which the
-    /// client read and sent meanwhile they would take longer than `most`, and they have not moved since.
+    /// Looks at the waiting bytes, once in `interval`, and returns those that are late. Late bytes waited from one look to the
+    /// next. At the speed at which the client read and sent between the two they would take longer than `most`. What it
+    /// has read or sent since the second look is no longer late.
     fn late_bytes(&mut self, interval: Duration, most: Duration) -> usize {
         let time = self.looked_at.elapsed();
         if time >= interval {
@@ -324,20 +325,23 @@ impl Activity {
         }
     }
 
-    /// A frame of an answer waits for the client to read it, until the result is dropped. Its buffer has so many bytes.
+    /// Counts a frame of an answer, whose buffer has `bytes`, as unread until the result is dropped.
     pub(super) fn send(&self, bytes: usize) -> Sending {
-        let waiting = self.wait(bytes);
         let mut waits = self.state.waits.lock();
         if waits.frames == 0 {
             waits.frames_since = Instant::now();
         }
         waits.frames += 1;
-        Sending(waiting)
+        Sending(self.waiting(&mut waits, bytes))
     }
 
-    /// These bytes wait for the client, until the result is dropped.
+    /// Counts a part of a request, whose rest the client has to send, until the result is dropped.
     pub(super) fn wait(&self, bytes: usize) -> Waiting {
-        self.state.waits.lock().bytes += bytes;
+        self.waiting(&mut self.state.waits.lock(), bytes)
+    }
+
+    fn waiting(&self, waits: &mut Waits, bytes: usize) -> Waiting {
+        waits.bytes += bytes;
         Waiting {
             state: Arc::clone(&self.state),
             bytes,

@@ -116,7 +116,7 @@ pub(crate) fn respond_all<S: Source>(
 struct Parts<S> {
     source: S,
     flow: Option<Arc<Flow>>,
-    /// What making a message takes, and then the message until the connection asks for the next one: it counts as unread by then.
+    /// Counts the bytes that the making of a message takes, and then those of the message until the connection asks for the next.
     making: Option<HeldBytes>,
 }
 

@@ -25,8 +25,8 @@ use crate::{
     registry::{ComparisonFailure, Hosted},
 };
 
-/// How long a member may take to answer; a slower one is not compared.
-const ANSWER_TIME: Duration = Duration::from_secs(2);
+/// The time in which a member answers about its records; a slower one does not count.
+pub(super) const ANSWER_TIME: Duration = Duration::from_secs(2);
 
 /// The time in which the records of a member that is ahead arrive. The member publishes again what NATS has lost within
 /// seconds.

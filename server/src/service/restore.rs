@@ -20,6 +20,7 @@ use super::{
     error_map::registry_error,
     indexes::{check_name, describe, too_many_indexes},
     member::StoredRequest,
+    peer_comparison::ANSWER_TIME,
     session_pages::add_restored,
 };
 use crate::{
@@ -65,9 +66,6 @@ impl Service {
 
 /// The time between two checks for a copy of a restored index.
 const COPY_INTERVAL: Duration = Duration::from_millis(200);
-
-/// The time that a server has for the answer about its copy, with that for a connection to it.
-const ANSWER_TIME: Duration = Duration::from_secs(2);
 
 impl Service {
     /// Waits until another server of a cluster has a copy of a restored index: its points are in no journal. The only live

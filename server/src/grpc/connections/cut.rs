@@ -10,8 +10,8 @@ use super::{Activity, Connections};
 /// A stream stands that has not read for so long, if its client reads no answers meanwhile.
 pub(super) const STANDING_TIME: Duration = Duration::from_secs(1);
 
-/// A stream stands that has not read for so long, whatever its client reads: under overload, a stream waits for seconds. What
-/// waits for a client for less is never late.
+/// A stream stands that has not read for so long, whatever its client reads: under overload, a stream waits for seconds. Bytes
+/// that wait for a client for less time are never late.
 pub(super) const MAX_STANDING_TIME: Duration = Duration::from_secs(10);
 
 /// The time between two looks at the backlogs of all connections.
@@ -21,9 +21,9 @@ pub(super) const LOOK_INTERVAL: Duration = Duration::from_millis(5);
 pub(super) const WAIT_LOOK_INTERVAL: Duration = Duration::from_secs(1);
 
 impl Connections {
-    /// Cuts each connection whose client reads nothing of its answers for `most`. While little is left of the bytes of all, also
-    /// the one with the most [late bytes](super::Waits::late_bytes): a client could read a little now and then, and leave
-    /// the rest for ever.
+    /// Cuts each connection whose client reads nothing of its answers for `most`. While little is left of the bytes of all, it
+    /// also cuts the one with the most [late bytes](super::Waits::late_bytes), because a client could read a little now and
+    /// then, and leave the rest for ever.
     pub(in crate::grpc) async fn cut_waiting(&self, most: Duration) {
         let mut looks = interval(WAIT_LOOK_INTERVAL.min(most / 4));
         loop {

@@ -16,7 +16,7 @@ const SUBSCRIBING_LOOK: u32 = 2;
 /// From this look in turn on the follower reads the records itself: the new subscription has had two looks as well.
 const READING_LOOK: u32 = 4;
 
-/// What a follower does after a look.
+/// The next step of a follower after a look.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum AfterLook {
     /// It waits for the next message.
@@ -66,7 +66,7 @@ mod tests {
 
     const DIGEST: Digest = [1; 32];
 
-    /// What a follower with record 5 does after each of these looks.
+    /// The steps of a follower with record 5 after each of these looks.
     fn after_looks(looks: &[(u64, u8)]) -> Vec<AfterLook> {
         let mut tail = TailLooks::default();
         let looks = looks.iter().map(|&(revision, byte)| {
