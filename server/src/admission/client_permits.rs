@@ -8,10 +8,13 @@ use std::{
 use parking_lot::Mutex;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
+use super::MAX_CHANGES;
+
 /// The permits of one client: of the calls of one flow.
 #[derive(Debug)]
 pub struct ClientPermits {
     reads: Arc<Semaphore>,
+    changes: Arc<Semaphore>,
     /// By the uid of an index.
     writes: Mutex<HashMap<[u8; 16], Weak<Semaphore>>>,
 }
@@ -21,6 +24,7 @@ impl ClientPermits {
     pub fn new(reads: usize) -> Self {
         Self {
             reads: Arc::new(Semaphore::new(reads)),
+            changes: Arc::new(Semaphore::new(MAX_CHANGES / 4)),
             writes: Mutex::default(),
         }
     }
@@ -29,6 +33,12 @@ impl ClientPermits {
     pub(crate) async fn read(&self) -> Option<OwnedSemaphorePermit> {
         // It is never closed.
         Arc::clone(&self.reads).acquire_owned().await.ok()
+    }
+
+    /// Waits until the client may create, delete or restore an index: it has a quarter of all permits.
+    pub(crate) async fn change(&self) -> Option<OwnedSemaphorePermit> {
+        // It is never closed.
+        Arc::clone(&self.changes).acquire_owned().await.ok()
     }
 
     /// Waits until no other call of the client waits for the writer of this index. The writer takes calls in the order of

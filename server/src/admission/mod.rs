@@ -45,6 +45,10 @@ pub(crate) static MAX_STORED_READS: LazyLock<usize> = LazyLock::new(|| {
     (2 * cores).max(16)
 });
 
+/// The creations, deletions and parts of restores that have a blocking thread at a time. They wait for one lock, and cancelled
+/// ones would otherwise fill the pool, which reads, merges and answers share.
+pub(crate) const MAX_CHANGES: usize = 16;
+
 /// The interval of the lines about refused calls.
 const REPORT_INTERVAL: Duration = Duration::from_secs(10);
 

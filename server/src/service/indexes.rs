@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use prost::Message;
+use tokio_util::task::AbortOnDropHandle;
 use tracing::Span;
 use wayfold_index::Space;
 use wayfold_proto::{
@@ -19,7 +20,7 @@ use super::{
 use crate::{
     identity::{Caller, Role},
     log::{MAX_NAME_BYTES, Uid},
-    registry::{Hosted, IndexLimit, IndexState, Published, Registry, RegistryError},
+    registry::{Hosted, IndexLimit, IndexState, Published, RegistryError},
 };
 
 /// A page of the indices, by name. Both lists together are consecutive.
@@ -119,10 +120,11 @@ impl Service {
         let created = match found {
             Ok(None) if refused.is_none() => {
                 let (name, limits) = (request.name.clone(), self.index_limits(&call.caller));
-                let create = move |registry: &Registry| {
-                    registry.create(&name, space, payload_encoding, &limits)
+                let create = move |service: &Service| {
+                    let registry = service.registry()?;
+                    Ok::<_, Error>(registry.create(&name, space, payload_encoding, &limits))
                 };
-                self.blocking(create).await?
+                self.change(call, create).await??
             }
             Ok(found) => found.map(|it| (it, false)).ok_or(RegistryError::Deleted),
             Err(error) => Err(error),
@@ -226,10 +228,12 @@ impl Service {
     ) -> Result<v1::DeleteIndexResponse, Error> {
         self.accept(call, Role::Admin, Some(&request.index_name))?;
         let (name, uid) = (request.index_name.clone(), request.uid.clone());
-        let deleted = self.blocking(move |registry| {
-            registry.delete(&name, Some(&*uid).filter(|uid| !uid.is_empty()))
-        });
-        let uid = deleted.await?.map_err(|error| match error {
+        let delete = move |service: &Service| {
+            let uid = Some(&*uid).filter(|uid| !uid.is_empty());
+            Ok::<_, Error>(service.registry()?.delete(&name, uid))
+        };
+        let deleted = self.change(call, delete).await??;
+        let uid = deleted.map_err(|error| match error {
             RegistryError::OtherUid { found } => Error::UidMismatch {
                 index: request.index_name.clone(),
                 requested: request.uid.clone(),
@@ -245,24 +249,36 @@ impl Service {
 }
 
 impl Service {
-    /// Runs work that waits for the log on a thread that may block. After the first poll the work completes even if
-    /// the caller leaves.
-    async fn blocking<T: Send + 'static>(
+    /// Creates, deletes or restores on a thread that may block. A change that waits for its thread does not begin once its
+    /// caller has left; one that has begun completes.
+    pub(super) async fn change<T: Send + 'static>(
         &self,
-        change: impl FnOnce(&Registry) -> Result<T, RegistryError> + Send + 'static,
-    ) -> Result<Result<T, RegistryError>, Error> {
+        call: &Call,
+        change: impl FnOnce(&Service) -> T + Send + 'static,
+    ) -> Result<T, Error> {
+        let waiting = async {
+            // The changes of a client that has its share wait here, not in the queue of all.
+            let share = match &call.permits {
+                Some(permits) => permits.change().await,
+                None => None,
+            };
+            (share, Arc::clone(&self.inner.changes).acquire_owned().await)
+        };
+        let doing = "while waiting for changes of other indices; nothing was changed";
+        let permits = call.bound(doing, waiting).await?;
         let service = self.clone();
         // The lines of the change have the caller's identity.
         let span = Span::current();
-        let changed = tokio::task::spawn_blocking(move || {
+        let changing = tokio::task::spawn_blocking(move || {
+            // The change of a caller that has left keeps its permits until it ends.
+            let _permits = permits;
             let _entered = span.enter();
-            Ok::<_, Error>(change(service.registry()?))
+            change(&service)
         });
         // The join fails only if the work panicked.
-        changed.await.unwrap_or_else(|_| {
-            Err(Error::Internal {
-                what: "the task that creates or deletes an index panicked".into(),
-            })
+        let changed = AbortOnDropHandle::new(changing).await;
+        changed.map_err(|_| Error::Internal {
+            what: "the task that creates, deletes or restores an index panicked".into(),
         })
     }
 }

@@ -77,6 +77,7 @@ use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 
 pub use crate::admission::ClientPermits;
 use crate::{
+    admission::MAX_CHANGES,
     identity::Role,
     log::{Durability, LogError},
     registry::{IndexState, Registry, RegistryError},
@@ -124,6 +125,8 @@ struct Inner {
     held_scans: held_scans::HeldScans,
     /// A permit for each copy that may be given to another member.
     copies: Arc<Semaphore>,
+    /// A permit for each creation, deletion or part of a restore that may have a thread.
+    changes: Arc<Semaphore>,
     /// The last look for damage, and what it found.
     damage: Mutex<Option<(Instant, bool)>>,
 }
@@ -154,6 +157,7 @@ impl Service {
                 stopping: CancellationToken::new(),
                 held_scans: Default::default(),
                 copies: Arc::new(Semaphore::new(copy::MAX_COPIES)),
+                changes: Arc::new(Semaphore::new(MAX_CHANGES)),
                 damage: Mutex::default(),
             }),
         }

@@ -8,7 +8,7 @@ use tokio::{
     task::JoinError,
     time::{MissedTickBehavior, interval, timeout},
 };
-use tracing::{Instrument, Span, warn};
+use tracing::{Instrument, warn};
 use wayfold_proto::{
     snapshot::{Content, Reader, SnapshotError},
     v1,
@@ -141,14 +141,14 @@ impl RestoreCall {
             return Err(refused("REQUIRED", "a message without a part".into()));
         };
         let mut draft = self.draft.take().ok_or_else(out_of_order)?;
-        let (service, caller) = (self.service.clone(), self.call.caller.clone());
+        let caller = self.call.caller.clone();
         // Checking a part takes milliseconds; storing it may, too.
-        let read = tokio::task::spawn_blocking(move || {
-            draft.read(&service, &caller, &name, &part)?;
+        let read = self.service.change(&self.call, move |service| {
+            draft.read(service, &caller, &name, &part)?;
             Ok::<_, Error>(draft)
         });
-        let read = self.call.bound("while restoring", read).await?;
-        self.draft = Some(read.map_err(stopped)??);
+        let draft = self.call.bound("while restoring", read).await???;
+        self.draft = Some(draft);
         Ok(())
     }
 
@@ -161,18 +161,16 @@ impl RestoreCall {
         let (Some(name), Some(restore)) = (self.name, restore) else {
             return Err(out_of_order());
         };
-        let (service, span) = (self.service.clone(), Span::current());
-        let finished = tokio::task::spawn_blocking(move || {
-            let _entered = span.enter();
+        let finished = self.service.change(&self.call, move |service| {
             // The maintenance serves the index once it has its name, maybe before `host` returns.
             let awaited = service.inner.peers.get().map(|_| restore.await_copy());
             let hosted = service.registry()?.host(restore, sessions);
             let hosted = hosted.map_err(|error| not_restored(&name, error))?;
             // It goes on if the caller leaves, so that mutations wait for the copy all the same.
-            let copied = service.await_copy(Arc::clone(&hosted), awaited);
+            let copied = service.clone().await_copy(Arc::clone(&hosted), awaited);
             Ok::<_, Error>((hosted, tokio::spawn(copied.in_current_span())))
         });
-        let (hosted, copied) = finished.await.map_err(stopped)??;
+        let (hosted, copied) = finished.await??;
         let doing = "while another server took a copy";
         let copied = self.call.bound(doing, copied).await;
         copied.map_err(|_| uncopied(&hosted))?.map_err(stopped)??;

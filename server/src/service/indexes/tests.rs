@@ -1,14 +1,25 @@
-//! Names and page tokens, and an index that is found while another one is created.
+//! Names and page tokens, an index that is found while another one is created, and creates that are cancelled.
 
-use std::sync::{OnceLock, Weak};
+use std::{
+    sync::{OnceLock, Weak},
+    time::Duration,
+};
 
-use futures_util::FutureExt;
+use futures_util::{FutureExt, poll};
+use tokio::{
+    runtime::{Builder, Handle},
+    task::unconstrained,
+    time::timeout,
+};
+use tokio_util::sync::CancellationToken;
 
 use super::*;
 use crate::{
-    log::{Catalogue, Entry, Log, LogError, MemoryLog},
-    registry::RegistryOptions,
-    service::{Inner, Limits},
+    admission::MAX_CHANGES,
+    log::{Catalogue, Entry, Log, LogError, MemoryLog, PointStore, View},
+    registry::{Registry, RegistryOptions},
+    service::{ClientPermits, Inner, Limits, stored},
+    testing::{arm, log_with},
 };
 
 #[test]
@@ -41,12 +52,21 @@ async fn create(
     name: &str,
     space: &str,
 ) -> Result<v1::CreateIndexResponse, Error> {
+    create_by(&Call::default(), service, name, space).await
+}
+
+async fn create_by(
+    call: &Call,
+    service: &Service,
+    name: &str,
+    space: &str,
+) -> Result<v1::CreateIndexResponse, Error> {
     let request = v1::CreateIndexRequest {
         name: name.into(),
         space_form: Some(SpaceForm::SpaceText(space.into())),
         ..Default::default()
     };
-    service.create_index(&Call::default(), request).await
+    service.create_index(call, request).await
 }
 
 /// A service over a log with another catalogue.
@@ -171,4 +191,90 @@ async fn an_index_that_exists_is_found_while_another_is_created() {
     catalogue.service.set(inner).unwrap();
     // A failed assertion of the catalogue fails the call.
     assert!(create(&service, "leg", "R1").await.unwrap().created);
+}
+
+/// A catalogue that creates nothing before its gate is open.
+struct Slow {
+    local: Arc<MemoryLog>,
+    gate: CancellationToken,
+}
+
+impl Catalogue for Slow {
+    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
+        self.local.indexes()
+    }
+
+    fn create(&self, entry: Entry) -> Result<(), LogError> {
+        Handle::current().block_on(self.gate.cancelled());
+        self.local.create(entry)
+    }
+
+    fn delete(&self, uid: Uid) -> Result<(), LogError> {
+        self.local.delete(uid)
+    }
+}
+
+/// A service whose creates wait for the gate, and its log.
+fn slow() -> (Service, Arc<MemoryLog>, CancellationToken) {
+    let local = Arc::new(MemoryLog::new());
+    let gate = CancellationToken::new();
+    let catalogue = Arc::new(Slow {
+        local: Arc::clone(&local),
+        gate: gate.clone(),
+    });
+    (service_over(&local, catalogue), local, gate)
+}
+
+#[test]
+fn cancelled_creates_leave_a_thread_to_reads() {
+    let mut runtime = Builder::new_current_thread();
+    let runtime = runtime.enable_all().max_blocking_threads(MAX_CHANGES + 1);
+    runtime.build().unwrap().block_on(async {
+        let (service, local, gate) = slow();
+        let names: Vec<_> = (0..4 * MAX_CHANGES).map(|at| format!("arm-{at}")).collect();
+        let creates = names.iter().map(|name| create(&service, name, "R1"));
+        let mut creates: Vec<_> = creates.map(|it| Box::pin(unconstrained(it))).collect();
+        for create in &mut creates {
+            assert!(poll!(create).is_pending());
+        }
+        drop(creates);
+        let entry = arm();
+        let view: Arc<dyn View> = log_with(&entry, &[]).view(entry.uid).unwrap();
+        let call = Call::default();
+        let read = stored::read(&call, "reading", "arm", &view, |_| Ok(()));
+        let read = timeout(Duration::from_secs(10), read).await;
+        // Threads that wait would keep a failed test from its end.
+        gate.cancel();
+        read.expect("creates have all threads").unwrap();
+        assert!(create(&service, "leg", "R1").await.unwrap().created);
+        let created = local.indexes().unwrap().len();
+        assert!(created <= MAX_CHANGES + 1, "{created} indices");
+    });
+}
+
+#[tokio::test]
+async fn the_creates_of_a_client_wait_among_themselves() {
+    let (service, _, gate) = slow();
+    let [many, one] = [(); 2].map(|()| Call {
+        permits: Some(Arc::new(ClientPermits::new(1))),
+        ..Call::default()
+    });
+    let names: Vec<_> = (0..2 * MAX_CHANGES).map(|at| format!("arm-{at}")).collect();
+    let creates = names
+        .iter()
+        .map(|name| create_by(&many, &service, name, "R1"));
+    let mut creates: Vec<_> = creates.map(|it| Box::pin(unconstrained(it))).collect();
+    for create in &mut creates {
+        assert!(poll!(create).is_pending());
+    }
+    let free = service.inner.changes.available_permits();
+    assert_eq!(free, MAX_CHANGES - MAX_CHANGES / 4);
+    let mut last = Box::pin(create_by(&one, &service, "leg", "R1"));
+    assert!(poll!(&mut last).is_pending());
+    assert_eq!(service.inner.changes.available_permits(), free - 1);
+    gate.cancel();
+    last.await.unwrap();
+    for create in creates {
+        create.await.unwrap();
+    }
 }
