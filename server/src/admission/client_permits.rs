@@ -2,7 +2,10 @@
 
 use std::{
     collections::HashMap,
-    sync::{Arc, Weak},
+    sync::{
+        Arc, Weak,
+        atomic::{AtomicU64, Ordering::Relaxed},
+    },
 };
 
 use parking_lot::Mutex;
@@ -10,23 +13,35 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::MAX_CHANGES;
 
+/// The number of the next client.
+static NEXT: AtomicU64 = AtomicU64::new(0);
+
+/// The key of a write permit: the uid of an index and, if another server forwarded the call, the number of its client there.
+type WriteKey = ([u8; 16], Option<u64>);
+
 /// The permits of one client: of the calls of one flow.
 #[derive(Debug)]
 pub struct ClientPermits {
+    number: u64,
     reads: Arc<Semaphore>,
     changes: Arc<Semaphore>,
-    /// By the uid of an index.
-    writes: Mutex<HashMap<[u8; 16], Weak<Semaphore>>>,
+    writes: Mutex<HashMap<WriteKey, Weak<Semaphore>>>,
 }
 
 impl ClientPermits {
     /// At most `reads` reads of stored points at a time.
     pub fn new(reads: usize) -> Self {
         Self {
+            number: NEXT.fetch_add(1, Relaxed),
             reads: Arc::new(Semaphore::new(reads)),
             changes: Arc::new(Semaphore::new(MAX_CHANGES / 4)),
             writes: Mutex::default(),
         }
+    }
+
+    /// A number that no other client of this process has.
+    pub(crate) fn number(&self) -> u64 {
+        self.number
     }
 
     /// Waits until the client may read stored points.
@@ -42,15 +57,21 @@ impl ClientPermits {
     }
 
     /// Waits until no other call of the client waits for the writer of this index. The writer takes calls in the order of
-    /// arrival, and one client may have hundreds of long ones.
-    pub(crate) async fn write(&self, uid: [u8; 16]) -> Option<OwnedSemaphorePermit> {
+    /// arrival, and one client may have hundreds of long ones. All clients of another server have one connection here, so each
+    /// of them, by its number there, waits apart.
+    pub(crate) async fn write(
+        &self,
+        uid: [u8; 16],
+        forwarded_client: Option<u64>,
+    ) -> Option<OwnedSemaphorePermit> {
+        let key = (uid, forwarded_client);
         let permit = {
             let mut writes = self.writes.lock();
-            let known = writes.get(&uid).and_then(Weak::upgrade);
+            let known = writes.get(&key).and_then(Weak::upgrade);
             known.unwrap_or_else(|| {
                 writes.retain(|_, permit| permit.strong_count() > 0);
                 let permit = Arc::new(Semaphore::new(1));
-                writes.insert(uid, Arc::downgrade(&permit));
+                writes.insert(key, Arc::downgrade(&permit));
                 permit
             })
         };

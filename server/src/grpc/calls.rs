@@ -114,6 +114,14 @@ pub(super) fn flow_of<T>(request: &tonic::Request<T>) -> Option<Arc<Flow>> {
 /// The header by which a member of the cluster names the identity of the caller whose call it forwards.
 pub(super) const IDENTITY: &str = "wayfold-identity";
 
+/// The header of a forwarded call with the number of its client at the server that forwards it.
+pub(super) const CLIENT: &str = "wayfold-client";
+
+/// The number of the client of a forwarded call.
+pub(super) fn forwarded_client(headers: &HeaderMap) -> Option<u64> {
+    headers.get(CLIENT)?.to_str().ok()?.parse().ok()
+}
+
 /// The callers of a listener.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Callers {
@@ -299,11 +307,13 @@ impl CallsLayer {
     /// The context of a call, without a deadline.
     fn context(&self, headers: &HeaderMap, activity: Option<&Activity>, flow: &Flow) -> Call {
         let peer = activity.and_then(Activity::peer);
+        let is_forwarded = self.callers == Callers::Members;
         Call {
             caller: self.caller(headers, activity),
             peer: peer.map(Peer::Address),
             trace: traceparent(headers).map(Arc::from),
-            is_forwarded: self.callers == Callers::Members,
+            is_forwarded,
+            forwarded_client: forwarded_client(headers).filter(|_| is_forwarded),
             permits: Some(flow.permits()),
             ..Call::default()
         }

@@ -12,7 +12,7 @@ use tonic::{Request, client::Grpc, metadata::MetadataMap, transport::Channel};
 use tonic_prost::ProstCodec;
 
 use self::channels::{Channels, Raw, refusal};
-use super::calls::IDENTITY;
+use super::calls::{CLIENT, IDENTITY};
 use crate::{
     config::TlsConfig,
     observe::trace_ids,
@@ -105,12 +105,16 @@ impl MemberClient {
     }
 }
 
-/// The headers of a forwarded call: the identity of its caller, and its trace unless that is malformed.
+/// The headers of a forwarded call: the identity of its caller, the number of its client, and its trace unless that is
+/// malformed.
 fn headers(call: &Call) -> Result<HeaderMap, NotForwarded> {
     let mut headers = HeaderMap::new();
     if let Some(name) = call.caller.name() {
         let name = HeaderValue::from_bytes(name.as_bytes());
         headers.insert(IDENTITY, name.map_err(|_| NotForwarded::Unsent)?);
+    }
+    if let Some(permits) = &call.permits {
+        headers.insert(CLIENT, permits.number().into());
     }
     let trace = call.trace.as_deref().filter(|it| trace_ids(it).is_some());
     if let Some(Ok(trace)) = trace.map(HeaderValue::from_str) {
@@ -127,10 +131,10 @@ fn unanswered(error: impl std::error::Error) -> Unanswered {
 
 #[cfg(test)]
 mod tests {
-    use std::fs;
+    use std::{fs, sync::Arc};
 
     use super::*;
-    use crate::identity::Identities;
+    use crate::{grpc::calls::forwarded_client, identity::Identities, service::ClientPermits};
 
     #[test]
     fn a_name_beyond_ascii_and_a_malformed_trace_let_a_call_be_forwarded() {
@@ -161,5 +165,19 @@ mod tests {
             let found = headers.get("traceparent").map(HeaderValue::as_bytes);
             assert_eq!(found, sent.map(str::as_bytes), "{trace}");
         }
+    }
+
+    #[test]
+    fn the_owner_tells_the_clients_of_another_server_apart() {
+        let [first, second] = [(); 2].map(|()| {
+            let call = Call {
+                permits: Some(Arc::new(ClientPermits::new(1))),
+                ..Call::default()
+            };
+            forwarded_client(&headers(&call).unwrap()).unwrap()
+        });
+        assert_ne!(first, second);
+        let unknown = headers(&Call::default()).unwrap();
+        assert_eq!(forwarded_client(&unknown), None);
     }
 }

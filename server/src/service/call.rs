@@ -50,6 +50,8 @@ pub struct Call {
     pub trace: Option<Arc<str>>,
     /// True if another server of the cluster forwarded it. It is not forwarded again.
     pub is_forwarded: bool,
+    /// The number of its client at the server that forwarded it. None if none did, or if that one does not send it.
+    pub forwarded_client: Option<u64>,
     /// The permits of its connection; None: those of the server alone bound it.
     pub permits: Option<Arc<ClientPermits>>,
     /// Gets the label of the index of the call, for its metrics, once the index is found.

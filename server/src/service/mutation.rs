@@ -38,10 +38,12 @@ impl Service {
         loop {
             self.may_write(call, hosted).await?;
             let waiting = async {
-                // All clients of the server that forwards have one connection.
+                // All clients of the server that forwards have one connection. Without their numbers they would wait for each
+                // other.
                 let _turn = match &call.permits {
-                    Some(permits) if !call.is_forwarded => {
-                        permits.write(*hosted.uid().as_bytes()).await
+                    Some(permits) if call.is_forwarded == call.forwarded_client.is_some() => {
+                        let uid = *hosted.uid().as_bytes();
+                        permits.write(uid, call.forwarded_client).await
                     }
                     _ => None,
                 };
@@ -264,8 +266,8 @@ mod tests {
         service::Limits,
     };
 
-    #[tokio::test]
-    async fn a_mutation_waits_for_at_most_one_of_each_other_client() {
+    /// The revision of an insert of the second client that comes after five of the first.
+    async fn revision_of_last([many, one]: [Call; 2]) -> u64 {
         let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
         let space: Space = "R1".parse().unwrap();
         let (hosted, _) = registry
@@ -273,10 +275,6 @@ mod tests {
             .unwrap();
         let service = Service::new(registry, Limits::default());
         service.set_ready();
-        let [many, one] = [(); 2].map(|()| Call {
-            permits: Some(Arc::new(ClientPermits::new(1))),
-            ..Call::default()
-        });
         let service = &service;
         let insert = |call| async move {
             let states = v1::States {
@@ -298,6 +296,27 @@ mod tests {
         assert!(futures_util::poll!(&mut last).is_pending());
         drop(writer);
         let (revision, _) = tokio::join!(last, others.collect::<Vec<_>>());
-        assert_eq!(revision, 2);
+        revision
+    }
+
+    #[tokio::test]
+    async fn a_mutation_waits_for_at_most_one_of_each_other_client() {
+        let calls = [(); 2].map(|()| Call {
+            permits: Some(Arc::new(ClientPermits::new(1))),
+            ..Call::default()
+        });
+        assert_eq!(revision_of_last(calls).await, 2);
+    }
+
+    #[tokio::test]
+    async fn a_forwarded_mutation_waits_for_at_most_one_of_each_other_client() {
+        let connection = Arc::new(ClientPermits::new(1));
+        let calls = [1, 2].map(|client| Call {
+            is_forwarded: true,
+            forwarded_client: Some(client),
+            permits: Some(Arc::clone(&connection)),
+            ..Call::default()
+        });
+        assert_eq!(revision_of_last(calls).await, 2);
     }
 }
