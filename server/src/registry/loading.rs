@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use parking_lot::MutexGuard;
 use tracing::info;
 use wayfold_index::{ApplyError, Forest, Points, PointsError, Space};
 
@@ -30,16 +31,20 @@ fn loaded_bytes(space: &Space, points: usize) -> u64 {
 impl Registry {
     /// Loads the indices that were not loaded, as far as there is memory for them now. Blocks.
     pub fn load_rest(&self) {
-        let _change = self.change_lock.lock();
         let Ok(entries) = self.host.log.catalogue.indexes() else {
             return;
         };
         for entry in &entries {
+            let change = self.change_lock.lock();
+            // The index may have been deleted since it was listed.
             let state = self.indexes.read().get(&entry.name).cloned();
+            let state = state.filter(|state| state.uid() == entry.uid);
             if state.is_some_and(|state| self.is_loadable(&state)) {
                 let state = replay::replay_or_damaged(&self.host, entry);
                 self.change(|indexes| indexes.insert(entry.name.clone(), state));
             }
+            // A change that waits goes before the next index, which may take long to load.
+            MutexGuard::unlock_fair(change);
         }
     }
 

@@ -3,7 +3,7 @@
 use std::{
     io,
     sync::{
-        Arc,
+        Arc, Mutex, Weak,
         atomic::{AtomicU64, Ordering::Relaxed},
     },
     time::Duration,
@@ -11,8 +11,8 @@ use std::{
 
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{Log, MemoryLog},
-    registry::Registry,
+    log::{Catalogue, Entry, Log, LogError, MemoryLog, Uid},
+    registry::{Registry, RegistryError},
     service::{Code, Error, Limits, Service},
     watermark::{Resource, Usage, Watermark, WatermarkExceeded, Watermarks},
 };
@@ -271,6 +271,64 @@ async fn a_start_without_memory_lists_and_deletes_and_loads_the_rest_later() {
         },
     );
     assert_eq!(error.await.unwrap_err().code(), Code::NotFound);
+}
+
+/// A catalogue in which an index is deleted once the indices are listed.
+struct Shrinking {
+    local: Arc<MemoryLog>,
+    /// The registry and the name of the index, for one deletion.
+    deletion: Mutex<Option<(Weak<Registry>, &'static str)>>,
+}
+
+impl Catalogue for Shrinking {
+    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
+        let entries = self.local.indexes();
+        let deletion = self.deletion.lock().unwrap().take();
+        if let Some((registry, name)) = deletion {
+            registry.upgrade().unwrap().delete(name, None).unwrap();
+        }
+        entries
+    }
+
+    fn create(&self, entry: Entry) -> Result<(), LogError> {
+        self.local.create(entry)
+    }
+
+    fn delete(&self, uid: Uid) -> Result<(), LogError> {
+        self.local.delete(uid)
+    }
+}
+
+#[tokio::test]
+async fn an_index_that_is_deleted_while_others_are_loaded_stays_deleted() {
+    let local = Arc::new(MemoryLog::new());
+    let before = service_with(Arc::clone(&local), Limits::default());
+    for name in ["arm", "leg"] {
+        create(&before, name, "R3").await;
+        let insert = v1::InsertRequest {
+            index_name: name.into(),
+            ..insertion(&cube(1, 100), &[])
+        };
+        before.insert(&CALL, insert).await.unwrap();
+    }
+    drop(before);
+
+    let (memory, disk) = (Used::default(), Used::default());
+    memory.set(START - 1000);
+    let catalogue = Arc::new(Shrinking {
+        local: Arc::clone(&local),
+        deletion: Mutex::default(),
+    });
+    let log = Log {
+        catalogue: Arc::clone(&catalogue) as Arc<dyn Catalogue>,
+        ..Log::from(local)
+    };
+    let (registry, service) = over(log, watermarks(&memory, &disk));
+    memory.set(LOW / 2);
+    *catalogue.deletion.lock().unwrap() = Some((Arc::downgrade(&registry), "leg"));
+    registry.load_rest();
+    service.knn(&CALL, knn(&[[0.5; 3]], 9)).await.unwrap();
+    assert!(matches!(registry.get("leg"), Err(RegistryError::Deleted)));
 }
 
 /// Near the watermark the points of an index go into the forest in parts, and nothing is merged that does not fit.
