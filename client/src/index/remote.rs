@@ -5,7 +5,6 @@ mod open;
 use std::{
     collections::{BTreeMap, VecDeque},
     sync::mpsc,
-    time::Instant,
 };
 
 use wayfold_index::{
@@ -43,10 +42,9 @@ impl Remote {
 
     /// The answers to a search about rows, one after the other.
     fn ask(&self, rows: &[f64], scaled: &ScaledSearch<'_>) -> Result<Neighbors, Error> {
-        let left = scaled.search.until;
-        let left = left.map(|until| until.saturating_duration_since(Instant::now()));
-        let index = match left {
-            Some(left) => self.index.with_timeout(left),
+        let until = scaled.search.until;
+        let index = match until {
+            Some(until) => self.index.until(until),
             None => self.index.clone(),
         };
         let rows: Vec<Vec<f64>> = self.rows(rows).collect();
@@ -73,7 +71,7 @@ impl Remote {
         });
         match answered {
             // The client or the server has noticed it first.
-            Err(error) if left.is_some() && error.code() == Code::DeadlineExceeded => {
+            Err(error) if until.is_some() && error.code() == Code::DeadlineExceeded => {
                 Err(Error::SearchTimeout)
             }
             answered => answered,

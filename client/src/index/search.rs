@@ -83,7 +83,8 @@ impl Search {
         self
     }
 
-    /// Fails with [`Error::SearchTimeout`] if the search takes longer; without a limit unless set.
+    /// Fails with [`Error::SearchTimeout`] if the search takes longer; without a limit unless set. A search of many
+    /// states has this time for all of them together.
     pub fn timeout(mut self, timeout: Duration) -> Search {
         self.timeout = Some(timeout);
         self

@@ -28,6 +28,8 @@ use crate::{
 pub struct IndexHandle {
     shared: Arc<Shared>,
     timeout: Duration,
+    /// The end of all its calls together, if they have one.
+    deadline: Option<Instant>,
     /// True if reads see what any server has acknowledged.
     latest: bool,
 }
@@ -55,6 +57,7 @@ impl IndexHandle {
         IndexHandle {
             shared: Arc::new(shared),
             timeout,
+            deadline: None,
             latest: false,
         }
     }
@@ -66,6 +69,17 @@ impl IndexHandle {
     pub fn with_timeout(&self, timeout: Duration) -> IndexHandle {
         IndexHandle {
             timeout: timeout.min(MAX_WAIT),
+            ..self.clone()
+        }
+    }
+
+    /// This handle for calls that end at `deadline`: the parts of a divided request share it.
+    pub(crate) fn until(&self, deadline: std::time::Instant) -> IndexHandle {
+        let now = std::time::Instant::now();
+        let timeout = deadline.saturating_duration_since(now).min(MAX_WAIT);
+        IndexHandle {
+            timeout,
+            deadline: Some((now + timeout).into()),
             ..self.clone()
         }
     }
@@ -240,16 +254,18 @@ impl IndexHandle {
         call: &'static str,
         rows: usize,
     ) -> Result<(Limits, Option<Instant>), Error> {
-        let deadline = Instant::now() + self.timeout;
+        let now = Instant::now();
+        let deadline = self.deadline.unwrap_or(now + self.timeout);
+        let left = deadline.saturating_duration_since(now);
         let limits = match rows {
             0 | 1 => Limits::NONE,
-            _ => self.client().limits(call, self.timeout).await?,
+            _ => self.client().limits(call, left).await?,
         };
         Ok((limits, Some(deadline)))
     }
 
-    /// Makes a call about points, with a message made for each attempt. Without a deadline, the handle's timeout begins
-    /// now.
+    /// Makes a call about points, with a message made for each attempt. Without a deadline, here or in the handle, its
+    /// timeout begins now.
     pub(crate) async fn call<C: Call>(
         &self,
         deadline: Option<Instant>,
@@ -287,6 +303,7 @@ impl IndexHandle {
         F: FnMut(Connection, Duration) -> Fut,
         Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
     {
+        let deadline = deadline.or(self.deadline);
         let deadline = deadline.unwrap_or_else(|| Instant::now() + self.timeout);
         let answer = self.client().call_at(call, self.timeout, deadline, attempt);
         answer.await.map(|(answer, _)| answer)

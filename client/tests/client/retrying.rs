@@ -133,7 +133,7 @@ async fn each_call_tells_the_server_its_deadline() {
 }
 
 /// The value of `grpc-timeout` of the last calls, the latest first.
-fn last_timeouts(fake: &Fake) -> impl Iterator<Item = Duration> {
+pub(crate) fn last_timeouts(fake: &Fake) -> impl Iterator<Item = Duration> {
     fake.timeouts().into_iter().rev().map(|timeout| {
         let timeout = timeout.expect("a grpc-timeout");
         let (number, unit) = timeout.split_at(timeout.len() - 1);

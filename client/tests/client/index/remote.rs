@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use wayfold::{Error, Index, ReadRevision, Space};
+use wayfold::{Error, Index, READ_ROWS, ReadRevision, Search, Space};
 
 use super::conformance;
-use crate::{fake::Fake, server::Server, watching::message};
+use crate::{fake::Fake, retrying::last_timeouts, server::Server, watching::message};
 
 fn remote(server: &Server, name: &str, space: &Space) -> Index {
     Index::remote(&server.uri, name)
@@ -71,4 +71,23 @@ async fn a_feed_that_stands_still_ends_a_call_at_its_timeout() {
     let index = opening.open().unwrap();
     let refused = index.changes(ReadRevision(3)).unwrap_err();
     assert!(matches!(refused, Error::Timeout { .. }), "{refused:?}");
+}
+
+/// Each part is sent with the time that those before it have left.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_parts_of_a_search_have_one_timeout() {
+    let fake = Fake::start().await;
+    let index = Index::remote(&fake.uri, "line").open().unwrap();
+    let search = Search::k(1).timeout(Duration::from_secs(60));
+    let states = vec![[0.0]; 3 * READ_ROWS];
+    assert_eq!(
+        index.search_many(&states, &search).unwrap().len(),
+        states.len()
+    );
+    let mut left: Vec<Duration> = last_timeouts(&fake).take(3).collect();
+    left.reverse();
+    assert!(
+        left.is_sorted_by(|earlier, later| later <= earlier),
+        "{left:?}"
+    );
 }
