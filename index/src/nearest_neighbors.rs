@@ -133,6 +133,14 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
     /// The index cannot be written.
     fn remove(&self, id: u64) -> Result<bool, Self::Error>;
 
+    /// Removes points by their ids, each named once; an id without a point has no effect.
+    ///
+    /// # Errors
+    /// The index cannot be written; some of the points may be removed then.
+    fn remove_many(&self, ids: &[u64]) -> Result<(), Self::Error> {
+        ids.iter().try_for_each(|&id| self.remove(id).map(drop))
+    }
+
     /// Sets the tag of a point. False if there is no such point.
     ///
     /// # Errors

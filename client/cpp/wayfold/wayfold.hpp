@@ -220,7 +220,7 @@ public:
     }
     // For an index in memory only.
     void clear() const { detail::check(wayfold_index_clear(raw())); }
-    // Removes all points that the index has now, one by one, for everybody.
+    // Removes all points that the index has now, for everybody: it reads all their ids first.
     void remove_all() const { detail::check(wayfold_index_remove_all(raw())); }
 
     std::optional<Neighbor> nearest(const double *state) const {

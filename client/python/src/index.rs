@@ -242,7 +242,7 @@ impl Index {
         self.call(py, wayfold::Index::clear)
     }
 
-    /// Removes all points that the index has now, one by one, for everybody.
+    /// Removes all points that the index has now, for everybody: it reads all their ids first.
     fn remove_all(&self, py: Python<'_>) -> PyResult<()> {
         self.call(py, wayfold::Index::remove_all)
     }

@@ -239,6 +239,14 @@ impl NearestNeighbors for Remote {
         Ok(removed.is_some_and(|removed| removed.removed_count > 0))
     }
 
+    fn remove_many(&self, ids: &[u64]) -> Result<(), Error> {
+        if ids.is_empty() {
+            return Ok(());
+        }
+        let remove = self.index.remove(ids);
+        wait_for(async move { remove.await.map(drop) })
+    }
+
     fn set_tag(&self, id: u64, tag: u64) -> Result<bool, Error> {
         let update = self.index.update([id]).tags([tag]);
         Ok(found(id, async move { update.await })?.is_some())

@@ -249,7 +249,7 @@ pub unsafe extern "C" fn wayfold_index_clear(index: *const WayfoldIndex) -> Code
     })
 }
 
-/// Removes all points that the index has now, one by one, for everybody.
+/// Removes all points that the index has now, for everybody: it reads all their ids first.
 ///
 /// Thread-safe.
 ///

@@ -272,7 +272,7 @@ class Index:
     def clear(self) -> None:
         """Forgets all points of an index in memory; their ids stay used."""
     def remove_all(self) -> None:
-        """Removes all points that the index has now, one by one, for everybody."""
+        """Removes all points that the index has now, for everybody: it reads all their ids first."""
     def query(
         self,
         x: _States,

@@ -5,7 +5,12 @@ use std::time::Duration;
 use wayfold::{Error, Index, READ_ROWS, ReadRevision, Search, Space};
 
 use super::conformance;
-use crate::{fake::Fake, retrying::last_timeouts, server::Server, watching::message};
+use crate::{
+    fake::Fake,
+    retrying::last_timeouts,
+    server::Server,
+    watching::{message, scanned},
+};
 
 fn remote(server: &Server, name: &str, space: &Space) -> Index {
     Index::remote(&server.uri, name)
@@ -71,6 +76,27 @@ async fn a_feed_that_stands_still_ends_a_call_at_its_timeout() {
     let index = opening.open().unwrap();
     let refused = index.changes(ReadRevision(3)).unwrap_err();
     assert!(matches!(refused, Error::Timeout { .. }), "{refused:?}");
+}
+
+/// The server ends a scan that waits for the removal of many points.
+#[tokio::test(flavor = "multi_thread")]
+async fn all_points_are_removed_by_few_calls_after_a_whole_scan() {
+    let fake = Fake::start().await;
+    let index = Index::remote(&fake.uri, "line").open().unwrap();
+    let mut parts = scanned(3, &[(1, 0.0), (2, 10.0)]);
+    parts.extend(scanned(3, &[(5, 20.0)]));
+    fake.scan_answers(parts.clone(), true);
+    index.remove_all().unwrap();
+    let requests = fake.remove_requests().into_iter();
+    let removed: Vec<Vec<u64>> = requests.map(|request| request.ids).collect();
+    assert_eq!(removed, vec![vec![1, 2, 5]]);
+
+    // The scan fails at its last part, whose point has no state.
+    parts[1].points.as_mut().unwrap().states = None;
+    fake.scan_answers(parts, true);
+    let failed = index.remove_all().unwrap_err();
+    assert!(matches!(failed, Error::Protocol { .. }), "{failed:?}");
+    assert_eq!(fake.remove_requests().len(), 1);
 }
 
 /// Each part is sent with the time that those before it have left.
