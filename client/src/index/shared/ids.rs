@@ -12,9 +12,9 @@ pub(super) struct ReservedIds {
     left: VecDeque<Range<u64>>,
     /// All blocks of the session, to tell its ids from those of others.
     blocks: Vec<Range<u64>>,
-    /// Ids above all blocks that the caller chose. Their writes may still be pending when the server reserves a block
-    /// that includes them.
-    caller_ids: Vec<u64>,
+    /// Ids above all blocks that the caller chose, in the order of their writes. Their writes may still be pending when
+    /// the server reserves a block that includes them.
+    caller_ids: VecDeque<u64>,
     /// Ids of `left` that the caller chose.
     skipped: HashSet<u64>,
 }
@@ -58,9 +58,18 @@ impl ReservedIds {
         }
     }
 
-    /// Notes an id that the caller chose.
+    /// Notes an id that the caller chose, after its write.
     pub(super) fn note_caller_id(&mut self, id: u64) {
-        self.caller_ids.push(id);
+        self.caller_ids.push_back(id);
+    }
+
+    /// Forgets ids that the caller chose and whose writes the server has acknowledged: it reserves only ids above all
+    /// that it has stored. It acknowledges writes in their order, so only the last `pending` ids can have pending
+    /// writes. An id that was stored and removed in one batch counts as never stored: a later block may include it.
+    pub(super) fn forget_acknowledged(&mut self, pending: u64) {
+        while self.caller_ids.len() as u64 > pending {
+            self.caller_ids.pop_front();
+        }
     }
 
     /// True if `id` was reserved for this session.
@@ -96,5 +105,17 @@ mod tests {
         assert_eq!(ids.len(), 4);
         let given: Vec<u64> = std::iter::from_fn(|| ids.next()).collect();
         assert_eq!(given, [10, 11, 20, 22]);
+    }
+
+    #[test]
+    fn only_as_many_ids_of_the_caller_are_remembered_as_writes_are_pending() {
+        let mut ids = ReservedIds::default();
+        for id in 10..1_000 {
+            ids.note_caller_id(id);
+            ids.forget_acknowledged(2);
+        }
+        assert_eq!(ids.caller_ids, [998, 999]);
+        ids.forget_acknowledged(0);
+        assert!(ids.caller_ids.is_empty());
     }
 }

@@ -182,8 +182,10 @@ impl NearestNeighbors for SharedIndex {
         match point.id {
             None => writes.insert(id, &step, &mut points)?,
             Some(_) => {
-                writes.ids.note_caller_id(id);
                 writes.change(id, &step, &mut points)?;
+                writes.ids.note_caller_id(id);
+                let pending = writes.written - writes.resolved;
+                writes.ids.forget_acknowledged(pending);
             }
         }
         let read_revision = points.read_revision();

@@ -128,6 +128,28 @@ fn a_refusal_whose_writes_were_taken_back_has_its_cause() {
     }
 }
 
+/// A process that names all its ids needs no block, so their number has no other bound.
+#[test]
+fn ids_that_the_caller_chose_are_forgotten_once_their_writes_are_acknowledged() {
+    let (core, shared) = idle(1 << 20, 0);
+    let index = Index::of_shared(shared);
+    let insert = |id| index.insert_with([0.0], InsertOptions::new().id(id));
+    insert(150).unwrap();
+    let mut writes = core.pending_writes.lock();
+    let batch = writes.next(1, 0).unwrap().batch;
+    let taken = writes.acknowledge(batch, 1, 0, &mut core.points.write());
+    assert!(taken.unwrap().is_empty());
+    drop(writes);
+    insert(160).unwrap();
+    // No server reserves an id that it has stored: here the block shows which of them are remembered.
+    let (first_id, id_count) = (140, 30);
+    let block = v1::IdBlock { first_id, id_count };
+    let mut writes = core.pending_writes.lock();
+    writes.reserve(Some(block));
+    let given: Vec<u64> = std::iter::from_fn(|| writes.ids.next()).collect();
+    assert!(given.contains(&150) && !given.contains(&160), "{given:?}");
+}
+
 /// The server has taken the point, and no feed will place it among those of others.
 #[test]
 fn the_end_of_an_index_leaves_no_search_open() {
