@@ -191,7 +191,7 @@ impl Client {
             }
             awaited = Some(Revision::new(Arc::clone(info.uid()), newest));
             // This server lags behind another one.
-            let index = IndexHandle::new(self.clone(), info);
+            let index = IndexHandle::new(self.clone(), info).with_timeout(timeout);
             let attempt = |connection: Connection, remaining| {
                 let index = &index;
                 async move {

@@ -102,8 +102,17 @@ impl Connections {
         self.all.len() > 1
     }
 
-    /// Makes an attempt of a call of `timeout`. One of several servers may be silent for its part of that time only, or
-    /// for [`MIN_PATIENCE`].
+    /// The longest time of a call of `timeout` that the client spends on waiting for one server: with several servers
+    /// the part of each, but at least [`MIN_PATIENCE`] and at most [`MAX_SILENCE`].
+    pub(crate) fn patience(&self, timeout: Duration) -> Duration {
+        if !self.are_several() {
+            return timeout;
+        }
+        let servers = u32::try_from(self.all.len()).unwrap_or(u32::MAX);
+        (timeout / servers).clamp(MIN_PATIENCE, MAX_SILENCE)
+    }
+
+    /// Makes an attempt of a call of `timeout`. One of several servers may be silent for [`Connections::patience`] only.
     pub(crate) async fn patiently<T>(
         &self,
         timeout: Duration,
@@ -112,9 +121,7 @@ impl Connections {
         if !self.are_several() {
             return attempt.await;
         }
-        let servers = u32::try_from(self.all.len()).unwrap_or(u32::MAX);
-        let patience = (timeout / servers).clamp(MIN_PATIENCE, MAX_SILENCE);
-        let answered = tokio::time::timeout(patience, attempt).await;
+        let answered = tokio::time::timeout(self.patience(timeout), attempt).await;
         answered.unwrap_or_else(|silent| {
             let mut status = Status::unavailable("the server is silent");
             status.set_source(Arc::new(silent));
@@ -242,6 +249,16 @@ mod tests {
         assert_eq!(connections.current().turn(), second.turn());
         connections.failed(&second, &silence, MAX_SILENCE);
         assert_ne!(connections.current().turn(), second.turn());
+    }
+
+    #[tokio::test]
+    async fn one_of_several_servers_has_its_part_of_the_time() {
+        let patience = |servers, seconds| {
+            let timeout = Duration::from_secs(seconds);
+            connections(servers).patience(timeout).as_secs()
+        };
+        assert_eq!([60, 6, 1].map(|seconds| patience(3, seconds)), [5, 2, 1]);
+        assert_eq!(patience(1, 60), 60);
     }
 
     #[tokio::test]

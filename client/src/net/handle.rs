@@ -9,13 +9,7 @@ use wayfold_proto::v1;
 use crate::{
     Client, Error, Get, IndexInfo, Insert, Knn, KnnAnswers, KnnRequests, Limits, Query, Radius,
     Remove, Revision, ScanRequest, SnapshotRequest, State, States, Update, Verify, WatchRequest,
-    net::{
-        call::Call,
-        client::within,
-        connections::{Connection, MAX_SILENCE},
-        newest::Newest,
-        request::MAX_WAIT,
-    },
+    net::{call::Call, client::within, connections::Connection, newest::Newest, request::MAX_WAIT},
 };
 
 /// An index of a server, of one uid: when the index is deleted and created again, the calls of this handle fail with
@@ -266,46 +260,26 @@ impl IndexHandle {
 
     /// Makes a call about points, with a message made for each attempt. Without a deadline, here or in the handle, its
     /// timeout begins now.
+    ///
+    /// With several servers, the first call at a server waits there for the newest revision that the handle has seen: a
+    /// server that lags may refuse an update of points that it lacks. Only this wait has a bound below the call's
+    /// timeout: a long search is not a sign that the server lags.
     pub(crate) async fn call<C: Call>(
         &self,
         deadline: Option<Instant>,
         message: impl Fn() -> C,
     ) -> Result<C::Answer, Error> {
-        let attempt = |connection, remaining| C::send(connection, within(remaining, message()));
-        self.call_until(C::NAME, deadline, attempt).await
-    }
-
-    /// Makes a mutation like [`IndexHandle::call`]. A server to which the client has gone evaluates it after the newest
-    /// revision that the handle has seen: it may refuse an update of points that it lacks.
-    pub(crate) async fn mutate<C: Call>(
-        &self,
-        deadline: Option<Instant>,
-        message: impl Fn() -> C,
-    ) -> Result<C::Answer, Error> {
-        let attempt = |connection: Connection, remaining| {
-            let sent = C::send(connection.clone(), within(remaining, message()));
-            async move {
-                self.catch_up(&connection, remaining).await?;
-                sent.await
-            }
-        };
-        self.call_until(C::NAME, deadline, attempt).await
-    }
-
-    /// Makes a call within the time of its request.
-    async fn call_until<A, F, Fut>(
-        &self,
-        call: &'static str,
-        deadline: Option<Instant>,
-        attempt: F,
-    ) -> Result<A, Error>
-    where
-        F: FnMut(Connection, Duration) -> Fut,
-        Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
-    {
         let deadline = deadline.or(self.deadline);
         let deadline = deadline.unwrap_or_else(|| Instant::now() + self.timeout);
-        let answer = self.client().call_at(call, self.timeout, deadline, attempt);
+        let message = &message;
+        let attempt = |connection: Connection, remaining: Duration| async move {
+            self.catch_up(&connection, remaining).await?;
+            // The wait has taken a part of the time.
+            let remaining = deadline.saturating_duration_since(Instant::now());
+            C::send(connection, within(remaining, message())).await
+        };
+        let client = self.client();
+        let answer = client.call_at(C::NAME, self.timeout, deadline, attempt);
         answer.await.map(|(answer, _)| answer)
     }
 
@@ -343,44 +317,46 @@ impl IndexHandle {
             let newest = self.shared.newest.number();
             // Perhaps no server has a revision that only the caller has named.
             let may_be_elsewhere = since <= newest && self.client().connections().are_several();
-            let wait = match may_be_elsewhere {
-                true => remaining.min(MAX_SILENCE),
+            let patience = match may_be_elsewhere {
+                true => self.patience(),
                 false => remaining,
             };
             let opened = open(connection.clone());
             async move {
-                let waited = self.wait_for(newest.max(since), &connection, wait).await;
-                waited.map_err(|status| match status.code() {
-                    // The next attempt asks another server.
-                    tonic::Code::DeadlineExceeded | tonic::Code::Cancelled if wait < remaining => {
-                        tonic::Status::unavailable(
-                            "the server lacks the newest revision that this client has seen",
-                        )
-                    }
-                    _ => status,
-                })?;
+                let revision = newest.max(since);
+                self.wait_for(revision, &connection, remaining, patience)
+                    .await?;
                 opened.await
             }
         };
         self.client().call(call, self.timeout, attempt).await
     }
 
-    /// Waits until the server has the newest revision that the handle has seen.
+    /// The longest time of a call that one server gets to reach a revision.
+    fn patience(&self) -> Duration {
+        self.client().connections().patience(self.timeout)
+    }
+
+    /// Waits until the server has the newest revision that the handle has seen. With several servers the wait ends with
+    /// `UNAVAILABLE` while there is time for another one.
     pub(crate) async fn wait_for_newest(
         &self,
         connection: &Connection,
         remaining: Duration,
     ) -> Result<(), tonic::Status> {
         let newest = self.shared.newest.number();
-        self.wait_for(newest, connection, remaining).await
+        self.wait_for(newest, connection, remaining, self.patience())
+            .await
     }
 
-    /// Waits until the server has this revision.
+    /// Waits until the server has this revision. A wait that `patience` ends before `remaining` is over fails with
+    /// `UNAVAILABLE`, so that the next attempt asks another server.
     async fn wait_for(
         &self,
         revision: u64,
         connection: &Connection,
         remaining: Duration,
+        patience: Duration,
     ) -> Result<(), tonic::Status> {
         if revision == 0 {
             return Ok(());
@@ -390,7 +366,19 @@ impl IndexHandle {
             min_revision: Some(self.revision_at(revision).to_message()),
             ..Default::default()
         };
-        connection.points().get(within(remaining, request)).await?;
-        Ok(())
+        let wait = remaining.min(patience);
+        let waited = connection.points().get(within(wait, request)).await;
+        let Err(status) = waited else {
+            return Ok(());
+        };
+        Err(match status.code() {
+            // The transport may give up before the server does, and calls that a cancellation.
+            tonic::Code::DeadlineExceeded | tonic::Code::Cancelled if wait < remaining => {
+                tonic::Status::unavailable(
+                    "the server lacks the newest revision that this client has seen",
+                )
+            }
+            _ => status,
+        })
     }
 }

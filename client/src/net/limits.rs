@@ -57,7 +57,7 @@ impl<'a> Division<'a> {
             let operation_ids = operation_ids(self.operation_id, &parts).map_err(failed)?;
             for (part, operation_id) in parts.iter().zip(&operation_ids) {
                 let message = || message(part, operation_id);
-                match self.index.mutate(deadline.take(), message).await {
+                match self.index.call(deadline.take(), message).await {
                     Ok(answer) => append(answer, part.len())?,
                     Err(error) => {
                         match limits.lowered(&error) {

@@ -8,6 +8,7 @@ mod examples;
 mod failover;
 mod fake;
 mod index;
+mod lagging;
 mod requests;
 mod retrying;
 mod revisions;
