@@ -104,7 +104,8 @@ fn describing(error: &Error) -> Status {
                 limit: MAX_HELD_SCANS,
                 ..
             } => Some(FULL_PAUSE),
-            Error::Denied {
+            Error::TooManyBytes { .. }
+            | Error::Denied {
                 why: Denial::Unknown(IdentificationError::TooManyCalls(_)),
             } => Some(BUSY_PAUSE),
             _ => None,
@@ -167,11 +168,7 @@ pub(crate) fn overloaded(Overloaded(target): Overloaded) -> Status {
 
 /// The status of a call while requests, calls and unread answers hold `most` bytes, or those of its flow their share.
 pub(crate) fn too_many_bytes(most: usize) -> Status {
-    let message = format!(
-        "requests, calls and unread answers hold the {most} bytes that {MAX_BYTES} or an eighth of the memory limit \
-         allows, or this connection's share of them: read the answers, and try again later"
-    );
-    busy("TOO_MANY_BYTES", message, MAX_BYTES, most)
+    describing(&Error::TooManyBytes { most })
 }
 
 /// A page of the indices, with a status for each that cannot be read.
@@ -274,6 +271,7 @@ impl Status {
                 self.set("requested", requested);
                 self.quota(limit, *value)
             }
+            Error::TooManyBytes { most } => self.quota(MAX_BYTES, *most as u64),
             Error::Full { full } => {
                 self.set("used", full.used);
                 self.quota(full.resource.setting(), full.high)

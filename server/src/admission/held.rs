@@ -22,9 +22,11 @@ const MAX_WAIT: Duration = Duration::from_secs(10);
 
 /// The bytes that a call holds, until it is dropped.
 #[derive(Debug)]
-pub(crate) struct HeldBytes {
+pub struct HeldBytes {
     flow: Arc<Flow>,
     held: AtomicUsize,
+    /// False for further bytes of a call.
+    is_call: bool,
 }
 
 impl HeldBytes {
@@ -33,6 +35,16 @@ impl HeldBytes {
         Self {
             flow,
             held: AtomicUsize::new(0),
+            is_call: true,
+        }
+    }
+
+    /// Begins to count further bytes of the same call, which are given back on their own.
+    pub(crate) fn further(&self) -> Self {
+        Self {
+            flow: Arc::clone(&self.flow),
+            held: AtomicUsize::new(0),
+            is_call: false,
         }
     }
 
@@ -50,7 +62,7 @@ impl HeldBytes {
     #[must_use]
     pub(crate) fn try_take(&self, bytes: usize) -> bool {
         let Flow { all, own, .. } = &*self.flow;
-        if !all.try_take_within(self.flow.most_of_all(bytes), bytes) {
+        if !all.try_take_within(self.flow.most_of_all(0, bytes), bytes) {
             return false;
         }
         if !own.try_take(bytes) {
@@ -58,6 +70,26 @@ impl HeldBytes {
             return false;
         }
         self.held.fetch_add(bytes, Relaxed);
+        true
+    }
+
+    /// Lets an answer that holds `before` bytes of this call hold `size`; false if there is no room for it, which counts as a
+    /// refusal. As in [`HeldBytes::has_room`], the bytes beside the answer decide, so no answer is too large by itself.
+    #[must_use]
+    pub(crate) fn grow(&self, before: usize, size: usize) -> bool {
+        let Flow { all, own, .. } = &*self.flow;
+        let most = self.flow.most_of_all(before, size);
+        let more = size.saturating_sub(before);
+        if !all.try_take_within(most.saturating_add(size), more) {
+            all.refuse();
+            return false;
+        }
+        if !own.try_take_within(own.max().saturating_add(size), more) {
+            all.release(more);
+            all.refuse();
+            return false;
+        }
+        self.held.fetch_add(more, Relaxed);
         true
     }
 
@@ -114,7 +146,7 @@ impl HeldBytes {
     /// by itself.
     pub(crate) fn has_room(&self, bytes: usize) -> bool {
         let Flow { all, own, .. } = &*self.flow;
-        own.held() <= own.max() && all.held() <= self.flow.most_of_all(bytes)
+        own.held() <= own.max() && all.held() <= self.flow.most_of_all(0, bytes)
     }
 
     /// The flow of the call.
@@ -126,6 +158,8 @@ impl HeldBytes {
 impl Drop for HeldBytes {
     fn drop(&mut self) {
         self.release_all();
-        self.flow.under_way.fetch_sub(1, Relaxed);
+        if self.is_call {
+            self.flow.under_way.fetch_sub(1, Relaxed);
+        }
     }
 }

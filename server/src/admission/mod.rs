@@ -3,6 +3,7 @@
 //! A flow is a connection of gRPC or a link of Zenoh. Its calls take [turns](turns) to compute, and hold bytes from the
 //! first byte of a request to the last byte of its answer that the caller reads.
 
+mod answer_bytes;
 mod bytes;
 mod call_turns;
 mod client_permits;
@@ -24,9 +25,10 @@ use tracing::warn;
 
 pub(crate) use self::bytes::ByteBudget;
 use self::turns::{FlowNumber, Turns};
+pub(crate) use answer_bytes::{AnswerBytes, TooManyBytes};
 pub(crate) use call_turns::{CallTurns, end_slice};
 pub use client_permits::ClientPermits;
-pub(crate) use held::HeldBytes;
+pub use held::HeldBytes;
 pub(crate) use turns::Overloaded;
 
 /// The setting of the bytes that calls hold.
@@ -283,11 +285,12 @@ impl Flow {
         }
     }
 
-    /// The most bytes of all flows for this one to take `bytes` more. An eighth of them is for flows that hold little then, and
-    /// three more for those that hold little now: a few greedy ones cannot take everything, nor can many with one large
-    /// answer each.
-    fn most_of_all(&self, bytes: usize) -> usize {
-        let (max, own, little) = (self.all.max(), self.own.held(), little(&self.all));
+    /// The most bytes of all flows for this one to take `bytes` more, of which it holds `before` already. An eighth of them is for
+    /// flows that hold little then, and three more for those that hold little now: a few greedy ones cannot take everything,
+    /// nor can many with one large answer each.
+    fn most_of_all(&self, before: usize, bytes: usize) -> usize {
+        let (max, little) = (self.all.max(), little(&self.all));
+        let own = self.own.held().saturating_sub(before);
         if own.saturating_add(bytes) <= little {
             max
         } else if own <= little {

@@ -261,6 +261,8 @@ where
         let (face, metrics) = (settings.face(), &settings.shared.metrics);
         let mut record = CallRecord::begin(rpc.path, face, rpc.verb, arrived, metrics, &call);
         let held = Arc::new(flow.hold());
+        // The parts of a stream count on their own.
+        call.held = rpc.is_unary().then(|| Arc::clone(&held));
         let stream = match settings.admit(rpc, &request, arrived, &held, &mut call) {
             Ok(stream) => stream,
             Err(status) => {

@@ -61,7 +61,7 @@ pub(super) struct Api {
 pub(super) struct Admitted {
     pub(super) call: Call,
     pub(super) record: CallRecord,
-    pub(super) held: HeldBytes,
+    pub(super) held: Arc<HeldBytes>,
     pub(super) turns: CallTurns,
     /// Keeps the connection open, and the server from ending.
     active: Vec<TaskTrackerToken>,
@@ -70,7 +70,7 @@ pub(super) struct Admitted {
 /// The bytes of an answer that its client has not read. They are dropped once they are written.
 struct UnreadBytes {
     bytes: Vec<u8>,
-    _held: HeldBytes,
+    _held: Arc<HeldBytes>,
     _active: Vec<TaskTrackerToken>,
 }
 
@@ -81,7 +81,11 @@ impl AsRef<[u8]> for UnreadBytes {
 }
 
 /// Holds the buffer of an answer until it is written, and its connection open. The body of a response ends before that.
-pub(super) fn unread(bytes: Vec<u8>, held: HeldBytes, active: Vec<TaskTrackerToken>) -> Bytes {
+pub(super) fn unread(
+    bytes: Vec<u8>,
+    held: Arc<HeldBytes>,
+    active: Vec<TaskTrackerToken>,
+) -> Bytes {
     held.force_take(bytes.capacity());
     Bytes::from_owner(UnreadBytes {
         bytes,
@@ -126,7 +130,9 @@ impl Api {
             &self.shared.metrics,
             &call,
         );
-        let held = self.flow.hold();
+        let held = Arc::new(self.flow.hold());
+        // The frames of a stream count on their own.
+        call.held = (!is_stream).then(|| Arc::clone(&held));
         let mut turns = match is_stream {
             true => self.flow.turns_of_stream(),
             false => self.flow.turns(),

@@ -151,7 +151,7 @@ async fn metrics(State(api): State<Arc<Api>>, request: Parts) -> Response {
         return refusal(&status);
     }
     let active = Vec::from_iter(active(&request));
-    let held = api.scrapes.hold();
+    let held = Arc::new(api.scrapes.hold());
     if !held.take(CALL_BYTES) {
         return refusal(&status::too_many_bytes(api.scrapes.max_bytes()));
     }

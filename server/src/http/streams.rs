@@ -92,11 +92,8 @@ impl StreamCall {
 
     /// The bytes of `frames`, counted until they are written.
     fn count(&self, frames: Frames) -> Bytes {
-        unread(
-            frames.finish(),
-            self.admitted.held.flow().hold(),
-            Vec::new(),
-        )
+        let held = Arc::new(self.admitted.held.flow().hold());
+        unread(frames.finish(), held, Vec::new())
     }
 
     pub(super) fn end(&mut self, ending: Ending) {

@@ -5,22 +5,25 @@ use prost::encoding::encoded_len_varint;
 use wayfold_index::{Neighbor, Point, PointRef};
 use wayfold_proto::v1;
 
-use super::{Error, Limits};
+use super::{Call, Error, Limits};
+use crate::admission::AnswerBytes;
 
 /// Bytes reserved for the fixed fields, and for the tags and lengths of columns.
 const FRAME_BYTES: usize = 256;
 
-/// The bytes left of an answer. They are counted from above: an answer that fits here fits on the wire.
+/// The bytes left of an answer, and those that it holds. They are counted from above: an answer that fits here fits on the wire.
 pub(super) struct AnswerBudget {
     limit: usize,
     left: usize,
+    pub(super) held: AnswerBytes,
 }
 
 impl AnswerBudget {
-    pub(super) fn new(limits: &Limits) -> Self {
+    pub(super) fn new(limits: &Limits, call: &Call) -> Self {
         Self {
             limit: limits.max_answer_bytes,
             left: limits.max_answer_bytes.saturating_sub(FRAME_BYTES),
+            held: call.answer_bytes(),
         }
     }
 
@@ -29,7 +32,14 @@ impl AnswerBudget {
         self.left
     }
 
+    /// Takes bytes of the answer, and holds them.
     pub(super) fn take(&mut self, bytes: usize) -> Result<(), Error> {
+        self.take_held(bytes)?;
+        Ok(self.held.take(bytes)?)
+    }
+
+    /// Takes bytes of the answer that the call holds already.
+    pub(super) fn take_held(&mut self, bytes: usize) -> Result<(), Error> {
         match self.left.checked_sub(bytes) {
             Some(left) => {
                 self.left = left;
@@ -113,9 +123,9 @@ impl NeighborColumns {
         Ok(())
     }
 
-    /// The bytes left.
-    pub(super) fn remaining(&self) -> usize {
-        self.budget.remaining()
+    /// The budget of the answer.
+    pub(super) fn budget(&mut self) -> &mut AnswerBudget {
+        &mut self.budget
     }
 
     /// The ids of added neighbours whose payloads are still missing; empty if the answer has no payloads.
@@ -126,9 +136,9 @@ impl NeighborColumns {
         }
     }
 
-    /// Adds the payload of the next neighbour.
+    /// Adds the payload of the next neighbour, which the call has held since its read.
     pub(super) fn push_payload(&mut self, payload: Bytes) -> Result<(), Error> {
-        self.budget.take(payload_bytes(&payload))?;
+        self.budget.take_held(payload_bytes(&payload))?;
         self.columns.payloads.push(payload);
         Ok(())
     }
@@ -148,8 +158,14 @@ impl NeighborColumns {
         Ok(())
     }
 
+    /// The columns. What they hold is given back: they are encoded next.
     pub(super) fn finish(self) -> v1::Neighbors {
         self.columns
+    }
+
+    /// The columns, and what they hold until they are encoded.
+    pub(super) fn finish_held(self) -> (v1::Neighbors, AnswerBytes) {
+        (self.columns, self.budget.held)
     }
 }
 
@@ -227,3 +243,6 @@ impl PointColumns {
 pub(super) fn payload_bytes(payload: &Bytes) -> usize {
     1 + encoded_len_varint(payload.len() as u64) + payload.len()
 }
+
+#[cfg(test)]
+mod tests;

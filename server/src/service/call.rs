@@ -10,7 +10,7 @@ use std::{
 
 use super::Error;
 use crate::{
-    admission::{ClientPermits, end_slice},
+    admission::{AnswerBytes, ClientPermits, HeldBytes, end_slice},
     identity::{Caller, Denial},
 };
 
@@ -54,6 +54,8 @@ pub struct Call {
     pub forwarded_client: Option<u64>,
     /// The permits of its connection; None: those of the server alone bound it.
     pub permits: Option<Arc<ClientPermits>>,
+    /// The bytes of the call, if its answer counts while it is made; None: nothing bounds that, or a stream counts each part.
+    pub held: Option<Arc<HeldBytes>>,
     /// Gets the label of the index of the call, for its metrics, once the index is found.
     pub index: Arc<OnceLock<Arc<str>>>,
 }
@@ -84,8 +86,13 @@ impl Call {
         }
     }
 
+    /// Begins to count the bytes of an answer.
+    pub(crate) fn answer_bytes(&self) -> AnswerBytes {
+        AnswerBytes::of(self.held.clone())
+    }
+
     /// Begins work that may be long.
-    pub(super) fn pace(&self, doing: &'static str) -> TimeSlicer {
+    pub(crate) fn pace(&self, doing: &'static str) -> TimeSlicer {
         TimeSlicer {
             call: self.clone(),
             doing,
@@ -95,7 +102,7 @@ impl Call {
 }
 
 /// Slices long work: between two slices other tasks run and the deadline is checked.
-pub(super) struct TimeSlicer {
+pub(crate) struct TimeSlicer {
     call: Call,
     doing: &'static str,
     began: Instant,
@@ -108,7 +115,7 @@ impl TimeSlicer {
     }
 
     /// Ends a step of work; a step takes between a microsecond and [`MAX_STEP_TIME`].
-    pub(super) async fn step(&mut self) -> Result<(), Error> {
+    pub(crate) async fn step(&mut self) -> Result<(), Error> {
         if self.began.elapsed() < MAX_STEP_TIME {
             return Ok(());
         }

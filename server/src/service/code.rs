@@ -82,6 +82,7 @@ impl Error {
             | Error::ScanEnded { .. }
             | Error::SessionRefused { .. } => Code::FailedPrecondition,
             Error::LimitExceeded { .. }
+            | Error::TooManyBytes { .. }
             | Error::Full { .. }
             | Error::QuotaExceeded { .. }
             | Error::IdsExhausted { .. }
@@ -123,6 +124,7 @@ impl Error {
             Error::UidUnknown { .. } => "UID_UNKNOWN",
             Error::RevisionConflict { .. } => "REVISION_CONFLICT",
             Error::LimitExceeded { .. } => "LIMIT_EXCEEDED",
+            Error::TooManyBytes { .. } => "TOO_MANY_BYTES",
             Error::Full { full } => full.resource.reason(),
             Error::QuotaExceeded { .. } => "QUOTA_EXCEEDED",
             Error::NotLoaded { .. } => "NOT_LOADED",

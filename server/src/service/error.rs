@@ -7,6 +7,7 @@ use wayfold_index::SearchError;
 use wayfold_proto::v1;
 
 use crate::{
+    admission::{MAX_BYTES, TooManyBytes},
     identity::Denial,
     watermark::{Resource, WatermarkExceeded},
 };
@@ -182,6 +183,16 @@ pub enum Error {
         /// The remedy.
         advice: &'static str,
     },
+    /// Requests, calls and unread answers hold the bytes that they may.
+    #[error(
+        "requests, calls and unread answers hold the {most} bytes that {} or an eighth of the memory limit allows, or this \
+         connection's share of them: read the answers, and try again later",
+        MAX_BYTES
+    )]
+    TooManyBytes {
+        /// The most bytes.
+        most: usize,
+    },
     /// The memory or the disk is above its watermark, and the call would grow the server.
     #[error(
         "{full}. Reads, removals and deletions go on: remove points, delete an index, or {}",
@@ -336,6 +347,12 @@ impl From<SearchError> for Error {
                 what: format!("a search that was checked is refused: {refused}"),
             },
         }
+    }
+}
+
+impl From<TooManyBytes> for Error {
+    fn from(TooManyBytes(most): TooManyBytes) -> Self {
+        Error::TooManyBytes { most }
     }
 }
 

@@ -4,7 +4,7 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    answer::{AnswerBudget, PointColumns, missing},
+    answer::{AnswerBudget, PointColumns, missing, payload_bytes},
     check::{self, Violations},
     read_view::{ReadView, revision, revision_number, uid_of},
     stored::BATCH_ROWS,
@@ -50,19 +50,26 @@ impl Service {
             index: hosted.name(),
             published: &published,
         };
-        let mut budget = AnswerBudget::new(self.limits());
+        let mut budget = AnswerBudget::new(self.limits(), call);
         let mut points = PointColumns::new(request.include);
         for ids in request.ids.chunks(BATCH_ROWS) {
             let mut payloads = match points.with_payloads() {
-                true => view.payloads(ids.to_vec(), budget.remaining()).await?,
+                true => {
+                    let most = budget.remaining();
+                    let payloads = view.payloads(ids.to_vec(), most, &mut budget.held);
+                    payloads.await?
+                }
                 false => Vec::new(),
             }
             .into_iter();
             for &id in ids {
                 let point = published.snapshot.get(id).ok_or_else(|| missing(id))?;
-                let before = points.bytes();
-                points.push(point.by_ref(), payloads.next());
+                let payload = payloads.next();
                 // Fails at the last payload if they exceed the budget.
+                let of_payload = payload.as_ref().map_or(0, payload_bytes);
+                budget.take_held(of_payload)?;
+                let before = points.bytes() + of_payload;
+                points.push(point.by_ref(), payload);
                 budget.take(points.bytes() - before)?;
                 pace.step().await?;
             }

@@ -57,8 +57,9 @@ impl Service {
         let insertion = Insertion::check(request, &hosted, self.limits(), &mut pace).await?;
 
         let mut base = hosted.published();
-        let prefetch = insertion.prefetch(&base, self.limits(), &mut pace).await?;
-        let mut payloads = Payloads::new(insertion.answers_payloads());
+        let prefetch = insertion.prefetch(call, &base, self.limits(), &mut pace);
+        let prefetch = prefetch.await?;
+        let mut payloads = Payloads::new(call, insertion.answers_payloads());
         let expected = insertion.unread_in(&base, prefetch.as_ref(), &mut pace);
         let expected = expected.await?;
         let most = self.limits().max_answer_bytes;
@@ -79,6 +80,7 @@ impl Service {
             }
             let prefetch = prefetch.as_ref().filter(|prefetch| prefetch.holds(&writer));
             let evaluation = Evaluation::new(
+                call,
                 &insertion,
                 &hosted,
                 &writer,
@@ -100,11 +102,15 @@ impl Service {
             }
             let unread = std::mem::take(&mut evaluation.unread);
             if unread.is_empty() {
-                let evaluated = evaluation.finish().map(|(effects, mut response)| {
-                    let after = writer.revision() + u64::from(!effects.is_empty());
-                    response.revision = Some(revision(&hosted, after));
-                    (effects, response)
-                });
+                // The response holds its bytes while the mutation is committed.
+                let (evaluated, _held) = match evaluation.finish() {
+                    Ok((effects, mut response, held)) => {
+                        let after = writer.revision() + u64::from(!effects.is_empty());
+                        response.revision = Some(revision(&hosted, after));
+                        (Ok((effects, response)), held)
+                    }
+                    Err(error) => (Err(error), None),
+                };
                 let committed = self.commit(call, &hosted, writer, key.as_ref(), evaluated);
                 if let Some(response) = committed.await? {
                     return Ok(response);
@@ -138,6 +144,7 @@ impl Insertion {
     /// Searches the published revision for the rows.
     async fn prefetch(
         &self,
+        call: &Call,
         published: &Published,
         limits: &Limits,
         pace: &mut TimeSlicer,
@@ -152,7 +159,8 @@ impl Insertion {
             .neighbors
             .map(|(spec, _)| spec.prefetch_search(points, rows));
         let nearest = self.nearest();
-        let prefetch = Prefetch::search(published, &self.rows, neighbors, nearest, most, pace);
+        let (held, rows) = (call.answer_bytes(), &self.rows);
+        let prefetch = Prefetch::search(published, rows, neighbors, nearest, most, held, pace);
         prefetch.await.map(Some)
     }
 

@@ -75,7 +75,7 @@ use parking_lot::Mutex;
 use tokio::{sync::Semaphore, time::Instant};
 use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 
-pub use crate::admission::ClientPermits;
+pub use crate::admission::{ClientPermits, HeldBytes};
 use crate::{
     admission::MAX_CHANGES,
     identity::Role,

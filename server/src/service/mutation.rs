@@ -227,8 +227,11 @@ pub(super) async fn refused(
     writer: WriteGuard,
     error: Error,
 ) -> Result<(), Error> {
-    // The end of a call does not depend on the records.
-    let is_end = matches!(error, Error::DeadlineExceeded { .. } | Error::Denied { .. });
+    // The end of a call and the room for its answer do not depend on the records.
+    let is_end = matches!(
+        error,
+        Error::DeadlineExceeded { .. } | Error::Denied { .. } | Error::TooManyBytes { .. }
+    );
     if hosted.is_shared()
         && !is_end
         && confirm_current(call, hosted, writer).await? == CommitOutcome::Refused

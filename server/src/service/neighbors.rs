@@ -145,7 +145,8 @@ impl Service {
             index: hosted.name(),
             published: &published,
         };
-        let found = NeighborColumns::new(include, space.coordinates(), AnswerBudget::new(limits));
+        let budget = AnswerBudget::new(limits, call);
+        let found = NeighborColumns::new(include, space.coordinates(), budget);
         let neighbors = search(&view, &states, completed, found, &mut pace).await?;
         Ok((neighbors, revision(&hosted, published.revision)))
     }
@@ -181,7 +182,10 @@ async fn read_payloads(view: &ReadView<'_>, found: &mut NeighborColumns) -> Resu
     while !found.without_payload().is_empty() {
         let batch = found.without_payload().iter().take(BATCH_ROWS);
         let batch = batch.copied().collect();
-        for payload in view.payloads(batch, found.remaining()).await? {
+        let budget = found.budget();
+        let most = budget.remaining();
+        let payloads = view.payloads(batch, most, &mut budget.held).await?;
+        for payload in payloads {
             found.push_payload(payload)?;
         }
     }

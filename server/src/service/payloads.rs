@@ -6,6 +6,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::{Call, Error, answer::payload_bytes, stored::ReadAhead};
 use crate::{
+    admission::AnswerBytes,
     log::Digest,
     registry::{Hosted, Published, Writer},
 };
@@ -21,6 +22,8 @@ pub(super) struct Payloads {
     compared: ReadAhead<Digest>,
     /// Payloads of neighbours; None if the answer has none.
     neighbors: Option<ReadAhead<Bytes>>,
+    /// The bytes of these: an answer takes them from here.
+    held: AnswerBytes,
 }
 
 /// Ids of points whose payloads are still to be read.
@@ -40,11 +43,12 @@ impl UnreadPayloads {
 
 impl Payloads {
     /// No payloads yet; `answers` is true if the answer has payloads of neighbours.
-    pub(super) fn new(answers: bool) -> Self {
+    pub(super) fn new(call: &Call, answers: bool) -> Self {
         let neighbors = || ReadAhead::new(true, |point| point.payload.clone());
         Self {
             compared: ReadAhead::new(false, |point| Sha256::digest(&point.payload).into()),
             neighbors: answers.then(neighbors),
+            held: call.answer_bytes(),
         }
     }
 
@@ -84,7 +88,9 @@ impl Payloads {
             }
             neighbors.read(call, DOING, hosted, published, ids).await?;
             let payloads = ids.iter().filter_map(|id| neighbors.get(*id));
-            bytes += payloads.map(payload_bytes).sum::<usize>();
+            let read = payloads.map(payload_bytes).sum::<usize>();
+            self.held.take(read)?;
+            bytes += read;
         }
         Ok(())
     }
@@ -92,8 +98,10 @@ impl Payloads {
     /// Catches up to the writer's newest record, or forgets the payloads.
     pub(super) fn catch_up(&mut self, hosted: &Hosted, writer: &Writer) {
         self.compared.catch_up(hosted, writer);
-        if let Some(neighbors) = &mut self.neighbors {
-            neighbors.catch_up(hosted, writer);
+        if let Some(neighbors) = &mut self.neighbors
+            && !neighbors.catch_up(hosted, writer)
+        {
+            self.held.clear();
         }
     }
 }

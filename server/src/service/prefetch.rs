@@ -4,7 +4,10 @@
 use wayfold_index::{Neighbor, Search};
 
 use super::{Error, call::TimeSlicer, check::Rows};
-use crate::registry::{Published, Writer};
+use crate::{
+    admission::AnswerBytes,
+    registry::{Published, Writer},
+};
 
 /// The neighbours of rows in one revision of the index. No point is excluded, and the rows do not see each other.
 pub(super) struct Prefetch {
@@ -13,6 +16,8 @@ pub(super) struct Prefetch {
     neighbors: Option<Search<'static>>,
     /// One a row; the last rows may be missing.
     rows: Vec<PrefetchedRow>,
+    /// The bytes of the neighbours.
+    held: AnswerBytes,
 }
 
 /// The neighbours of one row.
@@ -30,6 +35,7 @@ impl Prefetch {
         neighbors: Option<Search<'static>>,
         nearest: Option<Search<'static>>,
         most: usize,
+        held: AnswerBytes,
         pace: &mut TimeSlicer,
     ) -> Result<Self, Error> {
         let bounded = |search: Search<'static>| Search {
@@ -41,6 +47,7 @@ impl Prefetch {
             revision: published.revision,
             neighbors,
             rows: Vec::new(),
+            held,
         };
         let mut found = 0;
         for row in rows.iter() {
@@ -57,7 +64,9 @@ impl Prefetch {
                 neighbors: search(neighbors)?,
                 nearest: search(nearest)?,
             };
-            found += row_neighbors.neighbors.len();
+            let count = row_neighbors.neighbors.len();
+            prefetch.held.take(count * size_of::<Neighbor>())?;
+            found += count;
             prefetch.rows.push(row_neighbors);
             pace.step().await?;
         }

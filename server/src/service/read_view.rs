@@ -1,6 +1,6 @@
 //! The index of a call, the revision that a read sees, and its payloads.
 
-use std::sync::Arc;
+use std::{mem, sync::Arc};
 
 use bytes::Bytes;
 use wayfold_proto::v1;
@@ -13,8 +13,9 @@ use super::{
     stored,
 };
 use crate::{
+    admission::AnswerBytes,
     identity::Role,
-    log::View,
+    log::{LogError, View},
     registry::{Hosted, Published, RegistryError},
 };
 
@@ -141,8 +142,15 @@ pub(super) struct ReadView<'a> {
 
 impl ReadView<'_> {
     /// The payloads of at most [`BATCH_ROWS`](stored::BATCH_ROWS) points, in their order, up to the first that exceeds
-    /// `most` bytes of an answer.
-    pub(super) async fn payloads(&self, ids: Vec<u64>, most: usize) -> Result<Vec<Bytes>, Error> {
+    /// `most` bytes of an answer. The answer holds them in `held` from their read on: the call may wait long for its next turn.
+    pub(super) async fn payloads(
+        &self,
+        ids: Vec<u64>,
+        most: usize,
+        held: &mut AnswerBytes,
+    ) -> Result<Vec<Bytes>, Error> {
+        // A read that outlives its call gives them back at its end.
+        let mut lent = mem::take(held);
         let read = move |view: &dyn View| {
             let (mut payloads, mut bytes) = (Vec::new(), 0);
             for id in ids {
@@ -150,13 +158,19 @@ impl ReadView<'_> {
                     break;
                 }
                 let payload = view.get(id)?.map(|point| point.payload.clone());
-                bytes += payload.as_ref().map_or(0, payload_bytes);
+                let more = payload.as_ref().map_or(0, payload_bytes);
+                if let Err(full) = lent.take(more) {
+                    return Ok(Err(full));
+                }
+                bytes += more;
                 payloads.push((id, payload));
             }
-            Ok(payloads)
+            Ok::<_, LogError>(Ok((payloads, lent)))
         };
         let view = &self.published.view;
-        let payloads = stored::read(self.call, self.doing, self.index, view, read).await?;
+        let read = stored::read(self.call, self.doing, self.index, view, read).await?;
+        let (payloads, lent) = read?;
+        *held = lent;
         let payloads = payloads
             .into_iter()
             .map(|(id, payload)| payload.ok_or_else(|| missing(id)));

@@ -7,7 +7,7 @@ use wayfold_proto::v1;
 
 use super::{
     Call, Error, Service,
-    answer::PointColumns,
+    answer::{PointColumns, payload_bytes},
     check::{self, Violations},
     read_view::{ReadView, revision, revision_number, uid_of},
     revision_pin::RevisionPin,
@@ -136,6 +136,8 @@ impl Scan {
         };
         let mut pace = self.call.pace(DOING);
         let mut points = PointColumns::new(self.include);
+        // A stream counts its parts itself; a page is an answer of its own.
+        let mut held = self.call.answer_bytes();
         let mut after = self.after;
         let mut rest = published
             .snapshot
@@ -163,7 +165,7 @@ impl Scan {
                 true => {
                     let ids = batch.iter().map(|point| point.id).collect();
                     let most = self.part_bytes.saturating_sub(points.bytes());
-                    let payloads = view.payloads(ids, most).await?;
+                    let payloads = view.payloads(ids, most, &mut held).await?;
                     self.still_held()?;
                     payloads
                 }
@@ -175,7 +177,10 @@ impl Scan {
                 && let Some(point) = batch.next()
             {
                 after = Some(point.id);
-                points.push(point.by_ref(), payloads.next());
+                let payload = payloads.next();
+                let before = points.bytes() + payload.as_ref().map_or(0, payload_bytes);
+                points.push(point.by_ref(), payload);
+                held.take(points.bytes() - before)?;
             }
             if batch.peek().is_some() {
                 // The rest begins the next part.

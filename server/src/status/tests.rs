@@ -319,6 +319,22 @@ fn a_full_server_says_when_to_come_back_and_names_its_watermark() {
 }
 
 #[test]
+fn an_answer_for_which_there_is_no_room_is_refused_as_a_call_is() {
+    let error = Error::from(crate::admission::TooManyBytes(4096));
+    let status = from_error(&error);
+    assert_eq!(status, too_many_bytes(4096));
+    assert_eq!(
+        (status.code, status.reason),
+        (Code::ResourceExhausted, "TOO_MANY_BYTES")
+    );
+    let retry: pb::RetryInfo = decoded(&status, "RetryInfo");
+    assert!(retry.retry_delay.is_some());
+    let violations = decoded::<pb::QuotaFailure>(&status, "QuotaFailure").violations;
+    assert_eq!(violations[0].subject, "admission.max_bytes");
+    assert_eq!(violations[0].quota_value, 4096);
+}
+
+#[test]
 fn an_identity_with_too_many_calls_is_told_when_to_come_back() {
     let why = Denial::Unknown(IdentificationError::TooManyCalls(2));
     let status = from_error(&Error::Denied { why });

@@ -75,7 +75,7 @@ struct Accepted {
     form: Result<Form, Error>,
     arrived: Instant,
     place: OwnedSemaphorePermit,
-    held: HeldBytes,
+    held: Arc<HeldBytes>,
     turns: CallTurns,
     under_way: TaskTrackerToken,
 }
@@ -115,7 +115,7 @@ impl Queries {
             let status = status::too_many_calls("zenoh.max_calls", self.max_calls, advice);
             return self.refuse(query, form, under_way, status);
         };
-        let held = flow.hold();
+        let held = Arc::new(flow.hold());
         let bytes = size.all();
         if !held.take(bytes.saturating_add(CALL_BYTES)) {
             let status = status::too_many_bytes(flow.max_bytes());
@@ -211,6 +211,7 @@ impl Queries {
             deadline: Some(deadline),
             has_default_deadline: given.is_none(),
             permits: Some(held.flow().permits()),
+            held: Some(Arc::clone(&held)),
             ..Call::default()
         };
         let mut record = CallRecord::begin(

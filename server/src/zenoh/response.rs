@@ -1,5 +1,7 @@
 //! Responses to queries: replies, or a refusal with the status that a failed gRPC call has.
 
+use std::sync::Arc;
+
 use tokio::sync::OwnedSemaphorePermit;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 use tracing::debug;
@@ -19,7 +21,7 @@ pub(super) struct Response {
     /// The permit of the query or of its refusal; `None` for a refusal beyond the limit of those.
     pub(super) place: Option<OwnedSemaphorePermit>,
     /// The bytes of the query and of its replies.
-    pub(super) held: Option<HeldBytes>,
+    pub(super) held: Option<Arc<HeldBytes>>,
     pub(super) under_way: TaskTrackerToken,
 }
 

@@ -6,10 +6,11 @@ use wayfold_proto::{END_OF_IDS, v1};
 
 use super::{Insertion, is_same};
 use crate::{
+    admission::AnswerBytes,
     log::{Effects, Outcome},
     registry::{Hosted, Writer},
     service::{
-        Error, Limits,
+        Call, Error, Limits,
         answer::{AnswerBudget, NeighborColumns},
         payloads::{Payloads, UnreadPayloads},
         prefetch::{Prefetch, PrefetchedRow},
@@ -38,6 +39,7 @@ pub(super) struct Evaluation<'a> {
 
 impl<'a> Evaluation<'a> {
     pub(super) fn new(
+        call: &Call,
         insertion: &'a Insertion,
         hosted: &'a Hosted,
         writer: &'a Writer,
@@ -46,8 +48,9 @@ impl<'a> Evaluation<'a> {
         payloads: &'a Payloads,
     ) -> Result<Self, Error> {
         let space = hosted.space();
-        let mut budget = AnswerBudget::new(limits);
-        budget.take(insertion.rows.len() * (1 + 8))?;
+        let mut budget = AnswerBudget::new(limits, call);
+        // The request counts and has more bytes for each row.
+        budget.take_held(insertion.rows.len() * (1 + 8))?;
         Ok(Self {
             insertion,
             index: hosted.name(),
@@ -168,8 +171,10 @@ impl<'a> Evaluation<'a> {
         Ok(blocker.map(|near| near.id))
     }
 
-    /// The effects to log, and the response without its revision.
-    pub(super) fn finish(self) -> Result<(Effects, v1::InsertResponse), Error> {
+    /// The effects to log, the response without its revision, and the bytes that the response holds.
+    pub(super) fn finish(
+        self,
+    ) -> Result<(Effects, v1::InsertResponse, Option<AnswerBytes>), Error> {
         if !self.conflicts.is_empty() {
             return Err(Error::PointsExist {
                 index: self.index.into(),
@@ -182,11 +187,13 @@ impl<'a> Evaluation<'a> {
                 ids: self.reserved,
             });
         }
+        let found = self.found.map(NeighborColumns::finish_held);
+        let (neighbors, held) = found.unzip();
         let response = v1::InsertResponse {
-            neighbors: self.found.map(NeighborColumns::finish),
+            neighbors,
             ..self.response
         };
-        Ok((self.staging.into_effects(), response))
+        Ok((self.staging.into_effects(), response, held))
     }
 }
 
