@@ -81,11 +81,7 @@ impl AsRef<[u8]> for UnreadBytes {
 }
 
 /// Holds the buffer of an answer until it is written, and its connection open. The body of a response ends before that.
-pub(super) fn unread(
-    bytes: Vec<u8>,
-    held: Arc<HeldBytes>,
-    active: Vec<TaskTrackerToken>,
-) -> Bytes {
+pub(super) fn unread(bytes: Vec<u8>, held: Arc<HeldBytes>, active: Vec<TaskTrackerToken>) -> Bytes {
     held.force_take(bytes.capacity());
     Bytes::from_owner(UnreadBytes {
         bytes,

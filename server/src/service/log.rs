@@ -20,6 +20,9 @@ impl Service {
         let after = after.map_or(u64::MAX, |after| after.number);
         let watch = self.watch(call, request).await?;
         let mut watch = watch.with_message_bytes(message_bytes(self.limits()));
+        if let Some(held) = &call.held {
+            watch = watch.with_read_ahead(held.further());
+        }
         let head = next_message(&mut watch).await?;
         let newest = head.revision.as_ref();
         let newest = newest.map_or(0, |newest| newest.number);
@@ -62,4 +65,57 @@ async fn next_message(watch: &mut Watch) -> Result<v1::WatchResponse, Error> {
         what: "a watch ended without a message".into(),
     });
     message?
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{
+        sync::Arc,
+        time::{Duration, Instant},
+    };
+
+    use super::*;
+    use crate::{
+        admission::Admission,
+        config::Config,
+        testing::{arm, log_with, server, submit},
+    };
+
+    #[tokio::test]
+    async fn records_are_read_while_there_is_room_and_count_until_the_answer() {
+        let entry = arm();
+        let log = log_with(&entry, &[]);
+        for _ in 0..10 {
+            submit(&log, entry.uid);
+        }
+        let service = server(&log, &log);
+        let admission = Admission::new(&Config::default().admission, 1, 0);
+        let (other, flow) = (admission.open().hold(), admission.open());
+        let after = v1::WatchRequest {
+            index_name: "arm".into(),
+            after_revision: Some(v1::Revision {
+                uid: entry.uid.to_string(),
+                number: 0,
+            }),
+            ..Default::default()
+        };
+        let mut call = Call {
+            held: Some(Arc::new(flow.hold())),
+            deadline: Some(Instant::now() + Duration::from_millis(100)),
+            ..Call::default()
+        };
+        other.force_take(admission.bytes().1 as usize + 1);
+        let late = service.log(&call, after.clone()).await;
+        assert!(
+            matches!(late, Err(Error::DeadlineExceeded { .. })),
+            "{late:?}"
+        );
+        other.release_all();
+        call.deadline = None;
+        let answer = service.log(&call, after).await.unwrap();
+        assert_eq!(answer.mutations.len(), 10);
+        assert_eq!(flow.held(), 0);
+        // Its records take no further place among the calls of the flow.
+        assert_eq!(flow.under_way(), 1);
+    }
 }
