@@ -197,7 +197,9 @@ impl Queries {
         let target = Target::of(&self.prefix, query.key_expr().as_str());
         let verb = target.as_ref().ok().map(|target| target.verb);
         let rpc = verb.map_or("other", Verb::name);
-        let is_read = verb.is_some_and(|verb| !verb.is_mutation() && !verb.is_of_server());
+        // A wildcard reaches only what reads.
+        let is_read = query.key_expr().is_wild()
+            || verb.is_some_and(|verb| !verb.is_mutation() && !verb.is_of_server());
         let attached = attached(query.attachment());
         // It bounds the wait for a turn too. A wrong one is refused in the turn.
         let named = query.parameters().iter();

@@ -10,10 +10,13 @@ use crate::{
     verbs::{Form, invalid},
 };
 
-/// Indices described at a time.
-const PAGE_ROWS: u32 = 1000;
+/// Indices described at a time, whose descriptions nothing counts.
+const PAGE_ROWS: u32 = 100;
 
-/// The answers to a query for `key_expr`, which has a wildcard.
+/// The bytes of a reply beside its payload and the text of its key, about.
+const REPLY_BYTES: usize = 128;
+
+/// The answers to a query for `key_expr`, which has a wildcard. The call holds their bytes while they are made.
 pub(super) async fn answer(
     service: &Service,
     call: &Call,
@@ -29,11 +32,14 @@ pub(super) async fn answer(
         );
         return Err(invalid("key", "WILDCARD", text));
     }
+    let mut pace = call.pace("while describing the indices");
+    let mut held = call.answer_bytes();
     let mut replies = Replies::new();
     if lists {
         let listed = service.list_indexes(call, v1::ListIndexesRequest::default());
         let listed = status::listing(listed.await?);
         let payload = form.write(&listed)?;
+        held.take(REPLY_BYTES + list.as_str().len() + payload.len())?;
         replies.push((list.into(), payload));
     }
     let mut request = v1::ListIndexesRequest {
@@ -47,8 +53,10 @@ pub(super) async fn answer(
             if key_expr.intersects(&info) {
                 let response = v1::GetIndexResponse { index: Some(index) };
                 let payload = form.write(&response)?;
+                held.take(REPLY_BYTES + info.as_str().len() + payload.len())?;
                 replies.push((KeyExpr::from(info), payload));
             }
+            pace.step().await?;
         }
         request.page_token = page.next_page_token;
         if request.page_token.is_empty() {
@@ -62,4 +70,55 @@ fn key(text: String) -> Result<OwnedKeyExpr, Error> {
     OwnedKeyExpr::try_from(text).map_err(|error| Error::Internal {
         what: format!("a key of ours is none: {error}"),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::{
+        admission::{Admission, AdmissionConfig},
+        config::Config,
+        log::{Catalogue, Entry, MemoryLog},
+        testing::{arm, server},
+    };
+
+    #[tokio::test]
+    async fn replies_hold_bytes_while_they_are_made_and_are_refused_without_room() {
+        const MAX_BYTES: usize = 64 * 1024;
+        let log = Arc::new(MemoryLog::new());
+        for number in 0..250 {
+            let entry = Entry {
+                name: format!("arm{number}"),
+                ..arm()
+            };
+            log.create(entry).unwrap();
+        }
+        let service = server(&log, &log);
+        let config = AdmissionConfig {
+            max_bytes: MAX_BYTES,
+            ..Config::default().admission
+        };
+        let admission = Admission::new(&config, 1, 0);
+        let (other, flow) = (admission.open().hold(), admission.open());
+        let call = Call {
+            held: Some(Arc::new(flow.hold())),
+            ..Call::default()
+        };
+        let key = keyexpr::new("wayfold/v1/**").unwrap();
+        let ask = async || answer(&service, &call, "wayfold/v1", key, Form::Json).await;
+        // Only flows that hold little may take the last eighth.
+        other.force_take(MAX_BYTES / 8 * 7 + 1);
+        let refused = ask().await.map(|replies| replies.len());
+        assert!(
+            matches!(refused, Err(Error::TooManyBytes { .. })),
+            "{refused:?}"
+        );
+        assert_eq!(flow.held(), 0);
+        other.release_all();
+        // The list is a reply too.
+        assert_eq!(ask().await.unwrap().len(), 251);
+        assert_eq!(flow.held(), 0);
+    }
 }
