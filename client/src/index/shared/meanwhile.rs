@@ -7,7 +7,7 @@ use std::collections::{HashMap, HashSet, VecDeque};
 
 use wayfold_index::{ForestSnapshot, Neighbor, Search, Space};
 
-use super::rebased::Content;
+use super::rebased::{Content, Difference};
 use arrival::Arrival;
 pub(super) use arrival::Reloaded;
 pub(super) use open_search::{InsertSearch, OpenSearch};
@@ -15,7 +15,7 @@ pub(super) use open_search::{InsertSearch, OpenSearch};
 /// The most bytes of the answers that wait for the caller.
 const MAX_BYTES: usize = 16 << 20;
 
-/// The most points of others that wait for open searches, 48 bytes each.
+/// The most points of others that wait for open searches, 56 bytes each.
 const MAX_ARRIVALS: usize = 1 << 20;
 
 /// The most neighbours of a superset of all points that no distance bounds: the nearest ones. It may miss a neighbour if
@@ -117,14 +117,26 @@ impl OpenSearches {
         self.open > 0
     }
 
-    /// Another writer stored a point, as change number `change` of the copy; `old_tag` if only its tag is new.
-    pub(super) fn push(&mut self, change: u64, id: u64, old_tag: Option<u64>) {
+    /// Another writer stored a point, as change number `change` of the copy.
+    pub(super) fn push(&mut self, change: u64, id: u64, difference: Difference) {
         if self.are_open() {
             self.stored.push_back(Arrival {
                 change,
                 id,
-                old_tag,
+                difference,
                 revision: None,
+            });
+        }
+    }
+
+    /// The copy was read again, as change number `change`: others may have stored this point before or after any search.
+    pub(super) fn push_unplaced(&mut self, change: u64, id: u64) {
+        if self.are_open() {
+            self.stored.push_back(Arrival {
+                change,
+                id,
+                difference: Difference::plain(None),
+                revision: Some(0),
             });
         }
     }
@@ -136,7 +148,7 @@ impl OpenSearches {
             let stored = stored.map(|&(id, revision, old_tag)| Arrival {
                 change,
                 id,
-                old_tag,
+                difference: Difference::plain(old_tag),
                 revision: Some(revision),
             });
             self.stored.extend(stored);
@@ -273,14 +285,15 @@ impl Answerable {
             let Some(first) = unseen.clone().next() else {
                 return false;
             };
-            let is_new = unseen.clone().any(|arrival| arrival.old_tag.is_none());
+            let mut old_tags = unseen.clone().map(|arrival| arrival.difference.old_tag);
+            let is_new = old_tags.any(|old_tag| old_tag.is_none());
             // Another writer may have stored a point under the same id.
             let is_other = *id != open.id;
-            is_other && passes(*tag) && (is_new || !first.old_tag.is_some_and(passes))
+            is_other && passes(*tag) && (is_new || !first.difference.old_tag.is_some_and(passes))
         });
         let neighbors = unseen.map(|(changes, id, (_, row))| {
             let distance = space.distance(&open.row, row);
-            let last = changes.last();
+            let last = changes.iter().rfind(|arrival| !arrival.is_hidden(open));
             let is_before = last.is_some_and(|it| it.is_unseen(open) && it.is_before(open));
             (Neighbor { distance, id }, is_before)
         });

@@ -168,17 +168,19 @@ impl PendingWrites {
         step: &Step<'_>,
         points: &mut LocalPoints,
     ) -> Result<(), Error> {
+        let made = points.read_revision().0 + 1;
         if !self.rebased.contains_key(&id) {
             let shown = points.get(id);
             let rebased = match &shown {
                 // The insert is pending too.
                 Some(point) if self.is_pending_insert(id) => {
                     let mut rebased = RebasedPoint::new(None);
-                    rebased.push(&Step::Put {
+                    let insert = Step::Put {
                         tag: point.tag,
                         row: &point.row,
                         payload: &[],
-                    });
+                    };
+                    rebased.push(&insert, made);
                     rebased
                 }
                 _ => RebasedPoint::new(shown.map(|point| (point.tag, point.row))),
@@ -197,7 +199,7 @@ impl PendingWrites {
             Step::SetPayload(_) => drop(points.touch(id)?),
         }
         if let Some(rebased) = self.rebased.get_mut(&id) {
-            rebased.push(step);
+            rebased.push(step, made);
         }
         let bytes = REBASED_STEP_BYTES + 2 * size_of::<f64>() * self.width;
         self.push(id, step).kept_bytes += bytes;

@@ -21,7 +21,57 @@ pub(super) struct RebasedPoint {
     /// The published point.
     pub(super) base: Option<Content>,
     /// The pending writes, the oldest first.
-    pending: VecDeque<Change>,
+    pending: VecDeque<PendingChange>,
+}
+
+#[derive(Debug)]
+struct PendingChange {
+    /// The copy's change from which on searches see the write.
+    made: u64,
+    change: Change,
+}
+
+/// A change of a published point, as the searches of own inserts see it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Difference {
+    /// The tag that the searches saw, if only the tag is new.
+    pub(super) old_tag: Option<u64>,
+    /// Searches from this change of the copy on followed an own write that hides the difference.
+    pub(super) hidden_from: u64,
+}
+
+impl Difference {
+    /// A difference that no own write hides; `old_tag` if only the tag is new.
+    pub(super) fn plain(old_tag: Option<u64>) -> Difference {
+        Difference {
+            old_tag,
+            hidden_from: u64::MAX,
+        }
+    }
+
+    /// The point `now` in place of the point `seen`, with these own writes after either. An equal state counts as another
+    /// if it `is_new`.
+    fn between<'a>(
+        mut seen: Option<Shown<'a>>,
+        mut now: Option<Shown<'a>>,
+        is_new: bool,
+        mut writes: impl Iterator<Item = &'a PendingChange>,
+    ) -> Difference {
+        let state = |point: Option<Shown<'a>>| point.map(|(_, row)| row);
+        let mut is_old_state = !is_new && state(seen) == state(now);
+        let tag = seen.map(|(tag, _)| tag);
+        let old_tag = if is_old_state { tag } else { None };
+        let hiding = writes.find(|&write| {
+            seen = write.change.apply(seen);
+            now = write.change.apply(now);
+            is_old_state |= write.change.sets_state();
+            is_old_state && seen == now
+        });
+        Difference {
+            old_tag,
+            hidden_from: hiding.map_or(u64::MAX, |write| write.made),
+        }
+    }
 }
 
 #[derive(Debug)]
@@ -35,6 +85,11 @@ enum Change {
 }
 
 impl Change {
+    /// True if the point has the state of the change after it, or none.
+    fn sets_state(&self) -> bool {
+        matches!(self, Change::Put(_) | Change::Replace(_) | Change::Remove)
+    }
+
     /// Applies the change to a point.
     fn apply<'a>(&'a self, point: Option<Shown<'a>>) -> Option<Shown<'a>> {
         match self {
@@ -55,14 +110,16 @@ impl RebasedPoint {
         }
     }
 
-    pub(super) fn push(&mut self, step: &Step<'_>) {
-        self.pending.push_back(match *step {
+    /// Adds the newest write, which searches from the change `made` of the copy on see.
+    pub(super) fn push(&mut self, step: &Step<'_>, made: u64) {
+        let change = match *step {
             Step::Put { tag, row, .. } => Change::Put((tag, row.to_vec())),
             Step::Replace { row } => Change::Replace(row.to_vec()),
             Step::Remove => Change::Remove,
             Step::SetTag(tag) => Change::SetTag(tag),
             Step::SetPayload(_) => Change::SetPayload,
-        });
+        };
+        self.pending.push_back(PendingChange { made, change });
     }
 
     /// True if the published point has another tag or state than this row.
@@ -71,13 +128,30 @@ impl RebasedPoint {
         base.is_some_and(|(tag, state)| *tag != row.tag || state != row.row)
     }
 
+    /// The difference that this row makes as the published point.
+    pub(super) fn difference(&self, row: &NewRow<'_>) -> Difference {
+        let now = Some((row.tag, row.row));
+        Difference::between(self.published(), now, row.is_new, self.pending.iter())
+    }
+
+    /// True if a search may have seen another point than this one under the id, or none.
+    pub(super) fn may_have_shown_other(&self, point: Shown<'_>) -> bool {
+        let mut shown = self.published();
+        let mut is_other = shown != Some(point);
+        for write in &self.pending {
+            shown = write.change.apply(shown);
+            is_other |= shown != Some(point);
+        }
+        is_other
+    }
+
     /// The oldest pending write is published now. If `base` `is_newer`, it has that write already. True if no write is
     /// pending any more.
     pub(super) fn confirm(&mut self, is_newer: bool) -> bool {
-        if let Some(change) = self.pending.pop_front()
+        if let Some(oldest) = self.pending.pop_front()
             && !is_newer
         {
-            let confirmed = change.apply(self.published());
+            let confirmed = oldest.change.apply(self.published());
             self.base = confirmed.map(|(tag, row)| (tag, row.to_vec()));
         }
         self.pending.is_empty()
@@ -95,7 +169,7 @@ impl RebasedPoint {
 
     /// The point that the copy shows.
     pub(super) fn shown(&self) -> Option<Shown<'_>> {
-        let changes = self.pending.iter();
-        changes.fold(self.published(), |point, change| change.apply(point))
+        let writes = self.pending.iter();
+        writes.fold(self.published(), |point, write| write.change.apply(point))
     }
 }

@@ -6,19 +6,24 @@ use super::{
     MAX_ARRIVALS,
     open_search::{AFTER_ALL, OpenSearch},
 };
+use crate::index::shared::rebased::Difference;
 
 /// A point that another writer stored.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Arrival {
     pub(super) change: u64,
     pub(super) id: u64,
-    /// Its tag before, if only the tag is new.
-    pub(super) old_tag: Option<u64>,
-    /// The revision of its state, if the copy was read again.
+    pub(super) difference: Difference,
+    /// The revision of its state, if the copy was read again; 0 if that is not known.
     pub(super) revision: Option<u64>,
 }
 
 impl Arrival {
+    /// True if the answer of the search is the same with and without it, because of own writes before the search.
+    pub(super) fn is_hidden(&self, open: &OpenSearch) -> bool {
+        open.change >= self.difference.hidden_from
+    }
+
     /// True if the answer of the search could not see it, and it came before the point of the search. (If the copy was read
     /// again, it may have come after.)
     pub(super) fn is_unseen(&self, open: &OpenSearch) -> bool {
@@ -27,13 +32,14 @@ impl Arrival {
             // The feed brings points that are newer than the copy.
             None => open.revision == Some(AFTER_ALL) || self.change < open.last_reload,
         };
-        self.change > open.change && may_be_before
+        self.change > open.change && may_be_before && !self.is_hidden(open)
     }
 
     /// True if it certainly came before the point of the search.
     pub(super) fn is_before(&self, open: &OpenSearch) -> bool {
         let is_in_order = match self.revision {
-            Some(_) => open.revision.is_some() && self.old_tag.is_none(),
+            Some(0) => false,
+            Some(_) => open.revision.is_some() && self.difference.old_tag.is_none(),
             None => self.change < open.first_reload,
         };
         open.revision == Some(AFTER_ALL) || is_in_order

@@ -100,7 +100,7 @@ fn scaled(
     let mut searches = OpenSearches::default();
     searches.open();
     for (id, _, _) in stored.clone().skip(old) {
-        searches.push(id + 1, id, None);
+        searches.push(id + 1, id, Difference::plain(None));
     }
     let content = |id: u64| vec![(usize::MAX, Some((0, vec![places[id as usize - 1]])))];
     let answerable = searches.answerable(

@@ -10,7 +10,10 @@ use crate::{
     Error,
     index::{
         local::{LocalPoints, NewRow},
-        shared::meanwhile::{Answerable, Reloaded, Versions},
+        shared::{
+            meanwhile::{Answerable, Reloaded, Versions},
+            rebased::Difference,
+        },
     },
 };
 
@@ -167,8 +170,12 @@ impl PendingWrites {
             if is_departure {
                 self.open_searches.depart(change);
             }
-            self.open_searches
-                .push(change, row.id, held.map(|held| held.tag));
+            let difference = match self.rebased.get(&row.id) {
+                // The copy shows own writes too, which a search may precede.
+                Some(rebased) => rebased.difference(&row),
+                None => Difference::plain(held.map(|held| held.tag)),
+            };
+            self.open_searches.push(change, row.id, difference);
             match self.rebased.get_mut(&row.id) {
                 None => plain.push(row),
                 Some(rebased) => {
@@ -228,6 +235,7 @@ impl PendingWrites {
         changes: &Reloaded,
         points: &mut LocalPoints,
     ) -> Result<Vec<Answerable>, Error> {
+        self.compare_rebased(points);
         self.rebased.clear();
         self.published_points = points.forest.len();
         let change = points.read_revision().0;
@@ -249,13 +257,35 @@ impl PendingWrites {
                     .rebased
                     .entry(id)
                     .or_insert_with(|| RebasedPoint::new(base()));
-                rebased.push(&step);
+                rebased.push(&step, change);
             }
         }
         for (&id, rebased) in &self.rebased {
             show(id, rebased, points)?;
         }
         Ok(answerable)
+    }
+
+    /// Notes the points with pending writes that the copy which was read again has in another form, or lacks: a search
+    /// that precedes a pending write saw another point than the old copy showed.
+    fn compare_rebased(&mut self, points: &LocalPoints) {
+        if !self.open_searches.are_open() {
+            return;
+        }
+        let change = points.read_revision().0;
+        for (&id, rebased) in &self.rebased {
+            match points.get(id) {
+                Some(point) if rebased.may_have_shown_other((point.tag, &point.row[..])) => {
+                    self.open_searches.depart(change);
+                    self.open_searches.push_unplaced(change, id);
+                }
+                // The old copy did not show it.
+                None if rebased.shown().is_none() && !self.is_pending_insert(id) => {
+                    self.open_searches.depart(change);
+                }
+                _ => {}
+            }
+        }
     }
 
     /// The server refused the oldest batch that it has not taken, for good: takes all writes from there on out of the

@@ -1,5 +1,7 @@
 //! The answers to searches, without a server.
 
+mod hidden;
+
 use super::*;
 
 /// Inserts a point at 0, whose search found the point 1 at distance 1.

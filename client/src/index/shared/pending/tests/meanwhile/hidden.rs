@@ -1,0 +1,122 @@
+//! Points of others that own pending writes hide from this process, or that it sees otherwise because of them.
+
+use super::*;
+
+/// The points within 1.0 whose tag is odd.
+fn odd_tags() -> Search<'static> {
+    let mut search = Search::nearest_r(1.0);
+    (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
+    search
+}
+
+/// Inserts a point at 0, whose search found these points.
+fn ask(
+    writes: &mut PendingWrites,
+    points: &mut LocalPoints,
+    search: &Search<'_>,
+    found: &[(u64, f64)],
+) {
+    let id = insert(writes, points, 0.0);
+    let found = found.iter();
+    let found: Vec<_> = found
+        .map(|&(id, distance)| Neighbor { distance, id })
+        .collect();
+    let change = points.read_revision().0;
+    writes.note_search(id, &[0.0], &(*search).into(), &found, change);
+}
+
+fn change(writes: &mut PendingWrites, points: &mut LocalPoints, id: u64, step: &Step<'_>) {
+    writes.change(id, step, points).expect("a point");
+}
+
+fn told(answers: &[Meanwhile]) -> Vec<Vec<u64>> {
+    answers.iter().map(neighbor_ids).collect()
+}
+
+/// The first search precedes the own tag. The second one has seen it.
+#[test]
+fn a_tag_that_another_writer_sets_before_an_own_one_is_told_to_the_searches_between() {
+    let (mut writes, mut points) = pending_writes();
+    foreign(&mut writes, &mut points, 2, 0, 0.5);
+    ask(&mut writes, &mut points, &odd_tags(), &[]);
+    change(&mut writes, &mut points, 2, &Step::SetTag(1));
+    ask(&mut writes, &mut points, &odd_tags(), &[(2, 0.5)]);
+    foreign_tag(&mut writes, &mut points, 2, 1);
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 1);
+    assert_eq!(told(&answers), [vec![2], Vec::<u64>::new()]);
+    assert!(answers.iter().all(|answer| !answer.is_superset));
+}
+
+/// The copy hides the point only after the search.
+#[test]
+fn a_point_that_a_search_saw_is_not_told_for_another_tag_of_the_search() {
+    for step in [Step::SetTag(0), Step::Remove] {
+        let (mut writes, mut points) = pending_writes();
+        foreign(&mut writes, &mut points, 2, 1, 0.5);
+        ask(&mut writes, &mut points, &odd_tags(), &[(2, 0.5)]);
+        change(&mut writes, &mut points, 2, &step);
+        let stored = NewRow {
+            id: 2,
+            tag: 3,
+            row: &[0.5],
+            is_new: false,
+        };
+        writes
+            .apply([stored].into_iter(), &[], &mut points)
+            .expect("a state");
+        writes.next(1, 0).expect("a batch");
+        let answers = confirmed(&mut writes, &mut points, 1);
+        assert_eq!(told(&answers), [Vec::<u64>::new()], "{step:?}");
+    }
+}
+
+/// The own state comes after that of the other writer. The first search precedes both.
+#[test]
+fn a_state_that_an_own_one_replaced_before_the_search_is_not_told() {
+    let (mut writes, mut points) = pending_writes();
+    let search = Search::nearest_r(1.0);
+    foreign(&mut writes, &mut points, 2, 0, 5.0);
+    ask(&mut writes, &mut points, &search, &[]);
+    change(&mut writes, &mut points, 2, &Step::Replace { row: &[0.5] });
+    ask(&mut writes, &mut points, &search, &[(2, 0.5)]);
+    foreign(&mut writes, &mut points, 2, 0, 0.25);
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 1);
+    assert_eq!(told(&answers), [vec![2], Vec::<u64>::new()]);
+}
+
+#[test]
+fn after_a_reload_a_tag_that_own_and_other_writers_set_is_told() {
+    let (mut writes, mut points) = pending_writes();
+    foreign(&mut writes, &mut points, 2, 0, 0.5);
+    ask(&mut writes, &mut points, &odd_tags(), &[]);
+    change(&mut writes, &mut points, 2, &Step::SetTag(1));
+    reload(&mut writes, &mut points, 30, &[(2, 1, 0.5)]);
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 1);
+    assert_eq!(told(&answers), [[2]]);
+    assert!(answers[0].is_superset);
+}
+
+/// The search found the point 1. An own write hides it, and the other writers do the same before.
+#[test]
+fn after_a_reload_a_neighbor_that_own_and_other_writers_removed_has_left() {
+    let search = Search {
+        k: 1,
+        radius: f64::INFINITY,
+        ..odd_tags()
+    };
+    let steps = [Step::SetTag(0), Step::Remove];
+    for (step, rest) in steps.iter().zip([Some((1, 0, 1.0)), None]) {
+        let (mut writes, mut points) = pending_writes();
+        foreign(&mut writes, &mut points, 1, 1, 1.0);
+        ask(&mut writes, &mut points, &search, &[(1, 1.0)]);
+        change(&mut writes, &mut points, 1, step);
+        let rows: Vec<_> = rest.into_iter().chain([(7, 1, 2.0)]).collect();
+        reload(&mut writes, &mut points, 30, &rows);
+        writes.next(1, 0).expect("a batch");
+        let answers = confirmed(&mut writes, &mut points, 1);
+        assert_eq!(told(&answers), [[7]], "{step:?}");
+    }
+}
