@@ -134,6 +134,15 @@ impl RebasedPoint {
         Difference::between(self.published(), now, row.is_new, self.pending.iter())
     }
 
+    /// The difference that the published point makes once it shows, because it has the oldest pending write already and
+    /// maybe later ones of others. None if it makes none.
+    pub(super) fn uncovered(&self) -> Option<Difference> {
+        let mut later = self.pending.iter();
+        let now = self.published();
+        let seen = later.next()?.change.apply(now);
+        (seen != now).then(|| Difference::between(seen, now, false, later))
+    }
+
     /// True if a search may have seen another point than this one under the id, or none.
     pub(super) fn may_have_shown_other(&self, point: Shown<'_>) -> bool {
         let mut shown = self.published();

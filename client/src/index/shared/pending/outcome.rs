@@ -115,6 +115,14 @@ impl PendingWrites {
                 before.entry(id).or_default().push((step, base));
             }
             let was_stored = rebased.base.is_some();
+            if is_newer && let Some(difference) = rebased.uncovered() {
+                // The own write hid from later searches what others did after it.
+                let change = points.read_revision().0 + 1;
+                self.open_searches.depart(change);
+                if was_stored {
+                    self.open_searches.push(change, id, difference);
+                }
+            }
             let was_last = rebased.confirm(is_newer);
             self.published_points += usize::from(rebased.base.is_some());
             self.published_points -= usize::from(was_stored);

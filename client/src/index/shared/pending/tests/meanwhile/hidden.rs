@@ -120,3 +120,61 @@ fn after_a_reload_a_neighbor_that_own_and_other_writers_removed_has_left() {
         assert_eq!(told(&answers), [[7]], "{step:?}");
     }
 }
+
+/// The copy was read again with an own state and a later one of another writer, before the answer to the own write. A
+/// later own state may hide the other one again.
+#[test]
+fn a_state_that_shows_once_an_own_write_is_confirmed_is_told() {
+    let search = Search::nearest_r(1.0);
+    let far = Step::Replace { row: &[9.0] };
+    for is_hidden_again in [false, true] {
+        let (mut writes, mut points) = pending_writes();
+        foreign(&mut writes, &mut points, 5, 0, 5.0);
+        change(&mut writes, &mut points, 5, &far);
+        writes.next(1, 0).expect("a batch");
+        reload(&mut writes, &mut points, 20, &[(5, 0, 0.5)]);
+        ask(&mut writes, &mut points, &search, &[]);
+        if is_hidden_again {
+            change(&mut writes, &mut points, 5, &far);
+        }
+        writes.acknowledge(1, 15, 20, &mut points).expect("a batch");
+        writes.next(1, 0).expect("a batch");
+        let answers = confirmed(&mut writes, &mut points, 2);
+        assert_eq!(told(&answers), [[5]], "{is_hidden_again}");
+        assert!(!answers[0].is_superset);
+    }
+}
+
+#[test]
+fn a_tag_of_the_search_that_shows_in_place_of_another_one_is_not_told() {
+    let (mut writes, mut points) = pending_writes();
+    foreign(&mut writes, &mut points, 5, 0, 0.5);
+    change(&mut writes, &mut points, 5, &Step::SetTag(1));
+    writes.next(1, 0).expect("a batch");
+    reload(&mut writes, &mut points, 20, &[(5, 3, 0.5)]);
+    ask(&mut writes, &mut points, &odd_tags(), &[(5, 0.5)]);
+    writes.acknowledge(1, 15, 20, &mut points).expect("a batch");
+    assert_eq!(shown(&points, 5), Some((3, 0.5)));
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 2);
+    assert_eq!(told(&answers), [Vec::<u64>::new()]);
+}
+
+/// The answer to the batch of the removed point comes after the copy was read again.
+#[test]
+fn an_own_point_that_others_removed_has_left_once_its_batch_is_confirmed() {
+    let (mut writes, mut points) = pending_writes();
+    let near = insert(&mut writes, &mut points, 1.0);
+    writes.next(1, 0).expect("a batch");
+    ask(
+        &mut writes,
+        &mut points,
+        &Search::nearest_k(1),
+        &[(near, 1.0)],
+    );
+    reload(&mut writes, &mut points, 30, &[(7, 0, 2.0)]);
+    writes.acknowledge(1, 5, 30, &mut points).expect("a batch");
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 2);
+    assert_eq!(told(&answers), [[7]]);
+}
