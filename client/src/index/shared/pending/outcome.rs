@@ -243,7 +243,7 @@ impl PendingWrites {
         changes: &Reloaded,
         points: &mut LocalPoints,
     ) -> Result<Vec<Answerable>, Error> {
-        self.compare_rebased(points);
+        self.compare_rebased(revision, points);
         self.rebased.clear();
         self.published_points = points.forest.len();
         let change = points.read_revision().0;
@@ -251,8 +251,7 @@ impl PendingWrites {
             open.reload(change);
         }
         let mut departed = changes.departed.iter();
-        // An own insert may not be in it yet.
-        if departed.any(|id| !self.is_pending_insert(*id)) {
+        if departed.any(|id| !self.may_be_missing(*id, revision)) {
             self.open_searches.depart(change);
         }
         self.open_searches.reload(change, changes);
@@ -276,7 +275,7 @@ impl PendingWrites {
 
     /// Notes the points with pending writes that the copy which was read again has in another form, or lacks: a search
     /// that precedes a pending write saw another point than the old copy showed.
-    fn compare_rebased(&mut self, points: &LocalPoints) {
+    fn compare_rebased(&mut self, revision: u64, points: &LocalPoints) {
         if !self.open_searches.are_open() {
             return;
         }
@@ -288,12 +287,20 @@ impl PendingWrites {
                     self.open_searches.push_unplaced(change, id);
                 }
                 // The old copy did not show it.
-                None if rebased.shown().is_none() && !self.is_pending_insert(id) => {
+                None if rebased.shown().is_none() && !self.may_be_missing(id, revision) => {
                     self.open_searches.depart(change);
                 }
                 _ => {}
             }
         }
+    }
+
+    /// True if the copy of this revision may lack the point because it was read before the own insert. If the answer to the
+    /// insert is missing, the confirmation of its batch tells.
+    fn may_be_missing(&self, id: u64, revision: u64) -> bool {
+        let is_later = |batch: &&Batch| batch.revision.is_none_or(|own| own > revision);
+        let mut later = self.queue.iter().filter(is_later);
+        later.any(|batch| batch.has_assigned(id))
     }
 
     /// The server refused the oldest batch that it has not taken, for good: takes all writes from there on out of the

@@ -160,6 +160,26 @@ fn a_tag_of_the_search_that_shows_in_place_of_another_one_is_not_told() {
     assert_eq!(told(&answers), [Vec::<u64>::new()]);
 }
 
+/// The server acknowledged the removed point before the copy was read again, and the feed has not named it.
+#[test]
+fn after_a_reload_an_own_acknowledged_point_that_others_removed_has_left() {
+    let (mut writes, mut points) = pending_writes();
+    let near = insert(&mut writes, &mut points, 1.0);
+    writes.next(1, 0).expect("a batch");
+    let early = writes.acknowledge(1, 5, 4, &mut points).expect("a batch");
+    assert!(early.is_empty());
+    ask(
+        &mut writes,
+        &mut points,
+        &Search::nearest_k(1),
+        &[(near, 1.0)],
+    );
+    reload(&mut writes, &mut points, 30, &[(7, 0, 2.0)]);
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 2);
+    assert_eq!(told(&answers), [[7]]);
+}
+
 /// The answer to the batch of the removed point comes after the copy was read again.
 #[test]
 fn an_own_point_that_others_removed_has_left_once_its_batch_is_confirmed() {
