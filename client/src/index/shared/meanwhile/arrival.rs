@@ -39,7 +39,11 @@ impl Arrival {
     pub(super) fn is_before(&self, open: &OpenSearch) -> bool {
         let is_in_order = match self.revision {
             Some(0) => false,
-            Some(_) => open.revision.is_some() && self.difference.old_tag.is_none(),
+            // Only the place of its state is known: its tag may have passed the filter later.
+            Some(_) => {
+                let any_tag = open.filter.tag_mask == 0;
+                any_tag && open.revision.is_some() && self.difference.old_tag.is_none()
+            }
             None => self.change < open.first_reload,
         };
         open.revision == Some(AFTER_ALL) || is_in_order

@@ -62,6 +62,17 @@ fn reload(
     revision: u64,
     rows: &[(u64, u64, f64)],
 ) -> Vec<Meanwhile> {
+    reload_at(writes, points, revision, rows, revision)
+}
+
+/// A copy that was read again at a revision, with points whose states were stored at another one.
+fn reload_at(
+    writes: &mut PendingWrites,
+    points: &mut LocalPoints,
+    revision: u64,
+    rows: &[(u64, u64, f64)],
+    stored_at: u64,
+) -> Vec<Meanwhile> {
     let change = points.read_revision().0 + 1_000;
     let mut forest = Forest::new(space(), ForestOptions::for_space(&space()));
     let mut table = Points::new(1);
@@ -70,7 +81,7 @@ fn reload(
     }
     forest.apply(change, &table, &[]).expect("states");
     let old = points.forest.snapshot();
-    let changes = Reloaded::between(&old, &forest.snapshot(), &vec![revision; rows.len()]);
+    let changes = Reloaded::between(&old, &forest.snapshot(), &vec![stored_at; rows.len()]);
     points.replace(forest);
     let answerable = writes.reloaded(revision, &changes, points).expect("a copy");
     let space = space();

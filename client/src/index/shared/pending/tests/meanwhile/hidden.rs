@@ -198,3 +198,21 @@ fn an_own_point_that_others_removed_has_left_once_its_batch_is_confirmed() {
     let answers = confirmed(&mut writes, &mut points, 2);
     assert_eq!(told(&answers), [[7]]);
 }
+
+/// The state of the nearer one precedes the insert. Its tag may have been 0 then, and the other one was the nearest.
+#[test]
+fn after_a_reload_a_point_whose_tag_may_be_newer_takes_no_place_of_another() {
+    let (mut writes, mut points) = pending_writes();
+    let search = Search {
+        k: 1,
+        radius: f64::INFINITY,
+        ..odd_tags()
+    };
+    ask(&mut writes, &mut points, &search, &[]);
+    writes.next(1, 0).expect("a batch");
+    let taken = writes.acknowledge(1, 8, 0, &mut points);
+    assert!(taken.expect("a batch").is_empty());
+    let rows = [(6, 1, 0.5), (7, 1, 1.0)];
+    let answers = reload_at(&mut writes, &mut points, 30, &rows, 7);
+    assert_eq!(told(&answers), [[6, 7]]);
+}
