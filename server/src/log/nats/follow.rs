@@ -270,8 +270,11 @@ pub(super) async fn forget(connection: &Connection, uid: Uid, up_to: u64) -> Res
         Some((first, _)) if first.last_record.revision <= up_to => {}
         _ => return Ok(()),
     }
-    let sequence = sequence_after(connection, uid, up_to, last).await?;
-    connection.purge_before(uid, sequence).await
+    match sequence_after(connection, uid, up_to, last).await? {
+        // Another server has purged the messages meanwhile. NATS takes 1 for no bound and would purge the newest too.
+        0 | 1 => Ok(()),
+        sequence => connection.purge_before(uid, sequence).await,
+    }
 }
 
 /// The sequence number from which the next message of the index holds the record after `after`. `last` is the newest
