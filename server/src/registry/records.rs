@@ -7,7 +7,9 @@ use tokio::time::timeout;
 use tracing::{info, warn};
 
 use super::{Hosted, Published, Registry, RegistryError, Writer};
-use crate::log::{Digest, Journal, LogError, Operation, Record, RecordPosition, Uid};
+use crate::log::{
+    Digest, Journal, LogError, Operation, Record, RecordPosition, Uid, position_after,
+};
 
 /// The time in which an index of a starting server catches up with a journal, before it is served as it is.
 const CATCH_UP_TIME: Duration = Duration::from_secs(60);
@@ -62,7 +64,8 @@ impl Registry {
 impl Hosted {
     /// The published records after the revision `after`: the first ones that fit into `max_bytes` (see
     /// [`Effects::bytes`](crate::log::Effects::bytes)), but at least one if there is any. The error is
-    /// [`LogError::Trimmed`](crate::log::LogError::Trimmed) if the log no longer holds them.
+    /// [`LogError::Trimmed`](crate::log::LogError::Trimmed) if the log no longer holds them, and another one if a shared
+    /// journal has lost them or has others in their place.
     pub async fn mutations(
         self: &Arc<Self>,
         after: u64,
@@ -81,7 +84,42 @@ impl Hosted {
             Err(error) => return Err(error),
         };
         records.retain(|record| record.revision() <= last);
-        Ok(records)
+        if records.is_empty() && after < last {
+            // NATS has lost the records that this server has applied: a watch would read again and again.
+            return Err(RegistryError::Log(LogError::JournalBehind {
+                uid: self.uid(),
+                head: after,
+                applied: last,
+            }));
+        }
+        if !self.is_shared() {
+            return Ok(records);
+        }
+        let hosted = Arc::clone(self);
+        let checking = move || hosted.check_applied(&records, last).map(|()| records);
+        let checked = tokio::task::spawn_blocking(checking).await;
+        checked.map_err(|_| RegistryError::Stopped)?
+    }
+
+    /// Fails unless these records of a shared journal are those that this server has applied, as far as it keeps their
+    /// digests. `published` is its newest revision. Blocks.
+    fn check_applied(&self, records: &[Arc<Record>], published: u64) -> Result<(), RegistryError> {
+        let [first, rest @ ..] = records else {
+            return Ok(());
+        };
+        let newest = rest.last().unwrap_or(first).position();
+        let applied = self.digest_at(newest.revision)?;
+        if applied.is_some_and(|applied| applied != newest.digest) {
+            return Err(LogError::replaced(self.uid(), newest.revision).into());
+        }
+        match position_after(self.uid(), first.position(), rest) {
+            Ok(_) => Ok(()),
+            // This server has passed the break with a copy of another one.
+            Err(_) if !self.is_closed() => {
+                Err(LogError::trimmed(self.uid(), first.revision() - 1, published).into())
+            }
+            Err(error) => Err(error.into()),
+        }
     }
 
     /// The same, if they are in memory.

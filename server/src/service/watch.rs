@@ -376,3 +376,6 @@ fn piece(
     };
     (mutation, at)
 }
+
+#[cfg(test)]
+mod tests;
