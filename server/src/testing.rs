@@ -7,8 +7,8 @@ use wayfold_index::PointRef;
 
 use crate::{
     log::{
-        Catalogue, Effects, Entry, Journal, Log, MemoryLog, Operation, Outcome, PointStore, Record,
-        Retention, Uid,
+        Catalogue, Effects, Entry, Journal, Log, MemoryLog, Operation, Origin, Outcome, PointStore,
+        Record, Retention, Sessions, StoredPoint, Uid,
     },
     registry::{Registry, RegistryOptions},
     service::{Limits, Service},
@@ -97,6 +97,30 @@ pub(crate) fn submit(log: &MemoryLog, uid: Uid) {
     })));
     let run = *Uid::unique().as_bytes();
     append(log, uid, &Arc::new(Record::made_by(run, position, effects)));
+}
+
+/// A log whose index has a point that no index of the space can have, so that no server can read it.
+pub(crate) fn unreadable(entry: &Entry) -> Arc<MemoryLog> {
+    let log = Arc::new(MemoryLog::new());
+    let origin = Origin {
+        revision: 3,
+        next_id: 1,
+        digest: [1; 32],
+    };
+    let damaged = log.restore(entry.clone(), origin, false);
+    let mut damaged = damaged.expect("a new index");
+    let wide = StoredPoint {
+        id: 0,
+        revision: 1,
+        modified: 1,
+        tag: 0,
+        state: Box::new([0.5, 0.5]),
+        payload: Default::default(),
+    };
+    damaged.add(&[wide]).expect("a point");
+    let finished = damaged.finish(Sessions::default(), Vec::new());
+    finished.expect("an index");
+    log
 }
 
 /// Trims all but the newest record.

@@ -7,8 +7,8 @@ use std::{
     cmp::Reverse,
     collections::BTreeMap,
     sync::{
-        Arc,
-        atomic::{AtomicBool, AtomicU64, Ordering::Relaxed},
+        Arc, OnceLock,
+        atomic::{AtomicU64, Ordering::Relaxed},
     },
     time::{Duration, Instant},
 };
@@ -49,7 +49,7 @@ struct Announcement {
     address: String,
     /// A name of its run.
     run: String,
-    /// False if it is about to stop, has not started yet, or does not hear NATS.
+    /// False if it is about to stop, has not started yet, does not hear NATS, or cannot read its store.
     serves: bool,
 }
 
@@ -75,21 +75,33 @@ struct Shared {
     hears_all: watch::Sender<bool>,
     /// The number of times that they changed, from 1 on.
     changes: AtomicU64,
-    /// False until the server serves.
-    is_serving: AtomicBool,
+    /// False while another server answers better; unset until the server serves.
+    fitness: OnceLock<watch::Receiver<bool>>,
+}
+
+impl Shared {
+    fn new() -> Self {
+        Self {
+            live: watch::Sender::default(),
+            silent: broadcast::Sender::new(MAX_SILENT),
+            hears_all: watch::Sender::new(false),
+            changes: AtomicU64::new(1),
+            fitness: OnceLock::new(),
+        }
+    }
+
+    /// True if the others may call this server, whose address is `address`.
+    fn serves(&self, address: &str) -> bool {
+        let is_fit = self.fitness.get().is_some_and(|fitness| *fitness.borrow());
+        is_fit && self.live.borrow().contains_key(address)
+    }
 }
 
 impl Members {
     /// Follows the others as the server at `address`, which is no live member before [`Members::serve`].
     pub(super) fn join(nats: Client, subject: String, address: String) -> Self {
         let run = Uid::unique().to_string();
-        let shared = Arc::new(Shared {
-            live: watch::Sender::default(),
-            silent: broadcast::Sender::new(MAX_SILENT),
-            hears_all: watch::Sender::new(false),
-            changes: AtomicU64::new(1),
-            is_serving: AtomicBool::new(false),
-        });
+        let shared = Arc::new(Shared::new());
         let following = follow(
             nats.clone(),
             subject.clone(),
@@ -106,9 +118,10 @@ impl Members {
         }
     }
 
-    /// Announces from now on that the server takes calls of the others.
-    pub(super) fn serve(&self) {
-        self.shared.is_serving.store(true, Relaxed);
+    /// Announces from now on that the server takes calls of the others, while `fitness` is true.
+    pub(super) fn serve(&self, fitness: watch::Receiver<bool>) {
+        // The cell returns a second one.
+        let _ = self.shared.fitness.set(fitness);
     }
 
     /// Announces that the server leaves, and announces it no more.
@@ -200,7 +213,7 @@ async fn follow(
         silent,
         hears_all,
         changes,
-        is_serving,
+        fitness: _,
     } = &*shared;
     let mut hears_itself_since = None;
     let mut heard = match nats.subscribe(subject.clone()).await {
@@ -221,7 +234,7 @@ async fn follow(
     loop {
         tokio::select! {
             _ = ticks.tick() => {
-                own.serves = is_serving.load(Relaxed) && live.borrow().contains_key(&own.address);
+                own.serves = shared.serves(&own.address);
                 announce(&nats, &subject, &own).await;
             }
             Some(message) = heard.next() => {
@@ -325,6 +338,22 @@ mod tests {
         for (member, indices) in owned {
             assert!((850..1150).contains(&indices), "{member}: {indices}");
         }
+    }
+
+    /// Its part of the indices would be forwarded to it, and it could answer none.
+    #[test]
+    fn a_member_that_cannot_read_its_store_does_not_serve() {
+        let shared = Shared::new();
+        shared.live.send_modify(|live| {
+            live.insert("a:1".into(), Instant::now());
+        });
+        assert!(!shared.serves("a:1"), "it has not started");
+        let is_fit = watch::Sender::new(false);
+        shared.fitness.set(is_fit.subscribe()).unwrap();
+        assert!(!shared.serves("a:1"));
+        is_fit.send_replace(true);
+        assert!(shared.serves("a:1"));
+        assert!(!shared.serves("b:1"), "it does not hear itself");
     }
 
     #[test]

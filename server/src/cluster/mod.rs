@@ -96,7 +96,7 @@ impl Cluster {
     }
 
     /// Heals the indices of the service, and trims the journal, as long as the returned handles are held. The others may
-    /// call this server once it has tried to heal the indices that it starts with.
+    /// call this server once it has tried to heal the indices that it starts with, while it can read its store.
     pub(crate) async fn serve(self: &Arc<Self>, service: &Service) -> [AbortOnDropHandle<()>; 2] {
         let (tried, is_tried) = oneshot::channel();
         let peers = Arc::clone(self) as Arc<dyn Peers>;
@@ -106,7 +106,9 @@ impl Cluster {
         if timeout(HEAL_TIME, is_tried).await.is_err() {
             warn!("serving before all indices that cannot follow their journal are healed");
         }
-        self.members.serve();
+        if let Some(fitness) = service.fitness() {
+            self.members.serve(fitness);
+        }
         let owners = Arc::clone(self) as Arc<dyn Owners>;
         let trimming = tokio::spawn(service.clone().trim_journal(owners, peers));
         [healing, AbortOnDropHandle::new(trimming)]

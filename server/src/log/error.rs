@@ -189,6 +189,16 @@ pub enum LogError {
         /// synced.
         last: u64,
     },
+    /// A server of a cluster cannot read its own copy of an index: see [`LogError::of_copy`].
+    #[error(
+        "this server cannot read its copy of the index ({what}), and the other servers of the cluster have theirs: call \
+         again, or call another server. If its store can be opened, it takes a copy of another server by itself; otherwise \
+         start it on an empty data directory"
+    )]
+    CopyUnreadable {
+        /// The damage.
+        what: String,
+    },
     /// The store failed: nothing more is written until it is reopened.
     #[error("the store failed ({what}): {STORE_FAILED}")]
     Storage {
@@ -253,6 +263,22 @@ impl LogError {
             revision,
             what,
         }
+    }
+
+    /// The error for the caller of a server whose points others have too: the loss of this copy is no loss of the index.
+    pub(crate) fn of_copy(self) -> Self {
+        let what = match self {
+            Self::Damaged { what, .. } => what,
+            Self::Unreadable { what, .. } => format!("a part of its store is damaged: {what}"),
+            Self::Unopened { what, .. } => format!("its store cannot be opened: {what}"),
+            Self::Lost { last, .. } => {
+                format!(
+                    "files were cut short or replaced: it does not have all records up to revision {last}"
+                )
+            }
+            other => return other,
+        };
+        Self::CopyUnreadable { what }
     }
 
     /// The journal has lost the record of a revision that this server has applied, and another one took its place.

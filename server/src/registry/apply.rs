@@ -194,6 +194,7 @@ impl Hosted {
             snapshot: applied.forest.snapshot(),
             revision: position.revision,
             view,
+            is_shared: self.is_shared(),
         }));
         self.start_merging(&mut applied);
         drop(applied);

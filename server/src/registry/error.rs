@@ -69,6 +69,16 @@ pub enum RegistryError {
     Log(LogError),
 }
 
+impl RegistryError {
+    /// The error for a caller, who finds the points at other servers too if `is_shared`.
+    pub(super) fn of_copy(self, is_shared: bool) -> Self {
+        match self {
+            Self::Log(error) if is_shared => Self::Log(error.of_copy()),
+            other => other,
+        }
+    }
+}
+
 impl From<LogError> for RegistryError {
     fn from(error: LogError) -> Self {
         match error {

@@ -42,6 +42,8 @@ pub struct Published {
     pub view: Arc<dyn View>,
     /// The revision of both.
     pub revision: u64,
+    /// True if other servers have the points too.
+    pub is_shared: bool,
 }
 
 /// One index.
@@ -119,6 +121,7 @@ impl Hosted {
             snapshot: forest.snapshot(),
             revision: view.revision(),
             view,
+            is_shared: host.log.journal.is_shared(),
         });
         let space = Arc::new(entry.space.clone());
         let applied = published.view.position();

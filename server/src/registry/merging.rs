@@ -78,6 +78,7 @@ impl Hosted {
                     snapshot: applied.forest.snapshot(),
                     revision: published.revision,
                     view: Arc::clone(&published.view),
+                    is_shared: published.is_shared,
                 }));
             }
             // The levels stay unmerged: answers stay exact, and searches are slower.

@@ -15,6 +15,7 @@
 mod apply;
 mod commit;
 mod error;
+mod fitness;
 mod hosted;
 mod in_flight;
 mod index_limit;
@@ -54,6 +55,8 @@ use crate::{
 };
 pub use commit::CommitOutcome;
 pub use error::RegistryError;
+use fitness::Fitness;
+pub(crate) use fitness::MAX_CUT_OFF_CHECKS;
 pub use hosted::{Hosted, Published};
 pub use index_limit::IndexLimit;
 use labels::Labels;
@@ -78,6 +81,7 @@ pub struct Registry {
     change_lock: Mutex<()>,
     /// Notified of every change of `indexes`.
     changed: watch::Sender<()>,
+    fitness: Fitness,
 }
 
 /// The state of a named index.
@@ -157,6 +161,7 @@ impl Registry {
             indexes: RwLock::default(),
             change_lock: Mutex::new(()),
             changed: watch::Sender::new(()),
+            fitness: Fitness::default(),
         }
     }
 
@@ -201,10 +206,11 @@ impl Registry {
 
     /// The index of this name. [`RegistryError::Deleted`] if it does not exist; another error if it cannot be read.
     pub fn get(&self, name: &str) -> Result<Arc<Hosted>, RegistryError> {
-        match self.indexes.read().get(name) {
+        let found = match self.indexes.read().get(name) {
             Some(state) => state.hosted().cloned(),
             None => Err(self.unopened().unwrap_or(RegistryError::Deleted)),
-        }
+        };
+        found.map_err(|why| why.of_copy(self.is_shared()))
     }
 
     /// The index with this uid, if it is served.
@@ -217,6 +223,11 @@ impl Registry {
     /// The error of a log that has stopped accepting writes.
     pub fn failure(&self) -> Option<RegistryError> {
         self.host.log.points.failure().map(RegistryError::Log)
+    }
+
+    /// True if other servers share the journal, and have the points too.
+    fn is_shared(&self) -> bool {
+        self.host.log.journal.is_shared()
     }
 
     /// True while the journal cannot be reached: records of others do not arrive.
@@ -257,7 +268,7 @@ impl Registry {
         if indexes.is_empty()
             && let Some(why) = self.unopened()
         {
-            return Err(why);
+            return Err(why.of_copy(self.is_shared()));
         }
         let page = indexes.range::<str, _>((start, Bound::Unbounded));
         let page = page.filter(|(name, _)| is_wanted(name));

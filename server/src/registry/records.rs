@@ -21,7 +21,7 @@ impl Registry {
     /// Waits until every index has the records that a shared journal has now. An index that cannot be followed does
     /// not delay the others. Without such a journal it does nothing.
     pub async fn catch_up(&self) {
-        if !self.host.log.journal.is_shared() {
+        if !self.is_shared() {
             return;
         }
         let hosted = self.hosted();
@@ -108,7 +108,8 @@ impl Hosted {
             return Ok(());
         };
         let newest = rest.last().unwrap_or(first).position();
-        let applied = self.digest_at(newest.revision)?;
+        let applied = self.digest_at(newest.revision);
+        let applied = applied.map_err(|error| error.of_copy(true))?;
         if applied.is_some_and(|applied| applied != newest.digest) {
             return Err(LogError::replaced(self.uid(), newest.revision).into());
         }

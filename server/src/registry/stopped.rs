@@ -32,6 +32,7 @@ pub(super) fn is_damage(why: &RegistryError) -> bool {
                 | LogError::JournalBehind { .. }
                 | LogError::Trimmed { .. }
                 | LogError::Contradicted { .. }
+                | LogError::CopyUnreadable { .. }
         )
     ) || revision_before(why).is_some()
 }

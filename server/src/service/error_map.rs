@@ -81,6 +81,7 @@ fn storage_error(what: String, error: LogError) -> Error {
         | LogError::JournalBehind { .. }
         | LogError::JournalDamaged { .. }
         | LogError::Unreachable { .. }
+        | LogError::CopyUnreadable { .. }
         | LogError::Closed => Error::StorageFailed { what },
         LogError::UnknownIndex { .. }
         | LogError::UidTaken { .. }
@@ -103,7 +104,8 @@ mod tests {
             head: 7,
             applied: 9,
         };
-        for error in [trimmed, behind, LogError::replaced(uid, 7)] {
+        let damaged = LogError::damaged_point(uid, 7, "it is cut short").of_copy();
+        for error in [trimmed, behind, LogError::replaced(uid, 7), damaged] {
             let error = registry_error("arm", RegistryError::Log(error));
             assert_eq!(error.code(), Code::Unavailable);
             assert!(error.to_string().contains("call another server"), "{error}");

@@ -203,6 +203,12 @@ impl Service {
         !matches!(failure, Some(RegistryError::Log(LogError::Unopened { .. })))
     }
 
+    /// Whether this server of a cluster answers calls as well as the others: see [`Registry::fitness`]. None before the
+    /// registry is open.
+    pub(crate) fn fitness(&self) -> Option<tokio::sync::watch::Receiver<bool>> {
+        self.opened().map(Registry::fitness)
+    }
+
     /// True if mutations that add points are accepted now.
     pub(crate) fn accepts_growth(&self) -> bool {
         self.is_serving() && self.opened().is_some_and(Registry::accepts_growth)

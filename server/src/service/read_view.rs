@@ -49,6 +49,10 @@ impl Service {
             RegistryError::Deleted if !uid.is_empty() && !registry.is_past(name, uid, None) => {
                 unknown(name, uid)
             }
+            // No record is applied here, as if the index were closed: the server that forwarded the call goes on.
+            RegistryError::Log(_) if call.is_forwarded => {
+                Error::IndexNotFound { name: name.into() }
+            }
             error => registry_error(name, error),
         })?;
         // A call of a stream finds it more than once.
@@ -167,8 +171,7 @@ impl ReadView<'_> {
             }
             Ok::<_, LogError>(Ok((payloads, lent)))
         };
-        let view = &self.published.view;
-        let read = stored::read(self.call, self.doing, self.index, view, read).await?;
+        let read = stored::read(self.call, self.doing, self.index, self.published, read).await?;
         let (payloads, lent) = read?;
         *held = lent;
         let payloads = payloads

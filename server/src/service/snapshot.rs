@@ -141,10 +141,16 @@ impl Snapshot {
     /// The next points, or what follows them.
     async fn points(&mut self) -> Result<v1::SnapshotPart, Error> {
         let published = self.published()?;
-        let (index, view) = (self.hosted.name(), &published.view);
+        let index = self.hosted.name();
         let (after, most) = (self.after, self.part_bytes);
         let read = move |view: &dyn View| Rows::read(view, after, most);
-        let read = stored::read(&self.call, "while taking a snapshot", index, view, read);
+        let read = stored::read(
+            &self.call,
+            "while taking a snapshot",
+            index,
+            &published,
+            read,
+        );
         let (rows, after) = read.await?;
         self.published()?;
         self.after = after;

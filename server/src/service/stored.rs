@@ -33,7 +33,19 @@ pub(super) async fn read<T: Send + 'static>(
     call: &Call,
     doing: &'static str,
     index: &str,
-    view: &Arc<dyn View>,
+    published: &Published,
+    read: impl FnOnce(&dyn View) -> Result<T, LogError> + Send + 'static,
+) -> Result<T, Error> {
+    let view = (&published.view, published.is_shared);
+    read_view(call, doing, index, view, read).await
+}
+
+/// Like [`read`]. With `is_shared`, damage is that of one of several copies.
+pub(super) async fn read_view<T: Send + 'static>(
+    call: &Call,
+    doing: &'static str,
+    index: &str,
+    (view, is_shared): (&Arc<dyn View>, bool),
     read: impl FnOnce(&dyn View) -> Result<T, LogError> + Send + 'static,
 ) -> Result<T, Error> {
     call.check(doing)?;
@@ -56,6 +68,7 @@ pub(super) async fn read<T: Send + 'static>(
     });
     let reading = AbortOnDropHandle::new(reading);
     match call.bound(doing, reading).await?.flatten() {
+        Ok(Err(error)) if is_shared => Err(log_error(index, error.of_copy())),
         Ok(read) => read.map_err(|error| log_error(index, error)),
         // An awaited read fails to join only if it panicked.
         Err(_) => Err(Error::Internal {
@@ -124,7 +137,7 @@ impl<T: Send + 'static> ReadAhead<T> {
                 });
                 points.collect::<Result<Vec<_>, LogError>>()
             };
-            let batch = read(call, doing, hosted.name(), &published.view, batch);
+            let batch = read(call, doing, hosted.name(), published, batch);
             self.points.extend(batch.await?);
         }
         Ok(())
@@ -188,6 +201,7 @@ mod tests {
         admission::Admission,
         config::Config,
         log::PointStore,
+        service::Code,
         testing::{arm, log_with},
     };
 
@@ -221,7 +235,7 @@ mod tests {
                         start.send(()).unwrap();
                         wait(view)
                     };
-                    read(&Call::default(), "reading", "arm", &view, wait).await
+                    read_view(&Call::default(), "reading", "arm", (&view, false), wait).await
                 })
             })
             .collect();
@@ -248,14 +262,14 @@ mod tests {
         });
         let gate = CancellationToken::new();
         let held = || {
-            let read = read(&heavy, "reading", "arm", &view, waits_for(&gate));
+            let read = read_view(&heavy, "reading", "arm", (&view, false), waits_for(&gate));
             Box::pin(unconstrained(read))
         };
         let mut reads: Vec<_> = (0..2 * *MAX_STORED_READS).map(|_| held()).collect();
         for read in &mut reads {
             assert!(poll!(read).is_pending());
         }
-        let read = read(&other, "reading", "arm", &view, |_| Ok(()));
+        let read = read_view(&other, "reading", "arm", (&view, false), |_| Ok(()));
         let read = timeout(Duration::from_secs(10), read).await;
         // Threads that wait would keep a failed test from its end.
         gate.cancel();
@@ -264,6 +278,21 @@ mod tests {
             read.await.unwrap();
         }
     }
+
+    #[tokio::test]
+    async fn damage_of_one_of_several_copies_is_no_loss() {
+        let _alone = HOLDS_PERMITS.lock().await;
+        let entry = arm();
+        let view: Arc<dyn View> = log_with(&entry, &[]).view(entry.uid).unwrap();
+        for (is_shared, code) in [(false, Code::DataLoss), (true, Code::Unavailable)] {
+            let damaged = LogError::damaged_point(entry.uid, 7, "it is cut short");
+            let read = move |_: &dyn View| Err::<(), _>(damaged);
+            let read =
+                read_view(&Call::default(), "reading", "arm", (&view, is_shared), read).await;
+            assert_eq!(read.unwrap_err().code(), code);
+        }
+    }
+
     /// HTTP/2 stops the polls of a stream whose client takes nothing.
     #[tokio::test]
     async fn calls_that_are_polled_no_more_keep_no_permits() {
@@ -273,7 +302,7 @@ mod tests {
         let call = Call::default();
         let gate = CancellationToken::new();
         let unread = || {
-            let read = read(&call, "reading", "arm", &view, waits_for(&gate));
+            let read = read_view(&call, "reading", "arm", (&view, false), waits_for(&gate));
             Box::pin(unconstrained(read))
         };
         let mut unread: Vec<_> = (0..2 * *MAX_STORED_READS).map(|_| unread()).collect();
@@ -281,7 +310,7 @@ mod tests {
             assert!(poll!(read).is_pending());
         }
         gate.cancel();
-        let read = read(&call, "reading", "arm", &view, |_| Ok(()));
+        let read = read_view(&call, "reading", "arm", (&view, false), |_| Ok(()));
         let read = timeout(Duration::from_secs(10), read).await;
         read.expect("it waits for permits that nobody uses")
             .unwrap();

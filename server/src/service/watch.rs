@@ -18,7 +18,7 @@ use crate::{
     admission::HeldBytes,
     identity::Role,
     log::{LogError, Outcome, Record},
-    registry::{Hosted, RegistryError, Subscriber},
+    registry::{Hosted, MAX_CUT_OFF_CHECKS, RegistryError, Subscriber},
 };
 
 /// Approximate bytes of a message, less if answers are limited to less.
@@ -27,12 +27,10 @@ const MESSAGE_BYTES: usize = 256 * 1024;
 /// Approximate bytes of a mutation without its points and removed ids.
 const MUTATION_BYTES: usize = 128;
 
-/// The time between two checks of the rights of a watch that waits, and of the journal.
+/// The time between two checks of the rights of a watch that waits, and of the journal. A watch ends after
+/// [`MAX_CUT_OFF_CHECKS`] of a journal that cannot be reached, or after one if it began like that: its client goes on at
+/// another server.
 const CHECK_INTERVAL: Duration = Duration::from_secs(1);
-
-/// A watch ends after this number of checks of a journal that cannot be reached, or after one if it began like that: its
-/// client goes on at another server. The client of NATS connects again sooner than that if it can.
-const MAX_CUT_OFF_CHECKS: u32 = 5;
 
 /// A running watch. It pins no revision and holds the mutations of one message at most, or one mutation: the log keeps the
 /// rest, for as long as it retains them. A mutation that the log trims between two of its pieces ends the watch.

@@ -30,6 +30,7 @@ impl Hosted {
                 snapshot: published.snapshot.clone(),
                 revision: position.revision,
                 view: Arc::clone(view),
+                is_shared: published.is_shared,
             }));
             stored == position
         } else if let Some(later) = stored.revision.checked_sub(position.revision) {
@@ -111,6 +112,7 @@ impl Hosted {
 
     /// Closes the index: later writes, and calls that wait for it, get `why`.
     pub(in crate::registry) fn close(&self, why: RegistryError) {
+        let why = why.of_copy(self.is_shared());
         let decided = {
             // No writer may see the new count of refusals and an open index: nothing would decide its record.
             let mut in_flight = self.in_flight.lock();

@@ -9,13 +9,13 @@ use futures_util::{FutureExt, future::BoxFuture, stream};
 
 use super::*;
 use crate::{
-    log::{Entry, Journal, MemoryLog, Origin, PointStore, Sessions, StoredPoint},
+    log::{Entry, Journal, MemoryLog, PointStore},
     registry::{Hosted, RegistryError},
     service::{
         CopyOutcome,
         member::{CopyPart, StoredRequest, StoredResponse, Unanswered},
     },
-    testing::{arm, log_with, server, submit, trim_all},
+    testing::{arm, log_with, server, submit, trim_all, unreadable},
 };
 
 const RECORDS: u64 = 20;
@@ -251,29 +251,11 @@ async fn a_member_that_can_compare_speaks_first() {
     assert_eq!(hosted(&service).published().revision, RECORDS);
 }
 
-/// The point store has a point that no index of the space can have.
 #[tokio::test(flavor = "multi_thread")]
 async fn points_that_cannot_be_read_are_replaced() {
     let entry = arm();
     let journal = engine(&entry, RECORDS);
-    let points = Arc::new(MemoryLog::new());
-    let origin = Origin {
-        revision: 3,
-        next_id: 1,
-        digest: [1; 32],
-    };
-    let mut damaged = points.restore(entry.clone(), origin, false).unwrap();
-    let wide = StoredPoint {
-        id: 0,
-        revision: 1,
-        modified: 1,
-        tag: 0,
-        state: Box::new([0.5, 0.5]),
-        payload: Default::default(),
-    };
-    damaged.add(&[wide]).unwrap();
-    damaged.finish(Sessions::default(), Vec::new()).unwrap();
-    let service = server(&journal, &points);
+    let service = server(&journal, &unreadable(&entry));
     let registry = service.registry().unwrap();
     assert!(registry.get("arm").is_err());
     let index = registry.stopped().pop().unwrap();

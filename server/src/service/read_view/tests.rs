@@ -11,7 +11,8 @@ use tokio::sync::Mutex;
 use super::*;
 use crate::{
     log::{Journal, LogError, MemoryLog, RecordStream, Uid},
-    testing::{self, forward_journal, recorded},
+    service::Code,
+    testing::{self, arm, forward_journal, recorded, unreadable},
 };
 
 /// A journal that other servers share, and that sends nothing yet.
@@ -44,14 +45,17 @@ impl Journal for Silent {
 
 /// A server with this many records of its own.
 fn server(records: u64, oldest: Option<u64>) -> (Service, Arc<Silent>) {
-    let local = recorded(records);
+    server_with(&recorded(records), oldest)
+}
+
+fn server_with(local: &Arc<MemoryLog>, oldest: Option<u64>) -> (Service, Arc<Silent>) {
     let journal = Arc::new(Silent {
-        local: Arc::clone(&local),
+        local: Arc::clone(local),
         oldest,
         gate: Mutex::default(),
         requests: AtomicUsize::new(0),
     });
-    (testing::server(&journal, &local), journal)
+    (testing::server(&journal, local), journal)
 }
 
 /// A read that names no revision.
@@ -112,6 +116,25 @@ async fn a_read_waits_for_the_journal_until_its_deadline() {
     assert!(matches!(late, Error::DeadlineExceeded { .. }), "{late}");
     drop(locked);
     assert_eq!(read(&service, &Call::default()).await.unwrap(), 0);
+}
+
+/// The other servers of the cluster have the points.
+#[tokio::test]
+async fn an_index_that_cannot_be_read_here_is_to_be_asked_for_at_another_server() {
+    let (service, _) = server_with(&unreadable(&arm()), None);
+    let find = |is_forwarded| {
+        let call = Call {
+            is_forwarded,
+            ..Call::default()
+        };
+        service.index(&call, Role::Read, "arm", "").err().unwrap()
+    };
+    let refused = find(false);
+    assert_eq!(refused.code(), Code::Unavailable);
+    let text = refused.to_string();
+    assert!(text.contains("call another server"), "{text}");
+    // The server that forwarded the call evaluates it, because nothing took place.
+    assert_eq!(find(true).reason(), "INDEX_NOT_FOUND");
 }
 
 #[tokio::test]

@@ -184,7 +184,15 @@ impl Pass<'_> {
     async fn page(&self, after: Option<u64>) -> Result<Vec<Arc<StoredPoint>>, Error> {
         held(self.pinned_revision)?;
         let read = move |view: &dyn View| view.page(after, PAGE_ROWS);
-        stored::read(self.call, DOING, self.index, &self.published.view, read).await
+        // It tells the damage of this server's own copy as such, also in a cluster.
+        stored::read_view(
+            self.call,
+            DOING,
+            self.index,
+            (&self.published.view, false),
+            read,
+        )
+        .await
     }
 
     fn has_time(&self) -> bool {
