@@ -3,15 +3,16 @@
 //!
 //! `<prefix>/<index>/<verb>` and `<prefix>/<verb>` take queries; the prefix is `wayfold/v1` unless set. A query has a
 //! selector with parameters and a payload in Protocol Buffers or JSON (`encoding`, `crate::verbs`), and gets one reply
-//! (`queries`, `flows`, `inline`, `response`). A query with a wildcard (`wildcard`) reaches only descriptions of indices.
-//! `feed` announces `<index>/events` and `<index>/@alive`. `session` opens the session with its access control, `links`
-//! measures and logs its links, and `servers` finds other servers under the prefix.
+//! (`offer`, `queries`, `flows`, `inline`, `response`). A query with a wildcard (`wildcard`) reaches only descriptions of
+//! indices. `feed` announces `<index>/events` and `<index>/@alive`. `session` opens the session with its access control,
+//! `links` measures and logs its links, and `servers` finds other servers under the prefix.
 
 mod encoding;
 mod feed;
 mod flows;
 mod inline;
 mod links;
+mod offer;
 mod queries;
 mod response;
 mod servers;
@@ -25,8 +26,8 @@ use tokio_util::{
     sync::CancellationToken,
     task::{AbortOnDropHandle, TaskTracker},
 };
-use tracing::{debug, info, warn};
-use zenoh::{Session, key_expr::KeyExpr, query::Queryable};
+use tracing::{info, warn};
+use zenoh::{Session, key_expr::KeyExpr};
 
 pub use session::ZenohError;
 pub(crate) use session::{MAX_PENDING, MAX_SESSIONS, exposed};
@@ -36,6 +37,7 @@ use feed::Announcer;
 use flows::Flows;
 use inline::Inline;
 use links::Links;
+use offer::Offer;
 use queries::Queries;
 use servers::ServerWatch;
 use session::ZenohRuntime;
@@ -57,12 +59,13 @@ pub(crate) fn max_senders(config: &ZenohConfig) -> usize {
 /// The open face.
 pub(crate) struct ZenohFace {
     open: ZenohRuntime,
-    /// None before a server of a cluster serves.
-    queryable: Option<Queryable<()>>,
+    offer: Offer,
     queries: Arc<Queries>,
     /// True if other servers under the prefix share the indices.
     in_cluster: bool,
     announcing: Option<AbortOnDropHandle<()>>,
+    /// In a cluster, the task that leaves queries to the other servers.
+    offering: Option<AbortOnDropHandle<()>>,
     _servers: ServerWatch,
     _links: Option<AbortOnDropHandle<()>>,
 }
@@ -100,10 +103,10 @@ impl ZenohFace {
             inline: Arc::new(Inline::new(Handle::current())),
             under_way: TaskTracker::new(),
         });
-        let queryable = match in_cluster {
-            true => None,
-            false => Some(take_queries(&session, &queries).await?),
-        };
+        let offer = Offer::new(&session, &queries);
+        if !in_cluster {
+            offer.declare(true).await?;
+        }
         let servers = ServerWatch::watch(&session, &config.prefix, !in_cluster).await?;
         let links = connects_to.map(|endpoints| {
             let reporting = links::report_links(session.clone(), endpoints);
@@ -111,10 +114,11 @@ impl ZenohFace {
         });
         let face = Self {
             open,
-            queryable,
+            offer,
             queries,
             in_cluster,
             announcing: None,
+            offering: None,
             _servers: servers,
             _links: links,
         };
@@ -136,8 +140,11 @@ impl ZenohFace {
 
     /// Begins to announce the indices, and to publish their mutations if `publishes`; the service must have them.
     pub(crate) async fn announce(&mut self, publishes: bool) -> Result<(), ZenohError> {
-        if self.queryable.is_none() {
-            self.queryable = Some(take_queries(&self.open.session, &self.queries).await?);
+        if self.in_cluster {
+            self.offer.declare(true).await?;
+            let fitness = self.queries.shared.service.fitness();
+            let following = fitness.map(|fitness| self.offer.clone().follow(fitness));
+            self.offering = following.map(|it| AbortOnDropHandle::new(tokio::spawn(it)));
         }
         let announcer = Announcer {
             service: self.queries.shared.service.clone(),
@@ -157,10 +164,15 @@ impl ZenohFace {
     }
 
     /// Does the work of [`stop`](Self::stop), but leaves callers until `lingered` to read the answers.
-    async fn stop_after(mut self, lingered: impl Future<Output = ()>) {
+    async fn stop_after(self, lingered: impl Future<Output = ()>) {
+        if let Some(offering) = self.offering {
+            offering.abort();
+            // It may be about to declare the queryable.
+            let _ = offering.await;
+        }
         if self.in_cluster {
             // The other servers answer from now on.
-            undeclare(self.queryable.take()).await;
+            self.offer.withdraw().await;
         }
         self.queries.stopping.cancel();
         drop(self.announcing);
@@ -168,34 +180,13 @@ impl ZenohFace {
         self.queries.under_way.wait().await;
         // The queryable refuses those who ask meanwhile: without it they would get no reply.
         lingered.await;
-        undeclare(self.queryable).await;
+        self.offer.withdraw().await;
         if let Err(error) = self.open.session.close().await {
             warn!(%error, "the Zenoh session did not close well");
         }
         if let Err(error) = self.open.runtime.close().await {
             warn!(%error, "the links of Zenoh did not close well");
         }
-    }
-}
-
-/// Takes every query under the prefix. Zenoh asks one of several servers that declare it.
-async fn take_queries(
-    session: &Session,
-    queries: &Arc<Queries>,
-) -> Result<Queryable<()>, ZenohError> {
-    let taking = Arc::clone(queries);
-    let queryable = session
-        .declare_queryable(format!("{}/**", queries.prefix))
-        .complete(true)
-        .callback(move |query| taking.take(query));
-    queryable.await.map_err(ZenohError::declare)
-}
-
-async fn undeclare(queryable: Option<Queryable<()>>) {
-    if let Some(queryable) = queryable
-        && let Err(error) = queryable.undeclare().await
-    {
-        debug!(%error, "the queryable was gone already");
     }
 }
 

@@ -1,5 +1,6 @@
 //! The order of a stop, the count of dropped messages, the check of tokens, and the places and waits of calls.
 
+mod offers;
 mod refusals;
 mod strangers;
 
