@@ -1,5 +1,5 @@
-//! The fitness of a server of a cluster: while it is cut off from the journal, or cannot read its store, calls are better made at
-//! another server.
+//! The fitness of a server of a cluster: while it is cut off from the journal, or cannot open its store, calls are better
+//! made at another server.
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
@@ -7,8 +7,8 @@ use tokio::sync::watch;
 
 use super::Registry;
 
-/// The number of checks, one a second, that find the journal out of reach before callers are sent to another server. The
-/// client of NATS connects again sooner than that if it can.
+/// The number of checks, one a second, that find the journal out of reach before callers are sent to another server.
+/// The client of NATS connects again sooner than that if it can.
 pub(crate) const MAX_CUT_OFF_CHECKS: u32 = 5;
 
 /// See the module.

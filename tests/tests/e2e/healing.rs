@@ -217,6 +217,43 @@ async fn refuse(stubs: &mut Stubs, first: u64) {
     timeout(MAX_WAIT, refused).await.unwrap();
 }
 
+/// It would own some of the indices, and could evaluate no mutation of them.
+#[ignore = "needs nats-server"]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_server_without_its_store_is_not_live_for_the_others() {
+    const INDICES: u64 = 8;
+    let cluster = Cluster::empty();
+    let [first, second] = together(&cluster, &[]);
+    let mut stubs = Stubs::connect(second.uri()).await;
+    for number in 0..INDICES {
+        stubs.create(&format!("arm-{number}"), "R1").await;
+    }
+    first.stop(Signal::Terminate);
+    cluster.lose_points(0);
+    let first = cluster.start(0);
+    let insert = |number: u64, id: u64| InsertRequest {
+        index_name: format!("arm-{number}"),
+        states: Some(row_states(&[id as f64], 1)),
+        ids: vec![id],
+        ..Default::default()
+    };
+    // A live server announces itself each half second.
+    let until = Instant::now() + Duration::from_secs(3);
+    let mut inserted = 0;
+    while Instant::now() < until {
+        for number in 0..INDICES {
+            stubs.insert(insert(number, inserted)).await;
+        }
+        inserted += 1;
+    }
+    let mut stubs = Stubs::connect(first.uri()).await;
+    let refused = stubs.points.insert(insert(0, inserted)).await;
+    let refused = refused.unwrap_err();
+    assert_eq!(refused.code(), Code::Unavailable);
+    let text = refused.message();
+    assert!(text.contains("call another server"), "{text}");
+}
+
 /// NATS loses records that one server has applied, the other one writes another record in their place, and the journal still
 /// ends before what the first has applied. So no copy of the other one is new enough.
 #[ignore = "needs nats-server"]

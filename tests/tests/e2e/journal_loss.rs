@@ -110,6 +110,11 @@ impl Cluster {
         std::fs::remove_dir_all(self.data(number)).unwrap();
     }
 
+    /// Removes the store from the data directory of a server, which is stopped: the server cannot open it.
+    pub(crate) fn lose_points(&self, number: usize) {
+        std::fs::remove_dir_all(self.data(number).join("store")).unwrap();
+    }
+
     /// Kills NATS, and starts it again once its store is copied.
     pub(crate) fn save_store(&mut self) {
         self.nats.kill(0);
