@@ -37,11 +37,11 @@ pub(super) async fn read<T: Send + 'static>(
     read: impl FnOnce(&dyn View) -> Result<T, LogError> + Send + 'static,
 ) -> Result<T, Error> {
     let view = (&published.view, published.is_shared);
-    read_view(call, doing, index, view, read).await
+    read_copy(call, doing, index, view, read).await
 }
 
 /// Like [`read`]. With `is_shared`, damage is that of one of several copies.
-pub(super) async fn read_view<T: Send + 'static>(
+pub(super) async fn read_copy<T: Send + 'static>(
     call: &Call,
     doing: &'static str,
     index: &str,
@@ -235,7 +235,7 @@ mod tests {
                         start.send(()).unwrap();
                         wait(view)
                     };
-                    read_view(&Call::default(), "reading", "arm", (&view, false), wait).await
+                    read_copy(&Call::default(), "reading", "arm", (&view, false), wait).await
                 })
             })
             .collect();
@@ -262,14 +262,14 @@ mod tests {
         });
         let gate = CancellationToken::new();
         let held = || {
-            let read = read_view(&heavy, "reading", "arm", (&view, false), waits_for(&gate));
+            let read = read_copy(&heavy, "reading", "arm", (&view, false), waits_for(&gate));
             Box::pin(unconstrained(read))
         };
         let mut reads: Vec<_> = (0..2 * *MAX_STORED_READS).map(|_| held()).collect();
         for read in &mut reads {
             assert!(poll!(read).is_pending());
         }
-        let read = read_view(&other, "reading", "arm", (&view, false), |_| Ok(()));
+        let read = read_copy(&other, "reading", "arm", (&view, false), |_| Ok(()));
         let read = timeout(Duration::from_secs(10), read).await;
         // Threads that wait would keep a failed test from its end.
         gate.cancel();
@@ -288,7 +288,7 @@ mod tests {
             let damaged = LogError::damaged_point(entry.uid, 7, "it is cut short");
             let read = move |_: &dyn View| Err::<(), _>(damaged);
             let read =
-                read_view(&Call::default(), "reading", "arm", (&view, is_shared), read).await;
+                read_copy(&Call::default(), "reading", "arm", (&view, is_shared), read).await;
             assert_eq!(read.unwrap_err().code(), code);
         }
     }
@@ -302,7 +302,7 @@ mod tests {
         let call = Call::default();
         let gate = CancellationToken::new();
         let unread = || {
-            let read = read_view(&call, "reading", "arm", (&view, false), waits_for(&gate));
+            let read = read_copy(&call, "reading", "arm", (&view, false), waits_for(&gate));
             Box::pin(unconstrained(read))
         };
         let mut unread: Vec<_> = (0..2 * *MAX_STORED_READS).map(|_| unread()).collect();
@@ -310,7 +310,7 @@ mod tests {
             assert!(poll!(read).is_pending());
         }
         gate.cancel();
-        let read = read_view(&call, "reading", "arm", (&view, false), |_| Ok(()));
+        let read = read_copy(&call, "reading", "arm", (&view, false), |_| Ok(()));
         let read = timeout(Duration::from_secs(10), read).await;
         read.expect("it waits for permits that nobody uses")
             .unwrap();

@@ -241,7 +241,7 @@ fn cancelled_creates_leave_a_thread_to_reads() {
         let entry = arm();
         let view: Arc<dyn View> = log_with(&entry, &[]).view(entry.uid).unwrap();
         let call = Call::default();
-        let read = stored::read(&call, "reading", "arm", &view, |_| Ok(()));
+        let read = stored::read_copy(&call, "reading", "arm", (&view, false), |_| Ok(()));
         let read = timeout(Duration::from_secs(10), read).await;
         // Threads that wait would keep a failed test from its end.
         gate.cancel();

@@ -185,7 +185,7 @@ impl Pass<'_> {
         held(self.pinned_revision)?;
         let read = move |view: &dyn View| view.page(after, PAGE_ROWS);
         // It tells the damage of this server's own copy as such, also in a cluster.
-        stored::read_view(
+        stored::read_copy(
             self.call,
             DOING,
             self.index,
