@@ -216,26 +216,6 @@ void flattening() {
     }
 }
 
-// OMPL calls rotations less than 4.5e-5 apart equal, and the check of the distance lets that pass.
-void near_rotations() {
-    const auto space = std::make_shared<ob::SO3StateSpace>();
-    const auto si = std::make_shared<ob::SpaceInformation>(space);
-    wayfold::NearestNeighborsWayfold<ob::State *> ours(wayfold::detail::context_of(si));
-    std::vector<ob::State *> states;
-    for (int at = 0; at < 10; at++) {
-        states.push_back(si->allocState());
-        states.back()->as<ob::SO3StateSpace::StateType>()->setAxisAngle(0, 0, 1, 1e-5 * at);
-        ours.add(states.back());
-    }
-    CHECK(space->distance(states[0], states[1]) == 0);
-    for (std::size_t at = 0; at < states.size(); at++) {
-        CHECK(ours.nearest(states[at]) == states[at] && (at == 0 || si->equalStates(states[at - 1], states[at])));
-    }
-    for (ob::State *state : states) {
-        si->freeState(state);
-    }
-}
-
 void refusals() {
     CHECK(message_of<ompl::Exception>([] { wayfold::NearestNeighborsWayfold<ob::State *> none; }).find("wayfold::use") !=
           std::string::npos);
@@ -388,7 +368,6 @@ int main() {
     trees();
     conformance();
     flattening();
-    near_rotations();
     refusals();
     threads();
     std::cout << "ompl: ok\n";

@@ -82,21 +82,6 @@ void decimal_comma() {
     std::locale::global(std::locale::classic());
 }
 
-// An element that was removed is not held any more.
-void removed_elements() {
-    wayfold::NearestNeighborsWayfold<std::shared_ptr<double>> neighbors(
-        "R1", [](const std::shared_ptr<double> &number, double *row) { *row = *number; });
-    auto first = std::make_shared<double>(1);
-    const auto second = std::make_shared<double>(2);
-    const std::weak_ptr<double> held = first;
-    neighbors.add({first, second, first});
-    CHECK(neighbors.remove(first) && neighbors.remove(first) && !neighbors.remove(first));
-    first.reset();
-    std::vector<std::shared_ptr<double>> left;
-    neighbors.list(left);
-    CHECK(held.expired() && left == std::vector<std::shared_ptr<double>>{second} && neighbors.nearest(second) == second);
-}
-
 // Joints whose distances add up, as in MoveIt.
 class Joints : public ob::RealVectorStateSpace {
 public:
@@ -384,7 +369,6 @@ int main() {
     ompl::msg::setLogLevel(ompl::msg::LOG_NONE);
     wrappers();
     decimal_comma();
-    removed_elements();
     spaces_of_ones_own();
     bounds_away_from_zero();
     spaces_that_only_a_sampler_sets();

@@ -172,7 +172,7 @@ inline void check_space(const Context &context) {
         context.write(state, rows[at].data());
         for (std::size_t other = 0; other < at; other++) {
             check_distance(index.distance(rows[other].data(), rows[at].data()),
-                           space->distance(states[other].get(), state), context.text);
+                           space->distance(states[other].get(), state), context.text, space.get());
         }
     }
 }

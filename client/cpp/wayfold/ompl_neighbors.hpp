@@ -114,7 +114,8 @@ public:
     NearestNeighborsWayfold(const NearestNeighborsWayfold &) = delete;
     NearestNeighborsWayfold &operator=(const NearestNeighborsWayfold &) = delete;
 
-    // For elements of your own: a space text, and a function that writes an element's row.
+    // For elements of your own: a space text, and a function that writes an element's row. If you set OMPL's distance, the
+    // weights of rotations should sum to less than 2.2: without OMPL's space, the check of the distance does not know them.
     NearestNeighborsWayfold(const std::string &space, std::function<void(const T &, double *)> write,
                             Merging merging = Merging::background)
         : write_(std::move(write)), index_(Index::in_memory(space, merging)) {
@@ -294,6 +295,7 @@ private:
     // Compares our distance with the planner's.
     void check_distance(const T &element, const double *row) {
         unchecked_--;
+        const auto *space = context_.information != nullptr ? context_.information->getStateSpace().get() : nullptr;
         double other_row[max_width];
         unsigned int left = 8;
         for (std::size_t at = elements_.size(); at > 0 && left > 0; at--) {
@@ -303,7 +305,7 @@ private:
             left--;
             const T &other = elements_[at - 1];
             write(other, other_row);
-            detail::check_distance(index_.distance(other_row, row), Base::distFun_(other, element), context_.text);
+            detail::check_distance(index_.distance(other_row, row), Base::distFun_(other, element), context_.text, space);
         }
     }
 

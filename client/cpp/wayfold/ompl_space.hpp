@@ -31,10 +31,32 @@ using RowToState = std::function<void(const double *, ompl::base::State *)>;
 
 namespace detail {
 
-// Compares our distance with OMPL's: a space may override it, and a planner may add costs to it.
-inline void check_distance(double ours, double theirs, const std::string &text) {
-    // OMPL takes rotations less than 4.5e-5 apart for equal. An infinite distance would have an infinite tolerance.
-    if (!std::isfinite(theirs) || !(std::fabs(ours - theirs) <= 1e-4 + 1e-6 * std::fabs(theirs))) {
+// The sum of the weights of a space's SO3 parts. Weights of nested spaces multiply.
+inline double so3_weight(const ompl::base::StateSpace *space) {
+    namespace ob = ompl::base;
+    if (const auto *wrapper = dynamic_cast<const ob::WrapperStateSpace *>(space)) {
+        return so3_weight(wrapper->getSpace().get());
+    }
+    if (const auto *compound = dynamic_cast<const ob::CompoundStateSpace *>(space)) {
+        double sum = 0;
+        for (unsigned int at = 0; at < compound->getSubspaceCount(); at++) {
+            sum += compound->getSubspaceWeight(at) * so3_weight(compound->getSubspace(at).get());
+        }
+        return sum;
+    }
+    return dynamic_cast<const ob::SO3StateSpace *>(space) != nullptr ? 1 : 0;
+}
+
+// Compares our distance with OMPL's: a space may override it, and a planner may add costs to it. Without a `space`, the
+// rotations of the text have no tolerance of their own.
+inline void check_distance(double ours, double theirs, const std::string &text, const ompl::base::StateSpace *space) {
+    // OMPL's distance of rotations is 0 where their quaternions' product is above 1 - 1e-9, and ours is up to
+    // acos(1 - 1e-9) there. Both are half of the angle.
+    constexpr double so3_difference = 4.5e-5;
+    const double difference = std::fabs(ours - theirs), tolerance = 1e-4 + 1e-6 * std::fabs(theirs);
+    // An infinite distance would have an infinite tolerance.
+    if (!std::isfinite(theirs) ||
+        !(difference <= tolerance || difference <= tolerance + so3_difference * so3_weight(space))) {
         throw ompl::Exception("wayfold: the planner's distance of two states is " + std::to_string(theirs) +
                               ", and that of " + text + " is " + std::to_string(ours) +
                               ": keep OMPL's own nearest neighbours here, or give the space text of this metric");

@@ -63,7 +63,7 @@ protected:
         for (Vertex other = vertex; other > 0 && vertex - other < 8 && unchecked_distances_ > 0; unchecked_distances_--) {
             other--;
             const double ours = index_.distance(row_of(other).data(), row_of(vertex).data());
-            check_distance(ours, distanceFunction(other, vertex), rows_.text());
+            check_distance(ours, distanceFunction(other, vertex), rows_.text(), si_->getStateSpace().get());
         }
     }
 
