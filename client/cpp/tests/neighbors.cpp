@@ -3,7 +3,9 @@
 #include "problem.hpp"
 
 #include <cmath>
+#include <functional>
 #include <memory>
+#include <new>
 #include <ompl/base/spaces/SO3StateSpace.h>
 #include <ompl/base/spaces/WrapperStateSpace.h>
 #include <ompl/geometric/planners/prm/PRM.h>
@@ -148,6 +150,82 @@ void removed_elements() {
 }
 
 
+// The copies that may still be made before one of them fails; none fails below 0.
+int copies_left = -1;
+
+struct Fragile {
+    explicit Fragile(double at = 0) : at(at) {}
+    Fragile(const Fragile &other) : at(other.at) {
+        if (copies_left >= 0 && copies_left-- == 0) {
+            throw std::bad_alloc();
+        }
+    }
+    Fragile(Fragile &&other) noexcept : at(other.at) {}
+    Fragile &operator=(const Fragile &) = default;
+    Fragile &operator=(Fragile &&) = default;
+    bool operator==(const Fragile &other) const { return at == other.at; }
+    double at;
+};
+
+struct Hashed : Fragile {
+    using Fragile::Fragile;
+};
+
+} // namespace
+
+template <> struct std::hash<Hashed> {
+    std::size_t operator()(const Hashed &element) const { return std::hash<double>()(element.at); }
+};
+
+namespace {
+
+// An add that throws stores nothing, and the elements after it are found where they are. A remove that throws while it makes
+// its table leaves none of it.
+template <class T> void exceptions() {
+    wayfold::NearestNeighborsWayfold<T> neighbors("R1", [](const T &element, double *row) { *row = element.at; });
+    const auto holds = [&](const std::vector<double> &expected) {
+        std::vector<T> found;
+        neighbors.list(found);
+        CHECK(neighbors.size() == expected.size() && found.size() == expected.size());
+        for (std::size_t at = 0; at < expected.size(); at++) {
+            CHECK(found[at].at == expected[at] && neighbors.nearest(T(expected[at])).at == expected[at]);
+        }
+    };
+    const auto fails = [](int copies, auto action) {
+        bool has_thrown = false;
+        copies_left = copies;
+        try {
+            action();
+        } catch (const std::bad_alloc &) {
+            has_thrown = true;
+        }
+        copies_left = -1;
+        return has_thrown;
+    };
+    for (int at = 0; at < 4; at++) {
+        neighbors.add(T(at));
+    }
+    const T nine(9), ten(10);
+    CHECK(fails(0, [&] { neighbors.add(nine); }));
+    holds({0, 1, 2, 3});
+    CHECK(!message_of<wayfold::Error>([&] { neighbors.add(T(std::nan(""))); }).empty());
+    neighbors.add(ten);
+    holds({0, 1, 2, 3, 10});
+    // The table of elements is made by a remove, and takes a copy of each.
+    CHECK(fails(2, [&] { neighbors.remove(ten); }) == wayfold::detail::IsHashable<T>::value);
+    CHECK(neighbors.remove(T(1)) && !neighbors.remove(T(1)));
+    // With the table, an add makes two copies.
+    CHECK(fails(0, [&] { neighbors.add(nine); }));
+    CHECK(fails(1, [&] { neighbors.add(nine); }) == wayfold::detail::IsHashable<T>::value);
+    neighbors.remove(nine);
+    CHECK(!message_of<wayfold::Error>([&] { neighbors.add(T(std::nan(""))); }).empty());
+    neighbors.add(T(11));
+    CHECK(neighbors.remove(T(2)) && !neighbors.remove(T(2)) && !neighbors.remove(nine));
+    neighbors.remove(ten);
+    holds({0, 3, 11});
+    CHECK(neighbors.remove(T(11)) && neighbors.size() == 2);
+}
+
 } // namespace
 
 int main() {
@@ -156,5 +234,7 @@ int main() {
     near_rotations_with_weights();
     near_rotations_in_planners();
     removed_elements();
+    exceptions<Fragile>();
+    exceptions<Hashed>();
     std::cout << "neighbors: ok\n";
 }

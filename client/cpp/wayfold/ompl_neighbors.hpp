@@ -146,8 +146,26 @@ public:
         if (unchecked_ > 0 && Base::distFun_) {
             check_distance(element, row);
         }
-        index_.insert(row);
-        store(element);
+        const std::size_t at = elements_.size();
+        elements_.push_back(element);
+        try {
+            is_stored_.push_back(true);
+            if constexpr (detail::IsHashable<T>::value) {
+                if (has_ids_) {
+                    ids_.emplace(element, at);
+                }
+            }
+            // The index comes last: its ids are the places, and it gives none of them twice.
+            index_.insert(row);
+        } catch (...) {
+            elements_.pop_back();
+            is_stored_.resize(at);
+            // The next `remove` makes the table again.
+            ids_.clear();
+            has_ids_ = false;
+            throw;
+        }
+        size_++;
     }
 
     void add(const std::vector<T> &elements) override {
@@ -163,11 +181,11 @@ public:
         }
         index_.remove(first_ + at);
         is_stored_[at] = false;
+        size_--;
         // The place stays; what the element owns does not.
         if constexpr (std::is_default_constructible_v<T> && std::is_move_assignable_v<T>) {
             elements_[at] = T();
         }
-        size_--;
         return true;
     }
 
@@ -253,22 +271,13 @@ private:
         }
     }
 
-    void store(const T &element) {
-        if constexpr (detail::IsHashable<T>::value) {
-            if (has_ids_) {
-                ids_.emplace(element, elements_.size());
-            }
-        }
-        elements_.push_back(element);
-        is_stored_.push_back(true);
-        size_++;
-    }
-
     // The place of a stored element, or the number of places.
     std::size_t find(const T &element) {
         if constexpr (detail::IsHashable<T>::value) {
             // Planners that never remove do not pay for the table.
             if (!has_ids_) {
+                // An exception may have left a part of it.
+                ids_.clear();
                 for (std::size_t at = 0; at < elements_.size(); at++) {
                     if (is_stored_[at]) {
                         ids_.emplace(elements_[at], at);
