@@ -1,5 +1,5 @@
-// ompl.hpp: `use` compiles for the planner of the macro PLANNER, or the compiler says the sentence. client/cpp/check
-// compiles it.
+// ompl.hpp: `use` compiles for the planner of the macro PLANNER, or the compiler says the sentence. With ALLOCATED,
+// `allocator` compiles for it too. client/cpp/check compiles this file.
 #include <ompl/control/planners/rrt/RRT.h>
 #include <ompl/control/planners/sst/SST.h>
 #include <ompl/control/planners/syclop/SyclopRRT.h>
@@ -18,3 +18,8 @@ void refused(PLANNER &planner) {
     wayfold::use(planner);
     wayfold::use(planner, "R1", [](const ompl::base::State *, double *) {});
 }
+
+#ifdef ALLOCATED
+ompl::base::PlannerAllocator allocators[] = {
+    wayfold::allocator<PLANNER>(), wayfold::allocator<PLANNER>("R1", [](const ompl::base::State *, double *) {})};
+#endif

@@ -14,6 +14,8 @@
 #include <ompl/base/spaces/constraint/ProjectedStateSpace.h>
 #include <ompl/base/ConstrainedSpaceInformation.h>
 #include <ompl/base/objectives/PathLengthOptimizationObjective.h>
+#include <ompl/control/planners/rrt/RRT.h>
+#include <ompl/control/spaces/RealVectorControlSpace.h>
 #include <ompl/geometric/planners/prm/LazyPRM.h>
 #include <ompl/geometric/planners/prm/PRM.h>
 #include <ompl/geometric/planners/rrt/BiTRRT.h>
@@ -29,6 +31,7 @@
 #include <vector>
 #include <wayfold/ompl.hpp>
 
+namespace oc = ompl::control;
 namespace og = ompl::geometric;
 
 namespace {
@@ -363,6 +366,18 @@ template <class P> void number_of_neighbors() {
     CHECK(wayfold::detail::strategy_k(planner) == 3);
 }
 
+// An allocator of planners with controls takes their space information, and says so if it gets another one.
+void planners_with_controls() {
+    const auto space = std::make_shared<ob::SE2StateSpace>();
+    space->setBounds(box(2));
+    const auto controls = std::make_shared<oc::RealVectorControlSpace>(space, 1);
+    const auto si = std::make_shared<oc::SpaceInformation>(space, controls);
+    si->setStatePropagator([](const ob::State *, const oc::Control *, double, ob::State *) {});
+    const auto make = wayfold::allocator<oc::RRT>();
+    CHECK(std::dynamic_pointer_cast<oc::RRT>(make(si)) != nullptr);
+    refuses<ompl::Exception>("needs a control::SpaceInformation", [&] { make(se2().si); });
+}
+
 } // namespace
 
 int main() {
@@ -375,6 +390,7 @@ int main() {
     constrained_spaces();
     distances_with_costs();
     a_checker_that_throws();
+    planners_with_controls();
     number_of_neighbors<og::PRM>();
     number_of_neighbors<og::LazyPRM>();
     std::cout << "traps: ok\n";

@@ -30,6 +30,7 @@
 #include <vector>
 
 namespace ompl::control {
+class SpaceInformation;
 class SyclopRRT;
 } // namespace ompl::control
 
@@ -226,6 +227,32 @@ template <class P> void use(P &planner, Context context) {
     }
 }
 
+// The space information of planners with controls, whose headers are theirs to include: the type is complete once P is.
+template <class P> struct ControlInformation {
+    using type = ompl::control::SpaceInformation;
+};
+
+// Makes a planner. OMPL's planners with controls take their own space information.
+template <class P> std::shared_ptr<P> make_planner(const ompl::base::SpaceInformationPtr &information) {
+    if constexpr (std::is_constructible_v<P, const ompl::base::SpaceInformationPtr &>) {
+        return std::make_shared<P>(information);
+    } else {
+        using Information = typename ControlInformation<P>::type;
+        constexpr bool has_controls = std::is_constructible_v<P, const std::shared_ptr<Information> &>;
+        static_assert(has_controls, "wayfold::allocator cannot make this planner: its constructor takes more than a space "
+                                    "information. Make it in an allocator of your own, and call wayfold::use");
+        if constexpr (has_controls) {
+            const auto controls = std::dynamic_pointer_cast<Information>(information);
+            if (controls == nullptr) {
+                throw ompl::Exception("wayfold: a planner with controls needs a control::SpaceInformation");
+            }
+            return std::make_shared<P>(controls);
+        } else {
+            return nullptr;
+        }
+    }
+}
+
 } // namespace detail
 
 // Makes a planner use Wayfold's index. Call it before the planner's setup, with the bounds of its space set: it clears
@@ -260,7 +287,7 @@ void use(P &planner, const std::string &space, StateToRow write, Merging merging
 // An allocator of planners that use Wayfold's index, where OMPL makes the planner, as in SimpleSetup and MoveIt.
 template <class P> ompl::base::PlannerAllocator allocator() {
     return [](const ompl::base::SpaceInformationPtr &information) -> ompl::base::PlannerPtr {
-        auto planner = std::make_shared<P>(information);
+        const auto planner = detail::make_planner<P>(information);
         use(*planner);
         return planner;
     };
@@ -271,7 +298,7 @@ template <class P>
 ompl::base::PlannerAllocator allocator(const std::string &space, const StateToRow &write,
                                        Merging merging = Merging::background) {
     return [=](const ompl::base::SpaceInformationPtr &information) -> ompl::base::PlannerPtr {
-        auto planner = std::make_shared<P>(information);
+        const auto planner = detail::make_planner<P>(information);
         use(*planner, space, write, merging);
         return planner;
     };
