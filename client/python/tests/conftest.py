@@ -16,10 +16,11 @@ MAX_WAIT_S = 60
 
 @dataclass(frozen=True)
 class Server:
-    """The addresses of a running server."""
+    """A running server: its addresses and its process."""
 
     url: str
     locator: str
+    pid: int
 
 
 @contextmanager
@@ -39,7 +40,8 @@ def serving(settings: Mapping[str, str]) -> Iterator[Server]:
             line = process.stdout.readline().strip()
             assert line.startswith("listening on "), line
             addresses.append(line.removeprefix("listening on "))
-        yield Server(*addresses)
+        url, locator = addresses
+        yield Server(url, locator, process.pid)
     finally:
         process.terminate()
         process.stdout.read()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import signal
+import threading
 import time
 import warnings
 
@@ -77,6 +80,18 @@ def test_an_exception_that_ends_a_block_stays_and_lost_writes_are_warned_of() ->
     ):
         index.insert_many([[0.0], [1.0]])
         raise KeyError("body")
+
+
+def test_a_block_whose_writes_are_all_stored_late_raises_nothing() -> None:
+    with serving({}) as server:
+        # The flush of the block ends before the server goes on, and the close of the index does not.
+        with wayfold.shared(server.url, "late", create="R1", timeout=1.0) as index:
+            os.kill(server.pid, signal.SIGSTOP)
+            timer = threading.Timer(2.5, os.kill, (server.pid, signal.SIGCONT))
+            timer.start()
+            index.insert_many(np.arange(100.0)[:, None])
+        timer.join()
+        assert len(wayfold.remote(server.url, "late")) == 100
 
 
 def test_all_forms_answer_alike(server: Server) -> None:

@@ -326,7 +326,7 @@ class Index:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Flushes and closes; raises if the server does not take the writes, which are lost.
+        """Flushes and closes; raises if the server does not take the writes in time. They are lost then.
 
         If an exception ends the block, it only closes, and the exception stays: writes that the server does not take
         within 30 s are lost, with a `RuntimeWarning`.

@@ -135,7 +135,7 @@ impl Index {
 
     /// Ends a `with` block. An exception that ended it stays.
     pub(super) fn exit(&self, py: Python<'_>, has_raised: bool) -> PyResult<()> {
-        // Raises the reason, if the writes cannot be sent. `close` has only the writes.
+        // Tells the reason, if the writes cannot be sent. `close` has only the writes.
         let flushed = match has_raised {
             true => Ok(()),
             false => self.flush(py),
@@ -146,7 +146,11 @@ impl Index {
             Err(_) if has_raised => 0,
             Err(error) => return Err(error),
         };
-        if flushed.is_ok() && lost > 0 {
+        if lost == 0 {
+            // `close` has waited for the writes for which `flush` had too little time.
+            return Ok(());
+        }
+        if flushed.is_ok() {
             let text = format!(
                 "a shared index was closed before the server had acknowledged its writes, which are lost ({lost}): call \
                  `flush` and `take_unsent` within the `with` block to keep them"
