@@ -286,7 +286,8 @@ class Index:
 
         (..., m) in, (..., k) out, squeezed for k = 1. A missing neighbour has the distance inf and the id −1. `k` may
         be a list of ranks from 1. `workers` threads search, but at most one for each processor, as with −1. An answer
-        that no memory holds is a `MemoryError`.
+        that no memory holds is a `MemoryError`. The server of a remote index refuses a `k` above its `limits.max_k`,
+        10,000 by default, also if the index has fewer points.
         """
     def query_ball_point(
         self,
