@@ -194,6 +194,27 @@ def test_a_wrong_file_is_refused(tmp_path: Path) -> None:
         wayfold.Index.load(path)
 
 
+def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "damaged"
+    plane().save(path)
+    content = path.read_bytes()
+    # The last 22 bytes say where the archive's directory is.
+    for at in range(len(content) - 22, len(content)):
+        for byte in {0, 255} - {content[at]}:
+            path.write_bytes(content[:at] + bytes([byte]) + content[at + 1 :])
+            try:
+                wayfold.Index.load(path)
+            except wayfold.InvalidArgument as error:
+                assert "not the file of an index" in str(error)
+
+
+def test_a_file_that_cannot_be_read_is_an_error_of_the_system(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        wayfold.Index.load(tmp_path / "missing")
+    with pytest.raises(IsADirectoryError):
+        wayfold.Index.load(tmp_path)
+
+
 def test_searches_release_the_interpreters_lock() -> None:
     rng = np.random.default_rng(1)
     index = wayfold.Index("R6")

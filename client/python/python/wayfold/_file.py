@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 import shutil
@@ -71,4 +72,13 @@ def load(path: str | os.PathLike[str]) -> Index:
         raise
     # numpy takes a file that is no archive for pickled data, and zipfile does not know every method of compression.
     except (KeyError, AttributeError, TypeError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile) as error:
-        raise InvalidArgument(f"{path}: not the file of an index: {error}", "INVALID_ARGUMENT") from error
+        raise _no_index(path, error) from error
+    except OSError as error:
+        # A damaged file makes zipfile seek to a place before its beginning. Other errors are those of the system.
+        if error.errno != errno.EINVAL:
+            raise
+        raise _no_index(path, error) from error
+
+
+def _no_index(path: str | os.PathLike[str], error: Exception) -> InvalidArgument:
+    return InvalidArgument(f"{path}: not the file of an index: {error}", "INVALID_ARGUMENT")
