@@ -261,6 +261,7 @@ impl Server {
         tokio::select! {
             failed = starting => failed,
             () = maintaining => Err(ServerError::Ended),
+            () = registry.keep_fitness() => Err(ServerError::Ended),
         }
     }
 

@@ -362,8 +362,8 @@ impl Index {
         self.form.clear()
     }
 
-    /// Removes all points that the index has now, for everybody. It reads all their ids first, which take 8 bytes each:
-    /// the server does not keep the points of a scan for as long as their removal may take.
+    /// Removes all points that the index has now, for everybody. It reads all their ids first: the server does not keep the
+    /// points of a scan for as long as their removal may take.
     ///
     /// # Errors
     /// Those of [`Index::scan`] and [`Index::remove`]. Some points may be removed then.

@@ -192,14 +192,27 @@ impl Client {
             awaited = Some(Revision::new(Arc::clone(info.uid()), newest));
             // This server lags behind another one.
             let index = IndexHandle::new(self.clone(), info).with_timeout(timeout);
+            let mut attempts = 0;
             let attempt = |connection: Connection, remaining| {
-                let index = &index;
+                attempts += 1;
+                let (index, patience) = (&index, self.patience(timeout, attempts));
                 async move {
-                    let waited = index.wait_for_newest(&connection, remaining).await;
+                    let waited = index.wait_for_newest(&connection, remaining, patience);
+                    let waited = waited.await;
                     waited.map(tonic::Response::new)
                 }
             };
             self.call_at(CALL, timeout, deadline, attempt).await?;
+        }
+    }
+
+    /// The longest time that this attempt of a call waits for its server to reach a revision. Each of several servers is
+    /// left once; the last attempt, and those after each server was asked, wait to the end.
+    pub(crate) fn patience(&self, timeout: Duration, attempt: usize) -> Duration {
+        let most = usize::try_from(self.settings.retry.attempts).unwrap_or(usize::MAX);
+        match attempt < most && attempt <= self.connections.len() {
+            true => self.connections.patience(timeout),
+            false => Duration::MAX,
         }
     }
 
@@ -255,19 +268,19 @@ impl Client {
         // With its uid, a retried delete cannot hit an index that was created in between.
         let mut once = self.clone();
         once.settings.retry = RetryPolicy::never();
-        let is_not_loaded = |error: &Error| error.reason() == Some("NOT_LOADED");
-        let info = match once.index_info(name).await {
-            Err(error) if error.is_transient() && !is_not_loaded(&error) => {
-                self.index_info(name).await
-            }
-            info => info,
-        };
-        let uid = match info {
+        let uid = match once.index_info(name).await {
             Ok(index) => index.revision.uid.to_string(),
-            Err(error) if error.code() == Code::DataLoss || is_not_loaded(&error) => {
-                self.damaged_uid(name).await?.ok_or(error)?
+            Err(error) if error.code() != Code::DataLoss && !error.is_transient() => {
+                return Err(error);
             }
-            Err(error) => return Err(error),
+            // A server of a cluster answers `UNAVAILABLE` for an index that it cannot read.
+            Err(error) => match self.damaged_uid(name).await? {
+                Some(uid) => uid,
+                None if error.is_transient() => {
+                    self.index_info(name).await?.revision.uid.to_string()
+                }
+                None => return Err(error),
+            },
         };
         let message = v1::DeleteIndexRequest {
             index_name: name.to_owned(),

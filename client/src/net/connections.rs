@@ -102,8 +102,13 @@ impl Connections {
         self.all.len() > 1
     }
 
-    /// The longest time of a call of `timeout` that the client spends on waiting for one server: with several servers
-    /// the part of each, but at least [`MIN_PATIENCE`] and at most [`MAX_SILENCE`].
+    /// The number of servers.
+    pub(crate) fn len(&self) -> usize {
+        self.all.len()
+    }
+
+    /// The longest time of a call of `timeout` that the client waits for one server. With several servers it is the part of
+    /// each, but at least [`MIN_PATIENCE`] and at most [`MAX_SILENCE`].
     pub(crate) fn patience(&self, timeout: Duration) -> Duration {
         if !self.are_several() {
             return timeout;

@@ -271,12 +271,16 @@ impl IndexHandle {
     ) -> Result<C::Answer, Error> {
         let deadline = deadline.or(self.deadline);
         let deadline = deadline.unwrap_or_else(|| Instant::now() + self.timeout);
-        let message = &message;
-        let attempt = |connection: Connection, remaining: Duration| async move {
-            self.catch_up(&connection, remaining).await?;
-            // The wait has taken a part of the time.
-            let remaining = deadline.saturating_duration_since(Instant::now());
-            C::send(connection, within(remaining, message())).await
+        let (message, mut attempts) = (&message, 0);
+        let attempt = |connection: Connection, remaining: Duration| {
+            attempts += 1;
+            let patience = self.client().patience(self.timeout, attempts);
+            async move {
+                self.catch_up(&connection, remaining, patience).await?;
+                // The wait has taken a part of the time.
+                let remaining = deadline.saturating_duration_since(Instant::now());
+                C::send(connection, within(remaining, message())).await
+            }
         };
         let client = self.client();
         let answer = client.call_at(C::NAME, self.timeout, deadline, attempt);
@@ -288,12 +292,14 @@ impl IndexHandle {
         &self,
         connection: &Connection,
         remaining: Duration,
+        patience: Duration,
     ) -> Result<(), tonic::Status> {
         let newest = &self.shared.newest;
         if !self.client().connections().are_several() || newest.is_reached_in(connection.turn()) {
             return Ok(());
         }
-        self.wait_for_newest(connection, remaining).await?;
+        self.wait_for_newest(connection, remaining, patience)
+            .await?;
         newest.set_reached_in(connection.turn());
         Ok(())
     }
@@ -313,12 +319,13 @@ impl IndexHandle {
         // The server refuses another uid.
         let since = since.filter(|since| *since.uid == *self.shared.uid);
         let since = since.map_or(0, |since| since.number);
+        let mut attempts = 0;
         let attempt = |connection: Connection, remaining: Duration| {
+            attempts += 1;
             let newest = self.shared.newest.number();
             // Perhaps no server has a revision that only the caller has named.
-            let may_be_elsewhere = since <= newest && self.client().connections().are_several();
-            let patience = match may_be_elsewhere {
-                true => self.patience(),
+            let patience = match since <= newest {
+                true => self.client().patience(self.timeout, attempts),
                 false => remaining,
             };
             let opened = open(connection.clone());
@@ -332,21 +339,15 @@ impl IndexHandle {
         self.client().call(call, self.timeout, attempt).await
     }
 
-    /// The longest time of a call that one server gets to reach a revision.
-    fn patience(&self) -> Duration {
-        self.client().connections().patience(self.timeout)
-    }
-
-    /// Waits until the server has the newest revision that the handle has seen. With several servers the wait ends with
-    /// `UNAVAILABLE` while there is time for another one.
+    /// Waits until the server has the newest revision that the handle has seen.
     pub(crate) async fn wait_for_newest(
         &self,
         connection: &Connection,
         remaining: Duration,
+        patience: Duration,
     ) -> Result<(), tonic::Status> {
         let newest = self.shared.newest.number();
-        self.wait_for(newest, connection, remaining, self.patience())
-            .await
+        self.wait_for(newest, connection, remaining, patience).await
     }
 
     /// Waits until the server has this revision. A wait that `patience` ends before `remaining` is over fails with
@@ -374,9 +375,12 @@ impl IndexHandle {
         Err(match status.code() {
             // The transport may give up before the server does, and calls that a cancellation.
             tonic::Code::DeadlineExceeded | tonic::Code::Cancelled if wait < remaining => {
-                tonic::Status::unavailable(
+                let mut lagging = tonic::Status::unavailable(
                     "the server lacks the newest revision that this client has seen",
-                )
+                );
+                // No answer to the call: an earlier attempt may have taken effect.
+                lagging.set_source(std::sync::Arc::new(status));
+                lagging
             }
             _ => status,
         })

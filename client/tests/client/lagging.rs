@@ -21,6 +21,7 @@ const MAX_WAIT: Duration = Duration::from_secs(5);
 struct Servers {
     client: Client,
     index: IndexHandle,
+    first: Fake,
     second: Fake,
     third: Fake,
 }
@@ -47,6 +48,7 @@ impl Servers {
         Servers {
             client,
             index,
+            first,
             second,
             third,
         }
@@ -110,4 +112,17 @@ async fn a_short_timeout_leaves_time_for_the_other_servers() {
     let index = servers.index.with_timeout(Duration::from_secs(6));
     index.knn([[0.0]]).await.unwrap();
     assert!(servers.last_wait() <= Duration::from_secs(2));
+}
+
+/// The last attempt is made at the first server, which has come back.
+#[tokio::test]
+async fn the_last_attempt_waits_for_the_time_of_the_call() {
+    let servers = Servers::start(0).await;
+    servers.first.unavailable(1);
+    servers.third.unavailable(usize::MAX);
+    servers.index.knn([[0.0]]).await.unwrap();
+    assert_eq!((servers.second.calls(), servers.third.calls()), (1, 1));
+    let asked: Vec<_> = last_timeouts(&servers.first).take(2).collect();
+    let is_long = |time: &Duration| *time > Duration::from_secs(20);
+    assert!(asked.iter().all(is_long), "{asked:?}");
 }

@@ -120,7 +120,7 @@ impl Members {
 
     /// Announces from now on that the server takes calls of the others, while `fitness` is true.
     pub(super) fn serve(&self, fitness: watch::Receiver<bool>) {
-        // The cell returns a second one.
+        // A second call changes nothing.
         let _ = self.shared.fitness.set(fitness);
     }
 

@@ -191,9 +191,8 @@ pub enum LogError {
     },
     /// A server of a cluster cannot read its own copy of an index: see [`LogError::of_copy`].
     #[error(
-        "this server cannot read its copy of the index ({what}), and the other servers of the cluster have theirs: call \
-         again, or call another server. If its store can be opened, it takes a copy of another server by itself; otherwise \
-         start it on an empty data directory"
+        "this server cannot read its copy of the index ({what}): call another server, which may have another copy. \
+         docs/operations.md tells how this server gets one"
     )]
     CopyUnreadable {
         /// The damage.

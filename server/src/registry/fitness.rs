@@ -1,15 +1,24 @@
 //! The fitness of a server of a cluster: while it is cut off from the journal, or cannot open its store, calls are better
 //! made at another server.
 
-use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+use std::{
+    sync::atomic::{AtomicU32, Ordering::Relaxed},
+    time::Duration,
+};
 
-use tokio::sync::watch;
+use tokio::{
+    sync::watch,
+    time::{MissedTickBehavior, interval},
+};
 
 use super::Registry;
 
 /// The number of checks, one a second, that find the journal out of reach before callers are sent to another server.
 /// The client of NATS connects again sooner than that if it can.
 pub(crate) const MAX_CUT_OFF_CHECKS: u32 = 5;
+
+/// The time between two checks.
+const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// See the module.
 pub(super) struct Fitness {
@@ -29,14 +38,24 @@ impl Default for Fitness {
 
 impl Registry {
     /// False while another server of a cluster answers better: this one has been cut off from the journal for
-    /// [`MAX_CUT_OFF_CHECKS`], or its store is not open. [`Registry::maintain`] looks each second.
+    /// [`MAX_CUT_OFF_CHECKS`], or its store is not open. [`Registry::keep_fitness`] looks.
     pub(crate) fn fitness(&self) -> watch::Receiver<bool> {
         self.note_fitness();
         self.fitness.is_fit.subscribe()
     }
 
+    /// Looks each second, forever. The other work of [`Registry::maintain`] may take minutes.
+    pub(crate) async fn keep_fitness(&self) {
+        let mut ticks = interval(CHECK_INTERVAL);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            ticks.tick().await;
+            self.check_fitness();
+        }
+    }
+
     /// Looks once more, a second after the last look.
-    pub(super) fn check_fitness(&self) {
+    fn check_fitness(&self) {
         let before = self.fitness.cut_off_checks.load(Relaxed);
         let checks = match self.is_cut_off() {
             true => before.saturating_add(1),

@@ -42,7 +42,7 @@ pub struct Published {
     pub view: Arc<dyn View>,
     /// The revision of both.
     pub revision: u64,
-    /// True if other servers have the points too.
+    /// True if servers share the journal.
     pub is_shared: bool,
 }
 

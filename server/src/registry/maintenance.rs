@@ -56,7 +56,6 @@ impl Registry {
                     continue;
                 }
             };
-            self.check_fitness();
             if std::mem::take(&mut is_stale)
                 && let Some(catalogue) = &mut catalogue
             {

@@ -55,7 +55,7 @@ pub enum NotForwarded {
 }
 
 /// The reasons of refusals that lie with the owner and not with the call. None of them changed anything.
-const REASONS_OF_OWNER: [&str; 15] = [
+const REASONS_OF_OWNER: [&str; 16] = [
     // Others may have room.
     "MEMORY_FULL",
     "DISK_FULL",
@@ -73,8 +73,9 @@ const REASONS_OF_OWNER: [&str; 15] = [
     "IDENTITY_EXPIRED",
     "ROLE_TOO_LOW",
     "INDEX_NOT_ALLOWED",
-    // It counts the calls of other servers too.
+    // It counts the calls of other servers too, all of this one together.
     "TOO_MANY_CALLS",
+    "TOO_MANY_BYTES",
 ];
 
 /// The reasons of failures of the owner, after which the outcome is unknown.

@@ -203,7 +203,7 @@ impl Service {
         !matches!(failure, Some(RegistryError::Log(LogError::Unopened { .. })))
     }
 
-    /// Whether this server of a cluster answers calls as well as the others: see [`Registry::fitness`]. None before the
+    /// True while this server of a cluster answers calls as well as the others: see [`Registry::fitness`]. None before the
     /// registry is open.
     pub(crate) fn fitness(&self) -> Option<tokio::sync::watch::Receiver<bool>> {
         self.opened().map(Registry::fitness)

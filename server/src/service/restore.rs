@@ -142,12 +142,21 @@ impl RestoreCall {
         };
         let mut draft = self.draft.take().ok_or_else(out_of_order)?;
         let caller = self.call.caller.clone();
-        // Checking a part takes milliseconds; storing it may, too.
-        let read = self.service.change(&self.call, move |service| {
+        let is_first = draft.restore.is_none();
+        let read = move |service: &Service| {
             draft.read(service, &caller, &name, &part)?;
             Ok::<_, Error>(draft)
-        });
-        let draft = self.call.bound("while restoring", read).await???;
+        };
+        // The first part waits for other changes. Checking another one takes milliseconds; storing it may, too.
+        let draft = match is_first {
+            true => self.service.change(&self.call, read).await??,
+            false => {
+                let service = self.service.clone();
+                let read = tokio::task::spawn_blocking(move || read(&service));
+                let read = self.call.bound("while restoring", read).await?;
+                read.map_err(stopped)??
+            }
+        };
         self.draft = Some(draft);
         Ok(())
     }

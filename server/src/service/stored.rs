@@ -10,10 +10,13 @@ use std::{
 use tokio::sync::Semaphore;
 use tokio_util::task::AbortOnDropHandle;
 
-use super::{Call, Error, error_map::log_error};
+use tracing::error;
+
+use super::{Call, Code, Error, error_map::log_error};
 use crate::{
     admission::MAX_STORED_READS,
     log::{LogError, StoredPoint, View},
+    observe::SparseLines,
     registry::{Hosted, Published, Writer},
 };
 
@@ -68,12 +71,28 @@ pub(super) async fn read_copy<T: Send + 'static>(
     });
     let reading = AbortOnDropHandle::new(reading);
     match call.bound(doing, reading).await?.flatten() {
-        Ok(Err(error)) if is_shared => Err(log_error(index, error.of_copy())),
+        Ok(Err(error)) if is_shared => Err(unreadable(call, index, error)),
         Ok(read) => read.map_err(|error| log_error(index, error)),
         // An awaited read fails to join only if it panicked.
         Err(_) => Err(Error::Internal {
             what: format!("index \"{index}\": the task that reads stored points panicked"),
         }),
+    }
+}
+
+/// The error of a read of one of several copies. A call for another server has changed nothing yet, and goes on there.
+fn unreadable(call: &Call, index: &str, error: LogError) -> Error {
+    static LINES: SparseLines = SparseLines::new();
+    let damage = log_error(index, error.clone());
+    if damage.code() != Code::DataLoss {
+        return damage;
+    }
+    if let Some(left_out) = LINES.next() {
+        error!(error = %damage, left_out, "cannot read this copy of the index");
+    }
+    match call.is_forwarded {
+        true => Error::IndexNotFound { name: index.into() },
+        false => log_error(index, error.of_copy()),
     }
 }
 
@@ -201,7 +220,6 @@ mod tests {
         admission::Admission,
         config::Config,
         log::PointStore,
-        service::Code,
         testing::{arm, log_with},
     };
 

@@ -2,13 +2,19 @@
 //! cluster the queryable of a server that answers worse than the others is incomplete: they get its queries, and if all
 //! servers are cut off, each of them answers.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
-use tokio::sync::{Mutex, watch};
+use tokio::{
+    sync::{Mutex, watch},
+    time::timeout,
+};
 use tracing::{debug, info, warn};
 use zenoh::{Session, query::Queryable};
 
 use super::{ZenohError, queries::Queries};
+
+/// The time between two attempts to take queries.
+const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// See the module.
 #[derive(Clone)]
@@ -52,18 +58,24 @@ impl Offer {
     /// Leaves the queries to the other servers while `fitness` is false, until it is dropped. The queryable is complete
     /// at first.
     pub(super) async fn follow(self, mut fitness: watch::Receiver<bool>) {
-        let mut is_complete = true;
+        let mut is_complete = Some(true);
         loop {
             let is_fit = *fitness.borrow_and_update();
-            if is_fit != is_complete {
-                match self.declare(is_fit).await {
+            if is_complete != Some(is_fit) {
+                let declared = self.declare(is_fit).await;
+                is_complete = declared.is_ok().then_some(is_fit);
+                match declared {
                     Ok(()) if is_fit => info!("takes queries over Zenoh again"),
                     Ok(()) => warn!(
                         "leaves queries over Zenoh to the other servers: it is cut off from NATS, or cannot open its store"
                     ),
-                    Err(error) => warn!(%error, "takes no queries over Zenoh"),
+                    Err(error) => {
+                        warn!(%error, "takes no queries over Zenoh; it tries again");
+                        // The fitness may change meanwhile.
+                        let _ = timeout(RETRY_INTERVAL, fitness.changed()).await;
+                        continue;
+                    }
                 }
-                is_complete = is_fit;
             }
             if fitness.changed().await.is_err() {
                 return;

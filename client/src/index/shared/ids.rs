@@ -63,11 +63,11 @@ impl ReservedIds {
         self.caller_ids.push_back(id);
     }
 
-    /// Forgets ids that the caller chose and whose writes the server has acknowledged: it reserves only ids above all
-    /// that it has stored. It acknowledges writes in their order, so only the last `pending` ids can have pending
-    /// writes. An id that was stored and removed in one batch counts as never stored: a later block may include it.
-    pub(super) fn forget_acknowledged(&mut self, pending: u64) {
-        while self.caller_ids.len() as u64 > pending {
+    /// Forgets ids that the caller chose and whose writes are published: the server reserves only ids above all that it
+    /// has stored. Writes are published in their order, so only the last `unpublished` ids can have others. An id that
+    /// was stored and removed in one batch counts as never stored: a later block may include it.
+    pub(super) fn forget_published(&mut self, unpublished: usize) {
+        while self.caller_ids.len() > unpublished {
             self.caller_ids.pop_front();
         }
     }
@@ -108,14 +108,14 @@ mod tests {
     }
 
     #[test]
-    fn only_as_many_ids_of_the_caller_are_remembered_as_writes_are_pending() {
+    fn only_as_many_ids_of_the_caller_are_remembered_as_writes_are_unpublished() {
         let mut ids = ReservedIds::default();
         for id in 10..1_000 {
             ids.note_caller_id(id);
-            ids.forget_acknowledged(2);
+            ids.forget_published(2);
         }
         assert_eq!(ids.caller_ids, [998, 999]);
-        ids.forget_acknowledged(0);
+        ids.forget_published(0);
         assert!(ids.caller_ids.is_empty());
     }
 }

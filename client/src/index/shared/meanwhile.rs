@@ -8,8 +8,8 @@ use std::collections::{HashMap, HashSet, VecDeque};
 use wayfold_index::{ForestSnapshot, Neighbor, Search, Space};
 
 use super::rebased::{Content, Difference};
-use arrival::Arrival;
 pub(super) use arrival::Reloaded;
+use arrival::{Arrival, WHOLE_PLACE};
 pub(super) use open_search::{InsertSearch, OpenSearch};
 
 /// The most bytes of the answers that wait for the caller.
@@ -285,17 +285,18 @@ impl Answerable {
             let Some(first) = unseen.clone().next() else {
                 return false;
             };
-            let mut old_tags = unseen.clone().map(|arrival| arrival.difference.old_tag);
-            let is_new = old_tags.any(|old_tag| old_tag.is_none());
+            let old_tag = |arrival: &Arrival| arrival.difference.old_tag_in(open.change);
+            let is_new = unseen.clone().any(|arrival| old_tag(arrival).is_none());
             // Another writer may have stored a point under the same id.
             let is_other = *id != open.id;
-            is_other && passes(*tag) && (is_new || !first.difference.old_tag.is_some_and(passes))
+            is_other && passes(*tag) && (is_new || !old_tag(first).is_some_and(passes))
         });
         let neighbors = unseen.map(|(changes, id, (_, row))| {
             let distance = space.distance(&open.row, row);
             let last = changes.iter().rfind(|arrival| !arrival.is_hidden(open));
-            let is_before = last.is_some_and(|it| it.is_unseen(open) && it.is_before(open));
-            (Neighbor { distance, id }, is_before)
+            let last = last.filter(|arrival| arrival.is_unseen(open));
+            let place = last.map_or(0, |arrival| arrival.place(open));
+            (Neighbor { distance, id }, place)
         });
         // An older point that was moved is among the arrivals.
         let stays = |old: &&Neighbor| {
@@ -306,7 +307,7 @@ impl Answerable {
             })
         };
         let older = open.unanswered().iter().filter(stays);
-        let neighbors = neighbors.chain(older.map(|old| (*old, true)));
+        let neighbors = neighbors.chain(older.map(|old| (*old, WHOLE_PLACE)));
         let bound = match self.departure > open.change {
             true => open.radius_at_place(space.dimension()),
             false => open.bound(space.dimension()),
@@ -317,10 +318,10 @@ impl Answerable {
         // An older point may have been stored again with the same state.
         neighbors.dedup_by_key(|(neighbor, _)| neighbor.id);
         // Those that may have come later take no place of the others.
-        let mut left = open.k_at_place();
-        let within = neighbors.into_iter().take_while(|(_, is_before)| {
+        let mut left = open.k_at_place().saturating_mul(WHOLE_PLACE);
+        let within = neighbors.into_iter().take_while(|(_, place)| {
             let has_place = left > 0;
-            left = left.saturating_sub(usize::from(*is_before));
+            left = left.saturating_sub(*place);
             has_place
         });
         within.map(|(neighbor, _)| neighbor).collect()

@@ -184,8 +184,8 @@ impl NearestNeighbors for SharedIndex {
             Some(_) => {
                 writes.change(id, &step, &mut points)?;
                 writes.ids.note_caller_id(id);
-                let pending = writes.written - writes.resolved;
-                writes.ids.forget_acknowledged(pending);
+                let unpublished = writes.unpublished();
+                writes.ids.forget_published(unpublished);
             }
         }
         let read_revision = points.read_revision();

@@ -117,6 +117,11 @@ impl PendingWrites {
         self.session.is_some() || self.resolved < self.written
     }
 
+    /// The number of writes that the copy has not seen published.
+    pub(super) fn unpublished(&self) -> usize {
+        self.queue.iter().map(Batch::len).sum()
+    }
+
     /// True if a session is or was this process's.
     pub(super) fn is_own(&self, session: u64) -> bool {
         self.session == Some(session) || self.past_sessions.contains(&session)
@@ -168,7 +173,7 @@ impl PendingWrites {
         step: &Step<'_>,
         points: &mut LocalPoints,
     ) -> Result<(), Error> {
-        let made = points.read_revision().0 + 1;
+        let visible_from = points.read_revision().0 + 1;
         if !self.rebased.contains_key(&id) {
             let shown = points.get(id);
             let rebased = match &shown {
@@ -180,7 +185,7 @@ impl PendingWrites {
                         row: &point.row,
                         payload: &[],
                     };
-                    rebased.push(&insert, made);
+                    rebased.push(&insert, visible_from);
                     rebased
                 }
                 _ => RebasedPoint::new(shown.map(|point| (point.tag, point.row))),
@@ -199,7 +204,7 @@ impl PendingWrites {
             Step::SetPayload(_) => drop(points.touch(id)?),
         }
         if let Some(rebased) = self.rebased.get_mut(&id) {
-            rebased.push(step, made);
+            rebased.push(step, visible_from);
         }
         let bytes = REBASED_STEP_BYTES + 2 * size_of::<f64>() * self.width;
         self.push(id, step).kept_bytes += bytes;

@@ -27,15 +27,17 @@ pub(super) struct RebasedPoint {
 #[derive(Debug)]
 struct PendingChange {
     /// The copy's change from which on searches see the write.
-    made: u64,
+    visible_from: u64,
     change: Change,
 }
 
 /// A change of a published point, as the searches of own inserts see it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Difference {
-    /// The tag that the searches saw, if only the tag is new.
-    pub(super) old_tag: Option<u64>,
+    /// The tag that the searches saw.
+    old_tag: Option<u64>,
+    /// For searches from this change of the copy on, only the tag is new.
+    tag_only_from: u64,
     /// Searches from this change of the copy on followed an own write that hides the difference.
     pub(super) hidden_from: u64,
 }
@@ -45,8 +47,14 @@ impl Difference {
     pub(super) fn plain(old_tag: Option<u64>) -> Difference {
         Difference {
             old_tag,
+            tag_only_from: 0,
             hidden_from: u64::MAX,
         }
+    }
+
+    /// The tag that a search at this change of the copy saw, if only the tag is new for it.
+    pub(super) fn old_tag_in(&self, change: u64) -> Option<u64> {
+        self.old_tag.filter(|_| change >= self.tag_only_from)
     }
 
     /// The point `now` in place of the point `seen`, with these own writes after either. An equal state counts as another
@@ -58,18 +66,23 @@ impl Difference {
         mut writes: impl Iterator<Item = &'a PendingChange>,
     ) -> Difference {
         let state = |point: Option<Shown<'a>>| point.map(|(_, row)| row);
-        let mut is_old_state = !is_new && state(seen) == state(now);
-        let tag = seen.map(|(tag, _)| tag);
-        let old_tag = if is_old_state { tag } else { None };
+        let old_tag = seen.map(|(tag, _)| tag);
+        let mut tag_only_from = match !is_new && state(seen) == state(now) {
+            true => 0,
+            false => u64::MAX,
+        };
         let hiding = writes.find(|&write| {
             seen = write.change.apply(seen);
             now = write.change.apply(now);
-            is_old_state |= write.change.sets_state();
-            is_old_state && seen == now
+            if write.change.sets_state() {
+                tag_only_from = tag_only_from.min(write.visible_from);
+            }
+            tag_only_from != u64::MAX && seen == now
         });
         Difference {
             old_tag,
-            hidden_from: hiding.map_or(u64::MAX, |write| write.made),
+            tag_only_from,
+            hidden_from: hiding.map_or(u64::MAX, |write| write.visible_from),
         }
     }
 }
@@ -110,8 +123,8 @@ impl RebasedPoint {
         }
     }
 
-    /// Adds the newest write, which searches from the change `made` of the copy on see.
-    pub(super) fn push(&mut self, step: &Step<'_>, made: u64) {
+    /// Adds the newest write, which searches see from this change of the copy on.
+    pub(super) fn push(&mut self, step: &Step<'_>, visible_from: u64) {
         let change = match *step {
             Step::Put { tag, row, .. } => Change::Put((tag, row.to_vec())),
             Step::Replace { row } => Change::Replace(row.to_vec()),
@@ -119,7 +132,10 @@ impl RebasedPoint {
             Step::SetTag(tag) => Change::SetTag(tag),
             Step::SetPayload(_) => Change::SetPayload,
         };
-        self.pending.push_back(PendingChange { made, change });
+        self.pending.push_back(PendingChange {
+            visible_from,
+            change,
+        });
     }
 
     /// True if the published point has another tag or state than this row.
@@ -134,16 +150,16 @@ impl RebasedPoint {
         Difference::between(self.published(), now, row.is_new, self.pending.iter())
     }
 
-    /// The difference that the published point makes once it shows, because it has the oldest pending write already and
-    /// maybe later ones of others. None if it makes none.
-    pub(super) fn uncovered(&self) -> Option<Difference> {
+    /// The difference between the point that the copy shows and the one that it shows once the oldest pending write is
+    /// confirmed. The published point has that write already, and may have later ones of others. None if they are equal.
+    pub(super) fn difference_once_confirmed(&self) -> Option<Difference> {
         let mut later = self.pending.iter();
         let now = self.published();
         let seen = later.next()?.change.apply(now);
         (seen != now).then(|| Difference::between(seen, now, false, later))
     }
 
-    /// True if a search may have seen another point than this one under the id, or none.
+    /// True if the copy may have shown another point than this one under the id, or no point.
     pub(super) fn may_have_shown_other(&self, point: Shown<'_>) -> bool {
         let mut shown = self.published();
         let mut is_other = shown != Some(point);

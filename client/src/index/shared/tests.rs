@@ -130,14 +130,14 @@ fn a_refusal_whose_writes_were_taken_back_has_its_cause() {
 
 /// A process that names all its ids needs no block, so their number has no other bound.
 #[test]
-fn ids_that_the_caller_chose_are_forgotten_once_their_writes_are_acknowledged() {
+fn ids_that_the_caller_chose_are_forgotten_once_their_writes_are_published() {
     let (core, shared) = idle(1 << 20, 0);
     let index = Index::of_shared(shared);
     let insert = |id| index.insert_with([0.0], InsertOptions::new().id(id));
     insert(150).unwrap();
     let mut writes = core.pending_writes.lock();
     let batch = writes.next(1, 0).unwrap().batch;
-    let taken = writes.acknowledge(batch, 1, 0, &mut core.points.write());
+    let taken = writes.acknowledge(batch, 1, 1, &mut core.points.write());
     assert!(taken.unwrap().is_empty());
     drop(writes);
     insert(160).unwrap();

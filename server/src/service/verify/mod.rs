@@ -184,7 +184,7 @@ impl Pass<'_> {
     async fn page(&self, after: Option<u64>) -> Result<Vec<Arc<StoredPoint>>, Error> {
         held(self.pinned_revision)?;
         let read = move |view: &dyn View| view.page(after, PAGE_ROWS);
-        // It tells the damage of this server's own copy as such, also in a cluster.
+        // Damage of this copy is `DATA_LOSS`, in a cluster too.
         stored::read_copy(
             self.call,
             DOING,

@@ -8,6 +8,9 @@ use super::{
 };
 use crate::index::shared::rebased::Difference;
 
+/// The parts of one of the `k` places of an answer.
+pub(super) const WHOLE_PLACE: usize = 16;
+
 /// A point that another writer stored.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Arrival {
@@ -35,18 +38,21 @@ impl Arrival {
         self.change > open.change && may_be_before && !self.is_hidden(open)
     }
 
-    /// True if it certainly came before the point of the search.
-    pub(super) fn is_before(&self, open: &OpenSearch) -> bool {
-        let is_in_order = match self.revision {
-            Some(0) => false,
-            // Only the place of its state is known: its tag may have passed the filter later.
-            Some(_) => {
-                let any_tag = open.filter.tag_mask == 0;
-                any_tag && open.revision.is_some() && self.difference.old_tag.is_none()
-            }
-            None => self.change < open.first_reload,
-        };
-        open.revision == Some(AFTER_ALL) || is_in_order
+    /// The parts of a place that it takes: all if it certainly came before the point of the search, none if it may have
+    /// come after.
+    pub(super) fn place(&self, open: &OpenSearch) -> usize {
+        let is_new = self.difference.old_tag_in(open.change).is_none();
+        match self.revision {
+            _ if open.revision == Some(AFTER_ALL) => WHOLE_PLACE,
+            None if self.change < open.first_reload => WHOLE_PLACE,
+            Some(1..) if open.revision.is_some() && is_new => match open.filter.tag_mask {
+                0 => WHOLE_PLACE,
+                // Only its state certainly came before: its tag may have passed the filter later. If it took nothing, the
+                // answers after a long outage would grow until most of them are dropped.
+                _ => 1,
+            },
+            _ => 0,
+        }
     }
 }
 

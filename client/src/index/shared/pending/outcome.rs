@@ -115,8 +115,8 @@ impl PendingWrites {
                 before.entry(id).or_default().push((step, base));
             }
             let was_stored = rebased.base.is_some();
-            if is_newer && let Some(difference) = rebased.uncovered() {
-                // The own write hid from later searches what others did after it.
+            if is_newer && let Some(difference) = rebased.difference_once_confirmed() {
+                // Later searches saw the own write, and not the newer ones of others.
                 let change = points.read_revision().0 + 1;
                 self.open_searches.depart(change);
                 if was_stored {
@@ -273,8 +273,8 @@ impl PendingWrites {
         Ok(answerable)
     }
 
-    /// Notes the points with pending writes that the copy which was read again has in another form, or lacks: a search
-    /// that precedes a pending write saw another point than the old copy showed.
+    /// Notes each point with pending writes that the new copy lacks or has in another form: a search before such a write
+    /// may have seen a point that the old copy showed no more.
     fn compare_rebased(&mut self, revision: u64, points: &LocalPoints) {
         if !self.open_searches.are_open() {
             return;

@@ -1,4 +1,4 @@
-//! Points of others that own pending writes hide from this process, or that it sees otherwise because of them.
+//! Points of others that own pending writes hide or change in the copy.
 
 use super::*;
 
@@ -215,4 +215,36 @@ fn after_a_reload_a_point_whose_tag_may_be_newer_takes_no_place_of_another() {
     let rows = [(6, 1, 0.5), (7, 1, 1.0)];
     let answers = reload_at(&mut writes, &mut points, 30, &rows, 7);
     assert_eq!(told(&answers), [[6, 7]]);
+}
+
+/// After a long outage they would push out the answers to other searches.
+#[test]
+fn after_a_reload_points_whose_tag_may_be_newer_do_not_make_an_answer_without_end() {
+    let (mut writes, mut points) = pending_writes();
+    let search = Search {
+        k: 2,
+        radius: f64::INFINITY,
+        ..odd_tags()
+    };
+    ask(&mut writes, &mut points, &search, &[]);
+    writes.next(1, 0).expect("a batch");
+    let taken = writes.acknowledge(1, 8, 0, &mut points);
+    assert!(taken.expect("a batch").is_empty());
+    let rows: Vec<_> = (2..1_000).map(|id| (id, 1, id as f64)).collect();
+    let answers = reload_at(&mut writes, &mut points, 30, &rows, 7);
+    let nearest: Vec<u64> = (2..34).collect();
+    assert_eq!(told(&answers), [nearest]);
+}
+
+/// The own state replaces that of the other writer, and both tags are of the search, which has seen the point.
+#[test]
+fn a_point_is_not_told_again_for_a_state_that_an_own_one_replaced_and_another_tag() {
+    let (mut writes, mut points) = pending_writes();
+    foreign(&mut writes, &mut points, 2, 1, 5.0);
+    change(&mut writes, &mut points, 2, &Step::Replace { row: &[0.5] });
+    ask(&mut writes, &mut points, &odd_tags(), &[(2, 0.5)]);
+    foreign(&mut writes, &mut points, 2, 3, 0.25);
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 1);
+    assert_eq!(told(&answers), [Vec::<u64>::new()]);
 }
