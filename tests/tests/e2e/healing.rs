@@ -223,7 +223,8 @@ async fn refuse(stubs: &mut Stubs, first: u64) {
 async fn a_server_without_its_store_is_not_live_for_the_others() {
     const INDICES: u64 = 8;
     let cluster = Cluster::empty();
-    let [first, second] = together(&cluster, &[]);
+    let [first, mut second] = together(&cluster, &[]);
+    let pages = second.pages();
     let mut stubs = Stubs::connect(second.uri()).await;
     for number in 0..INDICES {
         stubs.create(&format!("arm-{number}"), "R1").await;
@@ -245,6 +246,11 @@ async fn a_server_without_its_store_is_not_live_for_the_others() {
             stubs.insert(insert(number, inserted)).await;
         }
         inserted += 1;
+    }
+    let figures = figures(&pages);
+    for number in 0..INDICES {
+        let owned = format!("wayfold_index_owned{{index=\"arm-{number}\"}}");
+        assert_eq!(figures[owned.as_str()], 1.0, "the first owns {number}");
     }
     let mut stubs = Stubs::connect(first.uri()).await;
     let refused = stubs.points.insert(insert(0, inserted)).await;

@@ -199,41 +199,25 @@ fn an_own_point_that_others_removed_has_left_once_its_batch_is_confirmed() {
     assert_eq!(told(&answers), [[7]]);
 }
 
-/// The state of the nearer one precedes the insert. Its tag may have been 0 then, and the other one was the nearest.
+/// The states of points whose tag is odd now precede the insert, their tags perhaps not. So each takes only a part of a
+/// place, and thousands of them no more than a few answers' room.
 #[test]
-fn after_a_reload_a_point_whose_tag_may_be_newer_takes_no_place_of_another() {
-    let (mut writes, mut points) = pending_writes();
-    let search = Search {
-        k: 1,
-        radius: f64::INFINITY,
-        ..odd_tags()
-    };
-    ask(&mut writes, &mut points, &search, &[]);
-    writes.next(1, 0).expect("a batch");
-    let taken = writes.acknowledge(1, 8, 0, &mut points);
-    assert!(taken.expect("a batch").is_empty());
-    let rows = [(6, 1, 0.5), (7, 1, 1.0)];
-    let answers = reload_at(&mut writes, &mut points, 30, &rows, 7);
-    assert_eq!(told(&answers), [[6, 7]]);
-}
-
-/// After a long outage they would push out the answers to other searches.
-#[test]
-fn after_a_reload_points_whose_tag_may_be_newer_do_not_make_an_answer_without_end() {
-    let (mut writes, mut points) = pending_writes();
-    let search = Search {
-        k: 2,
-        radius: f64::INFINITY,
-        ..odd_tags()
-    };
-    ask(&mut writes, &mut points, &search, &[]);
-    writes.next(1, 0).expect("a batch");
-    let taken = writes.acknowledge(1, 8, 0, &mut points);
-    assert!(taken.expect("a batch").is_empty());
-    let rows: Vec<_> = (2..1_000).map(|id| (id, 1, id as f64)).collect();
-    let answers = reload_at(&mut writes, &mut points, 30, &rows, 7);
-    let nearest: Vec<u64> = (2..34).collect();
-    assert_eq!(told(&answers), [nearest]);
+fn after_a_reload_points_whose_tag_may_be_newer_take_parts_of_places() {
+    for (k, rows, nearest) in [(1, 2..4, 2..4), (2, 2..1_000, 2..34)] {
+        let (mut writes, mut points) = pending_writes();
+        let search = Search {
+            k,
+            radius: f64::INFINITY,
+            ..odd_tags()
+        };
+        ask(&mut writes, &mut points, &search, &[]);
+        writes.next(1, 0).expect("a batch");
+        let taken = writes.acknowledge(1, 8, 0, &mut points);
+        assert!(taken.expect("a batch").is_empty());
+        let rows: Vec<_> = rows.map(|id| (id, 1, id as f64)).collect();
+        let answers = reload_at(&mut writes, &mut points, 30, &rows, 7);
+        assert_eq!(told(&answers), [nearest.collect::<Vec<_>>()]);
+    }
 }
 
 /// The own state replaces that of the other writer, and both tags are of the search, which has seen the point.
