@@ -8,6 +8,7 @@ mod bytes;
 mod call_turns;
 mod client_permits;
 mod held;
+mod places;
 mod turns;
 
 use std::{
@@ -29,6 +30,8 @@ pub(crate) use answer_bytes::{AnswerBytes, TooManyBytes};
 pub(crate) use call_turns::{CallTurns, end_slice};
 pub use client_permits::ClientPermits;
 pub use held::HeldBytes;
+pub use places::CallPlace;
+pub(crate) use places::{CallPlaces, NoPlace, PlaceWait};
 pub(crate) use turns::Overloaded;
 
 /// The setting of the bytes that calls hold.

@@ -10,7 +10,7 @@ use std::{
 
 use super::Error;
 use crate::{
-    admission::{AnswerBytes, ClientPermits, HeldBytes, end_slice},
+    admission::{AnswerBytes, CallPlace, ClientPermits, HeldBytes, PlaceWait, end_slice},
     identity::{Caller, Denial},
 };
 
@@ -56,6 +56,8 @@ pub struct Call {
     pub permits: Option<Arc<ClientPermits>>,
     /// The bytes of the call, if its answer counts while it is made; None: nothing bounds that, or a stream counts each part.
     pub held: Option<Arc<HeldBytes>>,
+    /// Its place, which another call may get while this one waits for a revision. None: the call keeps its place.
+    pub place: Option<Arc<CallPlace>>,
     /// Gets the label of the index of the call, for its metrics, once the index is found.
     pub index: Arc<OnceLock<Arc<str>>>,
 }
@@ -84,6 +86,11 @@ impl Call {
             Some(deadline) if Instant::now() >= deadline => Err(Error::DeadlineExceeded { doing }),
             _ => Ok(()),
         }
+    }
+
+    /// Notes that the call only waits: another call may get its place until the result is dropped.
+    pub(super) fn wait_in_place(&self) -> Option<PlaceWait> {
+        self.place.as_ref().map(CallPlace::wait)
     }
 
     /// Begins to count the bytes of an answer.

@@ -72,6 +72,7 @@ impl Service {
     ) -> Result<Arc<Published>, Error> {
         let mut revision = revision;
         if latest {
+            let _waits = call.wait_in_place();
             match self.latest_of_owner(call, hosted).await? {
                 Some(latest) => revision = revision.max(latest),
                 None => {
@@ -119,6 +120,7 @@ impl Service {
         doing: &'static str,
         future: F,
     ) -> Result<F::Output, Error> {
+        let _waits = call.wait_in_place();
         let bounded = async {
             tokio::select! {
                 biased;

@@ -32,7 +32,7 @@ use zenoh::{Session, key_expr::KeyExpr};
 pub use session::ZenohError;
 pub(crate) use session::{MAX_PENDING, MAX_SESSIONS, exposed};
 
-use crate::{config::ZenohConfig, faces::FaceContext};
+use crate::{admission::CallPlaces, config::ZenohConfig, faces::FaceContext};
 use feed::Announcer;
 use flows::Flows;
 use inline::Inline;
@@ -88,13 +88,12 @@ impl ZenohFace {
             session: session.clone(),
             runtime: open.runtime.clone(),
         });
-        let places = || Arc::new(Semaphore::new(config.max_calls.min(Semaphore::MAX_PERMITS)));
         let queries = Arc::new(Queries {
             flows: Flows::new(shared.admission.clone()),
             shared,
             prefix: config.prefix.clone(),
-            places: places(),
-            admin_places: places(),
+            places: CallPlaces::new(config.max_calls),
+            admin_places: CallPlaces::new(config.max_calls),
             max_calls: config.max_calls,
             refusals: Arc::new(Semaphore::new(MAX_REFUSALS)),
             default_timeout: Duration::from_millis(config.default_timeout_ms),

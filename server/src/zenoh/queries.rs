@@ -8,11 +8,7 @@ use std::{
 };
 
 use futures_util::FutureExt;
-use tokio::{
-    sync::{OwnedSemaphorePermit, Semaphore},
-    task::block_in_place,
-    time::timeout_at,
-};
+use tokio::{sync::Semaphore, task::block_in_place, time::timeout_at};
 use tokio_util::{
     sync::CancellationToken,
     task::{TaskTracker, task_tracker::TaskTrackerToken},
@@ -32,7 +28,7 @@ use super::{
     wildcard,
 };
 use crate::{
-    admission::{CALL_BYTES, CallTurns, HeldBytes},
+    admission::{CALL_BYTES, CallPlace, CallPlaces, CallTurns, HeldBytes, NoPlace},
     faces::FaceContext,
     identity::{Caller, Denial, Identities},
     observe::{CallRecord, Ending, Times},
@@ -47,17 +43,20 @@ const MAX_ATTACHMENT_BYTES: usize = 4 * 1024;
 /// The largest selector, which has the parameters. Longer values belong in the payload.
 const MAX_SELECTOR_BYTES: usize = 64 * 1024;
 
+/// The advice to a query that has lost its place.
+const LOST_PLACE: &str = "another link needs the place of this query: try again later";
+
 /// Answers queries.
 pub(super) struct Queries {
     pub(super) shared: FaceContext,
     pub(super) prefix: String,
     pub(super) flows: Flows,
     /// Bounds the queries in flight: each may wait for its link on a thread of its own.
-    pub(super) places: Arc<Semaphore>,
+    pub(super) places: Arc<CallPlaces>,
     /// Those of calls of administration.
-    pub(super) admin_places: Arc<Semaphore>,
+    pub(super) admin_places: Arc<CallPlaces>,
     pub(super) max_calls: usize,
-    /// Bounds the refusals that wait for their links.
+    /// Bounds the refusals that wait for their links, and the queries that lost their places.
     pub(super) refusals: Arc<Semaphore>,
     /// The deadline of queries that have none.
     pub(super) default_timeout: Duration,
@@ -74,7 +73,7 @@ struct Accepted {
     query: Query,
     form: Result<Form, Error>,
     arrived: Instant,
-    place: OwnedSemaphorePermit,
+    place: Arc<CallPlace>,
     held: Arc<HeldBytes>,
     turns: CallTurns,
     under_way: TaskTrackerToken,
@@ -103,17 +102,15 @@ impl Queries {
             Some(verb) if verb.is_of_server() => (link.admin(), &self.admin_places),
             _ => (&link, &self.places),
         };
-        // A link has no more places than it leaves to the others.
-        let is_greedy = flow.under_way() > places.available_permits();
-        let place = Arc::clone(places).try_acquire_owned();
-        let Some(place) = place.ok().filter(|_| !is_greedy) else {
-            self.shared.admission.count_excess();
-            let advice = match is_greedy {
-                true => "wait for some of the answers to this link, or try again later",
-                false => "try again later",
-            };
-            let status = status::too_many_calls("zenoh.max_calls", self.max_calls, advice);
-            return self.refuse(query, form, under_way, status);
+        let place = match places.take(flow, &self.refusals) {
+            Ok(place) => place,
+            Err(lack) => {
+                let status = self.too_many_calls(match lack {
+                    NoPlace::OfFlow => "wait for answers to this link, or try again later",
+                    NoPlace::OfAll => "try again later",
+                });
+                return self.refuse(query, form, under_way, status);
+            }
         };
         let held = Arc::new(flow.hold());
         let bytes = size.all();
@@ -145,6 +142,12 @@ impl Queries {
         } else {
             self.inline.run_elsewhere(answering.boxed());
         }
+    }
+
+    /// The refusal of a query without a place, which counts.
+    fn too_many_calls(&self, advice: &str) -> Status {
+        self.shared.admission.count_excess();
+        status::too_many_calls("zenoh.max_calls", self.max_calls, advice)
     }
 
     /// Refuses a query that has no place.
@@ -214,6 +217,8 @@ impl Queries {
             has_default_deadline: given.is_none(),
             permits: Some(held.flow().permits()),
             held: Some(Arc::clone(&held)),
+            // A mutation may take place although its query has ended.
+            place: is_read.then(|| Arc::clone(&place)),
             ..Call::default()
         };
         let mut record = CallRecord::begin(
@@ -239,16 +244,23 @@ impl Queries {
             Ok(replies)
         };
         let answering = AssertUnwindSafe(turns.run(evaluation)).catch_unwind();
-        let answered = timeout_at(deadline.into(), answering.instrument(span)).await;
+        let answering = timeout_at(deadline.into(), answering.instrument(span));
+        // A short search must not pay for the second branch, so that is polled last.
+        let answered = tokio::select! {
+            biased;
+            answered = answering => Some(answered),
+            () = place.lost() => None,
+        };
         let result = match answered {
-            Ok(Ok(Ok(answer))) => answer,
-            Ok(Ok(Err(late))) => Err(status::overloaded(late)),
-            Ok(Err(_panic)) => Err(status::from_error(&Error::Internal {
+            Some(Ok(Ok(Ok(answer)))) => answer,
+            Some(Ok(Ok(Err(late)))) => Err(status::overloaded(late)),
+            Some(Ok(Err(_panic))) => Err(status::from_error(&Error::Internal {
                 what: format!("Zenoh/{rpc} panicked"),
             })),
-            Err(_elapsed) => Err(status::from_error(&Error::DeadlineExceeded {
+            Some(Err(_elapsed)) => Err(status::from_error(&Error::DeadlineExceeded {
                 doing: "before the call was done",
             })),
+            None => Err(self.too_many_calls(LOST_PLACE)),
         };
         let (queued, computed) = turns.times();
         let times = Times {
@@ -266,7 +278,7 @@ impl Queries {
             query,
             form: answer_in,
             result,
-            place: Some(place),
+            place: place.end(),
             held: None,
             under_way,
         };

@@ -274,7 +274,7 @@ async fn calls_of_administration_of_one_link_leave_places_to_another() {
     let refused = text(&lists.next().await.unwrap().unwrap_err());
     assert!(refused.contains("TOO_MANY_CALLS"), "{refused}");
     assert!(refused.contains("this link"), "{refused}");
-    assert_eq!(face.queries.admin_places.available_permits(), 1);
+    assert_eq!(face.queries.admin_places.free(), 1);
     drop(busy);
     while let Some(listed) = lists.next().await {
         listed.unwrap();
@@ -296,7 +296,7 @@ async fn calls_that_wait_leave_places_to_administration() {
         .payload(payload)
         .encoding(Encoding::APPLICATION_JSON);
     let _waiting = waiting.await.unwrap();
-    while face.queries.places.available_permits() > 0 {
+    while face.queries.places.free() > 0 {
         tokio::task::yield_now().await;
     }
     ask(&robot, "wayfold/v1/list", None).await.unwrap();

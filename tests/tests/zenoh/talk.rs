@@ -260,6 +260,61 @@ async fn calls_of_one_link_leave_places_to_another() {
     }
 }
 
+/// Of the links that hold all places, the one with the most loses a place of a query that waits for a revision.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn queries_that_wait_for_a_revision_leave_places_to_another_link() {
+    let (server, locator) = server_with(&[], &[("WAYFOLD_ZENOH__MAX_CALLS", "4")]);
+    let (greedy, modest) = (
+        Robot::connect(&locator).await,
+        Robot::connect(&locator).await,
+    );
+    let other = Robot::connect(&locator).await;
+    let mut stubs = wayfold_tests::Stubs::connect(server.uri()).await;
+    stubs.create("arm", "R2").await;
+    let uid = stubs.describe("arm").await.revision.unwrap().uid;
+    // They wait until the insert below takes effect.
+    let at = json!({ "uid": uid, "number": 1 });
+    let at = json!({ "ids": [0], "min_revision": at });
+    let waiting = (0..4).map(|_| greedy.json("arm/get?timeout_ms=60000", at.clone()));
+    let mut waiting: FuturesUnordered<_> = waiting.collect();
+    let refused = waiting.next().await.unwrap().unwrap_err();
+    assert!(refused.to_string().contains("this link"), "{refused}");
+    // It takes the last place, or one of a query that waits already.
+    let last = async {
+        loop {
+            match modest.json("arm/get?timeout_ms=60000", at.clone()).await {
+                Err(refused) if reason(&refused) == (8, "TOO_MANY_CALLS") => {}
+                reply => break reply,
+            }
+        }
+    };
+    let others = async {
+        let lost = loop {
+            tokio::select! {
+                lost = waiting.next() => break lost.unwrap().unwrap_err(),
+                reply = other.json("arm/info", Value::Null) => drop(reply),
+            }
+        };
+        assert_eq!(reason(&lost), (8, "TOO_MANY_CALLS"));
+        assert!(lost.to_string().contains("another link"), "{lost}");
+        assert!(lost.to_string().contains("google.rpc.RetryInfo"), "{lost}");
+        let request = v1::InsertRequest {
+            index_name: "arm".into(),
+            states: Some(wayfold_tests::row_states(&[1.0, 2.0], 2)),
+            ..Default::default()
+        };
+        stubs.insert(request).await;
+        while let Some(reply) = waiting.next().await {
+            // The other link may have needed a second place before the first was free.
+            if let Err(lost) = reply {
+                assert_eq!(reason(&lost), (8, "TOO_MANY_CALLS"));
+            }
+        }
+    };
+    let (reply, ()) = tokio::join!(last, others);
+    reply.unwrap();
+}
+
 /// Each is refused with a message, and the server goes on answering others.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_flood_of_malformed_queries_is_refused_one_by_one() {
