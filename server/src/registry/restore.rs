@@ -218,12 +218,17 @@ impl Restore {
         self.loader.payload_sizes.total()
     }
 
+    /// Takes in about `bytes` more, or refuses them.
+    pub(crate) fn admit(&self, bytes: u64) -> Result<(), RegistryError> {
+        Ok(self.host.watermarks.admit(bytes)?)
+    }
+
     /// Adds the next points, by ascending id: canonical rows of the space with ids below the origin's next id. Blocks
     /// on the log.
     pub fn add(&mut self, points: &[StoredPoint]) -> Result<(), RegistryError> {
         let bytes = |point: &StoredPoint| 8 * point.state.len() + point.payload.len();
         let bytes: usize = points.iter().map(bytes).sum();
-        self.host.watermarks.admit(bytes as u64)?;
+        self.admit(bytes as u64)?;
         self.stored.add(points)?;
         for point in points {
             self.loader.push(point)?;

@@ -21,7 +21,7 @@ use super::{
     indexes::{check_name, describe, too_many_indexes},
     member::StoredRequest,
     peer_comparison::ANSWER_TIME,
-    session_pages::add_restored,
+    session_pages::{add_restored, memory_bytes},
 };
 use crate::{
     identity::{Caller, Role},
@@ -253,7 +253,10 @@ impl RestoreDraft {
                     .limits()
                     .check_payloads(name, restore.payload_bytes())?;
             }
-            (Content::Sessions(sessions), Some(_)) => {
+            (Content::Sessions(sessions), Some(restore)) => {
+                restore
+                    .admit(memory_bytes(&sessions))
+                    .map_err(|error| not_restored(name, error))?;
                 add_restored(&mut self.sessions, sessions, service.limits())?;
             }
             (Content::Trailer, Some(_)) => {}

@@ -11,6 +11,12 @@ const SESSION_BYTES: usize = 64;
 /// Approximate bytes of a block of ids in a snapshot.
 const BLOCK_BYTES: usize = 32;
 
+/// Approximate bytes of memory of a session, without its response.
+const SESSION_MEMORY_BYTES: usize = 256;
+
+/// Approximate bytes of memory of a block of ids.
+const BLOCK_MEMORY_BYTES: usize = 128;
+
 /// The place in an index's sessions up to which a snapshot has them.
 #[derive(Default)]
 pub(super) struct SessionPages {
@@ -56,6 +62,13 @@ impl SessionPages {
         let is_empty = page.sessions.is_empty() && page.blocks.is_empty();
         (!is_empty).then_some(page)
     }
+}
+
+/// The approximate bytes of memory that the sessions and blocks of a snapshot take once they are added.
+pub(super) fn memory_bytes(page: &v1::SnapshotSessions) -> u64 {
+    let responses = page.sessions.iter().map(|session| session.response.len());
+    let sessions = page.sessions.len() * SESSION_MEMORY_BYTES + responses.sum::<usize>();
+    (sessions + page.blocks.len() * BLOCK_MEMORY_BYTES) as u64
 }
 
 /// Adds the next sessions of a snapshot, which its reader checked; an error if an index may not have as many.

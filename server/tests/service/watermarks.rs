@@ -17,7 +17,10 @@ use wayfold_server::{
     watermark::{Resource, Usage, Watermark, WatermarkExceeded, Watermarks},
 };
 
-use crate::support::*;
+use crate::support::{
+    snapshots::{restore, snapshot},
+    *,
+};
 
 const HIGH: u64 = 85_000_000;
 const LOW: u64 = 80_000_000;
@@ -181,6 +184,27 @@ async fn a_mutation_is_refused_by_its_own_size() {
         .insert(&CALL, insertion(&cube(1, 10), &[]))
         .await
         .unwrap();
+}
+
+/// The writer sessions of a snapshot count like its points.
+#[tokio::test]
+async fn a_restore_is_refused_by_the_size_of_its_sessions() {
+    let (source, _) = arm("R1").await;
+    for _ in 0..40 {
+        let request = v1::OpenSessionRequest {
+            index_name: "arm".into(),
+            reserve_count: 2,
+            ..Default::default()
+        };
+        source.open_session(&CALL, request).await.unwrap();
+    }
+    let parts = snapshot(&source, "arm").await;
+    let (memory, disk) = (Used::default(), Used::default());
+    let (_registry, service) = over(Arc::new(MemoryLog::new()), watermarks(&memory, &disk));
+    memory.set(HIGH - 5_000);
+    full(restore(&service, "leg", &parts).await);
+    memory.set(HIGH - 100_000);
+    restore(&service, "leg", &parts).await.unwrap();
 }
 
 /// Bytes that were taken in since the last measurement count.

@@ -15,7 +15,7 @@ use crate::{
         Service,
         member::{CopyKind, CopyOperations},
         restore::stored,
-        session_pages::add_restored,
+        session_pages::{add_restored, memory_bytes},
     },
 };
 
@@ -68,7 +68,8 @@ impl CopyDraft {
             (Content::Points(points, modified), Some(restore)) => {
                 Ok(restore.add(&stored(points, &modified))?)
             }
-            (Content::Sessions(sessions), Some(_)) => {
+            (Content::Sessions(sessions), Some(restore)) => {
+                restore.admit(memory_bytes(&sessions))?;
                 let limits = self.service.limits();
                 Ok(add_restored(&mut self.sessions, sessions, limits)?)
             }
