@@ -277,7 +277,7 @@ fn state(handles: &Handles, index: &Index, mark: Option<&Mark>) -> Result<State,
     for (revision, operation) in index.stored_operations(handles)? {
         state.count_operation(revision, &operation);
     }
-    state.sessions = session::read(handles, number, uid, &mut Sum::default())?;
+    state.sessions = session::read(handles, number, uid)?;
     Ok(state)
 }
 

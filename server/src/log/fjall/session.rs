@@ -66,29 +66,50 @@ pub(super) fn put_all(
     }
 }
 
-/// Reads all sessions and blocks of an index, and adds them to the sum.
-pub(super) fn read(
+/// Reads all sessions and blocks of an index.
+pub(super) fn read(handles: &Handles, number: Number, uid: Uid) -> Result<Sessions, LogError> {
+    let mut sessions = Sessions::default();
+    visit(handles, number, uid, |key, value| {
+        add(&mut sessions, key, value)
+    })?;
+    Ok(sessions)
+}
+
+/// Adds all sessions and blocks of an index to the sum. It holds one of them at a time.
+pub(super) fn sum_up(
     handles: &Handles,
     number: Number,
     uid: Uid,
     sum: &mut Sum,
-) -> Result<Sessions, LogError> {
-    let mut sessions = Sessions::default();
+) -> Result<(), LogError> {
+    visit(handles, number, uid, |key, value| {
+        unseal(key, value)?;
+        sum.add(value);
+        Some(())
+    })
+}
+
+/// Passes all sessions and blocks of an index to `visit`, which returns None for a damaged one.
+fn visit(
+    handles: &Handles,
+    number: Number,
+    uid: Uid,
+    mut visit: impl FnMut(&[u8], &[u8]) -> Option<()>,
+) -> Result<(), LogError> {
     for keys in [session_key, block_key] {
         for entry in handles
             .keyspace
             .range(keys(number, 0)..=keys(number, u64::MAX))
         {
             let (key, value) = entry.into_inner().map_err(|error| unreadable(uid, error))?;
-            sum.add(&value);
-            add(&mut sessions, &key, &value).ok_or_else(|| LogError::Damaged {
+            visit(&key, &value).ok_or_else(|| LogError::Damaged {
                 uid,
                 seen: 0,
                 what: "a writer session does not match its checksum".into(),
             })?;
         }
     }
-    Ok(sessions)
+    Ok(())
 }
 
 /// Adds a stored session or block; None if it is damaged.

@@ -146,7 +146,7 @@ impl Index {
     ) -> Result<(), LogError> {
         let (number, uid) = (self.number, self.entry.uid);
         let mut sum = Sum::default();
-        session::read(handles, number, uid, &mut sum)?;
+        session::sum_up(handles, number, uid, &mut sum)?;
         for point in handles.keyspace.range(point_keys(number)) {
             let (key, value) = point.into_inner().map_err(|error| unreadable(uid, error))?;
             sum.add(&value);
