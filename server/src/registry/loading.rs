@@ -75,6 +75,8 @@ pub(super) struct Loader {
     pub(super) payload_sizes: PayloadSizes,
     /// The number of all points.
     pub(super) len: usize,
+    /// The number of those with a payload.
+    payloads: usize,
     /// The id of the newest point.
     last: Option<u64>,
     /// The bound that the points exceed. Further points are only counted: the index is loaded once there is memory for all.
@@ -90,6 +92,7 @@ impl Loader {
             points: Points::new(entry.space.coordinates()),
             payload_sizes: PayloadSizes::new(host.options.counts_payloads),
             len: 0,
+            payloads: 0,
             last: None,
             full: None,
         }
@@ -106,8 +109,9 @@ impl Loader {
         }
         self.last = Some(point.id);
         self.len += 1;
-        self.payload_sizes.set(point.id, point.payload.len());
+        self.payloads += usize::from(!point.payload.is_empty());
         if self.full.is_none() {
+            self.payload_sizes.set(point.id, point.payload.len());
             self.points.push_point(point.indexed());
             let checked_points = CHECKED_BYTES / point_bytes(&self.entry.space);
             if self.points.len().is_multiple_of(checked_points.max(1)) {
@@ -135,8 +139,9 @@ impl Loader {
         let fits = memory.fits_at_start(bytes);
         let points = std::mem::replace(&mut self.points, Points::new(space.coordinates()));
         if let Err(full) = fits {
-            // The memory of the points is free for other indices.
+            // The memory of the points and sizes is free for other indices.
             self.forest = self.host.options.forest(space);
+            self.payload_sizes = PayloadSizes::new(self.host.options.counts_payloads);
             self.full = Some(full);
             return Ok(());
         }
@@ -153,7 +158,7 @@ impl Loader {
         if let Some(full) = self.full {
             return Err(RegistryError::NotLoaded {
                 points: self.len,
-                needed: loaded_bytes(space, self.len) + self.payload_sizes.memory_bytes(),
+                needed: loaded_bytes(space, self.len) + self.payload_sizes.bytes_of(self.payloads),
                 full,
             });
         }
@@ -181,5 +186,67 @@ fn damaged(uid: Uid, revision: u64, points: &Points, error: &ApplyError) -> LogE
         | ApplyError::Revision { .. } => {
             LogError::damaged_record(uid, revision, "its points do not make a forest")
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bytes::Bytes;
+
+    use super::*;
+    use crate::{
+        log::MemoryLog,
+        registry::RegistryOptions,
+        testing::arm,
+        watermark::{Resource, Usage, Watermark, Watermarks},
+    };
+
+    #[test]
+    fn further_points_of_an_index_that_does_not_fit_take_no_memory() {
+        let full = || {
+            Ok(Usage {
+                used: 100,
+                high: 85,
+                low: 80,
+                limit: 100,
+            })
+        };
+        let watermarks = Watermarks {
+            memory: Some(Arc::new(Watermark::new(Resource::Memory, full))),
+            disk: None,
+        };
+        let options = RegistryOptions {
+            counts_payloads: true,
+            ..RegistryOptions::default()
+        };
+        let registry = Registry::with_watermarks(Arc::new(MemoryLog::new()), options, watermarks);
+        let entry = arm();
+        let mut loader = Loader::new(&registry.host, &entry);
+        let points = 2 * CHECKED_BYTES / point_bytes(&entry.space);
+        let row: &[f64] = &[0.5];
+        for id in 0..points as u64 {
+            let point = StoredPoint {
+                id,
+                revision: 1,
+                modified: 1,
+                tag: 0,
+                state: row.into(),
+                payload: Bytes::from_static(b"edges"),
+            };
+            loader.push(&point).unwrap();
+        }
+        assert!(loader.full.is_some());
+        assert_eq!(loader.payload_sizes.memory_bytes(), 0);
+        let Err(RegistryError::NotLoaded {
+            points: counted,
+            needed,
+            ..
+        }) = loader.finish(1)
+        else {
+            panic!("it was loaded");
+        };
+        assert_eq!(counted, points);
+        // It is loaded once there is memory for the sizes of the payloads too.
+        assert!(needed > loaded_bytes(&entry.space, points) + 16 * points as u64);
     }
 }

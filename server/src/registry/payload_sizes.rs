@@ -4,6 +4,9 @@ use std::{collections::HashMap, sync::Arc};
 
 use crate::log::{Effects, Record};
 
+/// The bytes of a slot of the map.
+const ENTRY_BYTES: usize = size_of::<(u64, u32)>() + 1;
+
 /// The bytes of each payload as of a revision. Only an index with a quota has them: a point with a payload takes about
 /// 24 bytes here.
 #[derive(Debug)]
@@ -30,9 +33,18 @@ impl PayloadSizes {
 
     /// About the bytes that the sizes take.
     pub(super) fn memory_bytes(&self) -> u64 {
-        let entry = size_of::<(u64, u32)>() + 1;
         let held = self.sizes.as_ref().map_or(0, HashMap::capacity);
-        (held * entry) as u64
+        (held * ENTRY_BYTES) as u64
+    }
+
+    /// About the bytes that the sizes of this many payloads take.
+    pub(super) fn bytes_of(&self, payloads: usize) -> u64 {
+        if self.sizes.is_none() || payloads == 0 {
+            return 0;
+        }
+        // A map fills at most seven eighths of its slots.
+        let slots = (payloads * 8 / 7).next_power_of_two();
+        (slots * ENTRY_BYTES) as u64
     }
 
     /// Sets the size of the payload of a point; 0 if it has none.
