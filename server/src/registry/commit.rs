@@ -15,6 +15,10 @@ use crate::log::{Effects, LogError, Operation, Receipt, Record};
 pub(super) const MAX_INLINE_POINTS: usize = 1024;
 pub(super) const MAX_INLINE_BYTES: usize = 128 * 1024;
 
+/// A remembered operation above this size is growth, even if it changed nothing. Those of removals are far below it: a removal
+/// goes on above a watermark.
+const MAX_SMALL_OPERATION_BYTES: usize = 1024;
+
 /// The number of times that memory and disk have the bytes of a mutation: as a record, as points in the store, and in
 /// the forest or in the files that the store writes again.
 const STORED_COPIES: u64 = 3;
@@ -40,16 +44,16 @@ pub enum CommitOutcome {
 
 impl Hosted {
     /// Commits a mutation that was evaluated under `writer`: submits the `effects`, and returns once they are
-    /// published. Above a watermark a mutation that stores points is refused, and one that remembers a large answer.
+    /// published. Above a watermark a mutation that stores points is refused, and one that remembers more than a small answer.
     /// From the first poll on the commit completes, even if the caller drops the future.
     pub async fn commit(
         self: &Arc<Self>,
         writer: WriteGuard,
         effects: Effects,
     ) -> Result<CommitOutcome, RegistryError> {
-        // A record without effect may remember a large answer.
-        let is_large_answer = effects.is_empty() && effects.bytes() > MAX_INLINE_BYTES;
-        if !effects.stored().is_empty() || is_large_answer {
+        // A record that stores no point may remember a large answer.
+        let operation = effects.operation().map_or(0, |it| it.bytes());
+        if !effects.stored().is_empty() || operation > MAX_SMALL_OPERATION_BYTES {
             self.host
                 .watermarks
                 .admit(STORED_COPIES * effects.bytes() as u64)?;
@@ -146,10 +150,10 @@ impl Hosted {
         pending.or_else(|| self.operations.lock().recall(id).cloned())
     }
 
-    /// Remembers an operation that changed nothing and has no record. Above a watermark it refuses one with a large answer.
+    /// Remembers an operation that changed nothing and has no record. Above a watermark it refuses all but those with small answers.
     pub fn remember(&self, operation: Arc<Operation>) -> Result<(), RegistryError> {
         let bytes = operation.bytes();
-        if bytes > MAX_INLINE_BYTES {
+        if bytes > MAX_SMALL_OPERATION_BYTES {
             self.host.watermarks.admit(bytes as u64)?;
         }
         self.operations.lock().remember(operation);

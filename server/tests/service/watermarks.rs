@@ -172,6 +172,35 @@ async fn above_a_watermark_only_growth_is_refused_until_the_low_one() {
     }
 }
 
+/// The answers of many such operations would grow the memory without bound.
+#[tokio::test]
+async fn above_a_watermark_no_answer_is_remembered_that_is_not_small() {
+    let (memory, disk) = (Used::default(), Used::default());
+    let (_registry, service) = over(Arc::new(MemoryLog::new()), watermarks(&memory, &disk));
+    create(&service, "arm", "R3").await;
+    let rows = cube(1, 200);
+    service.insert(&CALL, insertion(&rows, &[])).await.unwrap();
+    let same = |operation: &str, k| v1::InsertRequest {
+        operation_id: operation.into(),
+        neighbor_spec: Some(v1::NeighborSpec {
+            k_form: Some(v1::neighbor_spec::KForm::K(k)),
+            ..Default::default()
+        }),
+        ..insertion(&rows[..1], &[0])
+    };
+    memory.set(HIGH + 1);
+    full(service.insert(&CALL, same("large", 100)).await);
+    service.insert(&CALL, same("small", 5)).await.unwrap();
+    let removal = v1::RemoveRequest {
+        operation_id: "removal".into(),
+        ..removal(&(100..200).collect::<Vec<u64>>())
+    };
+    let removed = service.remove(&CALL, removal).await.unwrap();
+    assert_eq!(removed.removed_count, 100);
+    memory.set(LOW);
+    service.insert(&CALL, same("large", 100)).await.unwrap();
+}
+
 /// A large mutation that would cross the watermark does not close it for small ones.
 #[tokio::test]
 async fn a_mutation_is_refused_by_its_own_size() {
