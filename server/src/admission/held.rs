@@ -94,10 +94,11 @@ impl HeldBytes {
     }
 
     /// Waits until the flow may hold `bytes` more, for [`MAX_WAIT`] at most, and holds them then. Otherwise it returns false and
-    /// counts a refusal.
+    /// counts a refusal. The call does not wait for the bytes that it holds itself.
     #[must_use]
     pub(crate) async fn wait_for(&self, bytes: usize) -> bool {
-        let waited = timeout(MAX_WAIT, self.room(bytes)).await;
+        let own = self.held.load(Relaxed);
+        let waited = timeout(MAX_WAIT, self.room_beside(own, bytes)).await;
         match waited {
             Ok(()) => self.force_take(bytes),
             Err(_) => self.flow.all.refuse(),
@@ -107,8 +108,13 @@ impl HeldBytes {
 
     /// Waits until the flow may hold `bytes` more.
     pub(crate) async fn room(&self, bytes: usize) {
+        self.room_beside(0, bytes).await;
+    }
+
+    /// Like [`HeldBytes::room`], where `before` bytes of the flow do not count.
+    async fn room_beside(&self, before: usize, bytes: usize) {
         let mut pause = MIN_PAUSE;
-        while !self.has_room(bytes) {
+        while !self.has_room_beside(before, bytes) {
             sleep_until(Instant::now() + pause).await;
             pause = (2 * pause).min(MAX_PAUSE);
         }
@@ -124,6 +130,11 @@ impl HeldBytes {
     /// Gives back all bytes.
     pub(crate) fn release_all(&self) {
         self.release(self.held.load(Relaxed));
+    }
+
+    /// Gives back all bytes but `kept`.
+    pub(crate) fn release_down_to(&self, kept: usize) {
+        self.release(self.held.load(Relaxed).saturating_sub(kept));
     }
 
     /// Gives back some of the bytes.
@@ -145,8 +156,14 @@ impl HeldBytes {
     /// True if the flow may begin to hold `bytes` more. The bytes that it and all hold already decide, so no message is too large
     /// by itself.
     pub(crate) fn has_room(&self, bytes: usize) -> bool {
+        self.has_room_beside(0, bytes)
+    }
+
+    /// Like [`HeldBytes::has_room`], where `before` bytes of the flow do not count.
+    fn has_room_beside(&self, before: usize, bytes: usize) -> bool {
         let Flow { all, own, .. } = &*self.flow;
-        own.held() <= own.max() && all.held() <= self.flow.most_of_all(0, bytes)
+        let most = self.flow.most_of_all(before, bytes);
+        own.held().saturating_sub(before) <= own.max() && all.held().saturating_sub(before) <= most
     }
 
     /// The flow of the call.

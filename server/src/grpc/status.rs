@@ -54,6 +54,11 @@ pub(crate) trait Source: Send + Sized + 'static {
     /// The next message; None after the last.
     fn next(&mut self) -> impl Future<Output = Option<Result<Self::Message, Error>>> + Send;
 
+    /// The most bytes that it keeps between two messages, the same at all times.
+    fn kept_bytes(&self) -> usize {
+        0
+    }
+
     /// Gives up what it keeps for further messages, which takes room.
     fn give_up_room(&mut self) {}
 }
@@ -77,7 +82,22 @@ macro_rules! sources {
 sources! {
     Scan: ScanResponse, |scan: &Scan| scan.next_bytes();
     Snapshot: SnapshotIndexResponse, |snapshot: &Snapshot| snapshot.next_bytes();
-    Verification: VerifyIndexResponse, |_| 0;
+}
+
+impl Source for Verification {
+    type Message = v1::VerifyIndexResponse;
+
+    async fn next_bytes(&mut self) -> Result<usize, Error> {
+        Ok(Verification::next_bytes(self))
+    }
+
+    fn next(&mut self) -> impl Future<Output = Option<Result<Self::Message, Error>>> + Send {
+        Verification::next(self)
+    }
+
+    fn kept_bytes(&self) -> usize {
+        Verification::kept_bytes(self)
+    }
 }
 
 impl Source for Watch {
@@ -117,6 +137,7 @@ struct Parts<S> {
     source: S,
     flow: Option<Arc<Flow>>,
     /// Counts the bytes that the making of a message takes, and then those of the message until the connection asks for the next.
+    /// Those that the source keeps count until its end.
     making: Option<HeldBytes>,
 }
 
@@ -127,19 +148,27 @@ impl<S: Source> Parts<S> {
     }
 
     async fn make(&mut self) -> Option<Result<S::Message, Status>> {
-        self.making = None;
+        let kept = self.source.kept_bytes();
+        self.making = self.making.take().filter(|_| kept > 0);
+        if let Some(making) = &self.making {
+            making.release_down_to(kept);
+        }
         let bytes = match self.source.next_bytes().await {
             Ok(bytes) => bytes,
             Err(error) => return Some(Err(from_error(&error))),
         };
         // A connection may ask for a message and never take it. Once it takes the message, that counts as unread.
         let flow = self.flow.as_ref().filter(|_| bytes > 0);
-        self.making = flow.map(|flow| flow.hold());
+        let (making, more) = match self.making.take() {
+            Some(making) => (Some(making), bytes),
+            None => (flow.map(|flow| flow.hold()), bytes + kept),
+        };
+        self.making = making.filter(|_| bytes > 0);
         if let Some(making) = &self.making {
-            if !making.has_room(bytes) {
+            if !making.has_room(more) {
                 self.source.give_up_room();
             }
-            if !making.wait_for(bytes).await {
+            if !making.wait_for(more).await {
                 let refused = status::too_many_bytes(making.flow().max_bytes());
                 return Some(Err(refused.into()));
             }
@@ -167,7 +196,47 @@ pub(crate) fn ending(code: Code) -> Ending {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::service::Violation;
+    use crate::{
+        admission::Admission,
+        config::Config,
+        service::{Call, Violation},
+        testing::{recorded, server},
+    };
+
+    #[tokio::test]
+    async fn a_verification_that_nobody_reads_counts_what_it_keeps() {
+        let log = recorded(1);
+        let service = server(&log, &log);
+        let request = v1::VerifyIndexRequest {
+            index_name: "arm".into(),
+            query_count: Some(1000),
+            k: Some(100),
+            ..Default::default()
+        };
+        let verification = service.verify_index(&Call::default(), request).await;
+        let kept = Source::kept_bytes(verification.as_ref().unwrap());
+        assert!(kept > 1000 * 100 * 16, "{kept}");
+        let flow = Admission::new(&Config::default().admission, 1, 0).open();
+        let answer = respond_all(Some(Arc::clone(&flow)), verification).unwrap();
+        let mut messages = answer.into_inner();
+        assert_eq!(flow.held(), 0);
+        while let Some(message) = messages.next().await {
+            message.unwrap();
+            let held = flow.held();
+            assert!((kept..kept + 4096).contains(&held), "{held}");
+        }
+        assert_eq!(flow.held(), 0);
+    }
+
+    /// It would wait for itself otherwise.
+    #[tokio::test]
+    async fn a_call_does_not_wait_for_the_bytes_that_it_holds() {
+        let flow = Admission::new(&Config::default().admission, 1, 0).open();
+        let held = flow.hold();
+        held.force_take(flow.max_bytes());
+        assert!(!held.has_room(1));
+        assert!(held.wait_for(1).await);
+    }
 
     #[test]
     fn a_status_fits_into_headers_whatever_the_caller_wrote() {

@@ -7,6 +7,9 @@ use wayfold_index::PointRef;
 
 use super::{LogError, RecordPosition, Sessions};
 
+/// The points that [`View::page_within`] reads at once: with payloads of 64 KiB they take a megabyte.
+const SMALL_PAGE_POINTS: usize = 16;
+
 /// The points of one index as of one revision: the sum of the records up to that revision. They do not change while the
 /// view is held.
 pub trait View: Send + Sync {
@@ -29,6 +32,31 @@ pub trait View: Send + Sync {
 
     /// Up to `limit` points with ids above `after` (from the first if None), by ascending id.
     fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<Arc<StoredPoint>>, LogError>;
+
+    /// Like [`View::page`], but the page ends with the point by which it has `max_bytes` (see [`StoredPoint::bytes`]).
+    fn page_within(
+        &self,
+        mut after: Option<u64>,
+        limit: usize,
+        max_bytes: usize,
+    ) -> Result<Vec<Arc<StoredPoint>>, LogError> {
+        let (mut points, mut bytes) = (Vec::new(), 0);
+        while points.len() < limit {
+            let page = self.page(after, SMALL_PAGE_POINTS.min(limit - points.len()))?;
+            let Some(last) = page.last() else {
+                break;
+            };
+            after = Some(last.id);
+            for point in page {
+                bytes += point.bytes();
+                points.push(point);
+                if bytes >= max_bytes {
+                    return Ok(points);
+                }
+            }
+        }
+        Ok(points)
+    }
 }
 
 /// A point as the log stores it.
@@ -49,6 +77,11 @@ pub struct StoredPoint {
 }
 
 impl StoredPoint {
+    /// The bytes that it takes in memory.
+    pub fn bytes(&self) -> usize {
+        size_of::<Self>() + size_of_val(&*self.state) + self.payload.len()
+    }
+
     /// The part of the point that a forest holds.
     pub fn indexed(&self) -> PointRef<'_> {
         PointRef {

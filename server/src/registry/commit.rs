@@ -150,7 +150,8 @@ impl Hosted {
         pending.or_else(|| self.operations.lock().recall(id).cloned())
     }
 
-    /// Remembers an operation that changed nothing and has no record. Above a watermark it refuses all but those with small answers.
+    /// Remembers an operation that changed nothing and has no record. Above a watermark it refuses all but those with small
+    /// answers.
     pub fn remember(&self, operation: Arc<Operation>) -> Result<(), RegistryError> {
         let bytes = operation.bytes();
         if bytes > MAX_SMALL_OPERATION_BYTES {

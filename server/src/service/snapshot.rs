@@ -214,7 +214,7 @@ impl Rows {
     ) -> Result<(Self, Option<u64>), LogError> {
         let mut rows = Self::default();
         while rows.bytes < most {
-            let page = view.page(after, PAGE_ROWS)?;
+            let page = view.page_within(after, PAGE_ROWS, most - rows.bytes)?;
             if page.is_empty() {
                 break;
             }

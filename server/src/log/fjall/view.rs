@@ -61,6 +61,16 @@ impl View for PointsView {
     }
 
     fn page(&self, after: Option<u64>, limit: usize) -> Result<Vec<Arc<StoredPoint>>, LogError> {
+        self.page_within(after, limit, usize::MAX)
+    }
+
+    // One range for the whole page: its first point is found in every table of the store.
+    fn page_within(
+        &self,
+        after: Option<u64>,
+        limit: usize,
+        max_bytes: usize,
+    ) -> Result<Vec<Arc<StoredPoint>>, LogError> {
         let first = match after {
             Some(u64::MAX) => return Ok(Vec::new()),
             Some(id) => id + 1,
@@ -69,12 +79,18 @@ impl View for PointsView {
         let range = point_key(self.number, first)..=point_key(self.number, u64::MAX);
         let handles = self.store.handles()?;
         let points = self.snapshot(&handles).range(&handles.keyspace, range);
-        let page = points.take(limit).map(|point| {
+        let (mut page, mut bytes) = (Vec::new(), 0);
+        for point in points.take(limit) {
             let (key, value) = point
                 .into_inner()
                 .map_err(|error| unreadable(self.uid, error))?;
-            point::read_entry(self.number, self.uid, (&key, &value)).map(Arc::new)
-        });
-        page.collect()
+            let point = point::read_entry(self.number, self.uid, (&key, &value))?;
+            bytes += point.bytes();
+            page.push(Arc::new(point));
+            if bytes >= max_bytes {
+                break;
+            }
+        }
+        Ok(page)
     }
 }

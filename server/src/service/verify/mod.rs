@@ -28,10 +28,13 @@ use crate::{
     registry::{Hosted, Published},
 };
 use compare::Comparison;
-use search::Searches;
+use search::{Searches, query_bytes};
 
 /// Points read from the log at once.
 const PAGE_ROWS: usize = 256;
+
+/// A page ends with the point by which it has this many bytes.
+const PAGE_BYTES: usize = 1024 * 1024;
 
 /// Time between two messages of progress.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(250);
@@ -98,6 +101,20 @@ impl Service {
 }
 
 impl Verification {
+    /// The most bytes that the work for the next message takes beside those that it keeps: a page, and the table of its states,
+    /// which doubles while it grows.
+    pub(crate) fn next_bytes(&self) -> usize {
+        match self.stage {
+            Phase::Done => 0,
+            _ => 3 * PAGE_BYTES,
+        }
+    }
+
+    /// The most bytes that it keeps between two messages.
+    pub(crate) fn kept_bytes(&self) -> usize {
+        self.queries * query_bytes(self.hosted.space(), self.k)
+    }
+
     /// The progress or the result; None after the result or an error.
     pub async fn next(&mut self) -> Option<Result<v1::VerifyIndexResponse, Error>> {
         if matches!(self.stage, Phase::Done) {
@@ -183,7 +200,7 @@ impl Pass<'_> {
     /// The stored points after an id; none at the end.
     async fn page(&self, after: Option<u64>) -> Result<Vec<Arc<StoredPoint>>, Error> {
         held(self.pinned_revision)?;
-        let read = move |view: &dyn View| view.page(after, PAGE_ROWS);
+        let read = move |view: &dyn View| view.page_within(after, PAGE_ROWS, PAGE_BYTES);
         // Damage of this copy is `DATA_LOSS`, in a cluster too.
         stored::read_copy(
             self.call,
@@ -213,5 +230,47 @@ impl Disagreements {
         if self.first.len() < MAX_DESCRIPTIONS {
             self.first.push(words());
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{arm, log_with, server, submit};
+
+    #[tokio::test]
+    async fn a_page_of_large_payloads_has_few_points() {
+        let entry = arm();
+        let log = log_with(&entry, &[]);
+        for _ in 0..60 {
+            submit(&log, entry.uid);
+        }
+        let service = server(&log, &log);
+        let request = v1::VerifyIndexRequest {
+            index_name: "arm".into(),
+            ..Default::default()
+        };
+        let verification = service.verify_index(&Call::default(), request).await;
+        let verification = verification.unwrap();
+        let published = held(&verification.pinned_revision).unwrap();
+        let pass = Pass {
+            call: &verification.call,
+            index: "arm",
+            published: &published,
+            pinned_revision: &verification.pinned_revision,
+            until: Instant::now(),
+        };
+        let (mut after, mut points) = (None, 0);
+        loop {
+            let page = pass.page(after).await.unwrap();
+            let Some(last) = page.last() else {
+                break;
+            };
+            after = Some(last.id);
+            points += page.len();
+            let bytes: usize = page.iter().map(|point| point.bytes()).sum();
+            assert!(bytes < PAGE_BYTES + last.bytes(), "{bytes}");
+        }
+        assert_eq!(points, 60);
     }
 }

@@ -1,6 +1,6 @@
 //! The second pass: sampled queries, answered by the forest and by brute force over the stored points.
 
-use wayfold_index::{Linear, Neighbor, Search};
+use wayfold_index::{Linear, Neighbor, Search, Space};
 
 use super::{DOING, Disagreements, Pass};
 use crate::service::Error;
@@ -27,6 +27,14 @@ struct Query {
     within: Vec<Neighbor>,
     /// The nearest stored points so far, `MAX_WITHIN_FACTOR * k` at most.
     brute_force: Vec<Neighbor>,
+}
+
+/// The most bytes of a query of `k` neighbours: a merge doubles the room of the nearest stored points. Its state is counted
+/// twice, because up to half of the states are kept by the sampler too.
+pub(super) fn query_bytes(space: &Space, k: usize) -> usize {
+    let neighbors = k + 3 * MAX_WITHIN_FACTOR * k;
+    let states = 2 * space.coordinates() * size_of::<f64>();
+    size_of::<Query>() + neighbors * size_of::<Neighbor>() + states
 }
 
 impl Searches {
