@@ -62,8 +62,13 @@ impl<'a> Division<'a> {
                     Err(error) => {
                         match limits.lowered(&error) {
                             Some(lowered) if part.len() > 1 => limits = lowered,
-                            // The size of the neighbours is not known before.
-                            _ if part.len() > 1 && exceeded(&error) == Some(ANSWER_BYTES) => {
+                            // The sizes of neighbours and of stored points are not known before.
+                            _ if part.len() > 1
+                                && matches!(
+                                    exceeded(&error),
+                                    Some(ANSWER_BYTES | CHANGED_POINT_BYTES)
+                                ) =>
+                            {
                                 most = part.len().div_ceil(2);
                             }
                             // It has taken effect.
@@ -189,6 +194,9 @@ where
 
 /// The limit of the bytes of an answer.
 const ANSWER_BYTES: &str = "max_answer_bytes";
+
+/// The limit of the bytes of the stored points that one call changes.
+const CHANGED_POINT_BYTES: &str = "changed_point_bytes";
 
 /// The limits of a server that a call with fewer rows can meet.
 const LIMITS_BY_ROWS: [&str; 4] = [

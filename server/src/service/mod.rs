@@ -15,6 +15,7 @@
 //! - `member`, `copy`, `heal`: copies for servers of a cluster that cannot follow their journal;
 //! - `trim`: forgets the records of a shared journal that the servers have stored;
 //! - `mutation`: from an evaluated mutation to its acknowledgement;
+//! - `changed_points`: the stored points that a mutation changes;
 //! - `stored`: reads of the store on threads that may block;
 //! - `answer`: columns that never outgrow their limit;
 //! - `held_scans`: scans page by page, at a revision that is held between the pages;
@@ -26,6 +27,7 @@
 mod answer;
 mod call;
 mod catalog_watch;
+mod changed_points;
 mod check;
 mod code;
 mod copy;

@@ -7,12 +7,11 @@ use std::sync::Arc;
 use prost::Message;
 
 use super::{
-    Call, Error, Service,
-    error_map::registry_error,
-    stored::{MAX_READS_AHEAD, ReadAhead},
+    Call, Error, Service, changed_points::ChangedPoints, error_map::registry_error,
+    stored::MAX_READS_AHEAD,
 };
 use crate::{
-    log::{Effects, StoredPoint},
+    log::Effects,
     registry::{CommitOutcome, Hosted, WriteGuard},
 };
 pub(super) use idempotency::IdempotencyKey;
@@ -120,27 +119,36 @@ impl Service {
         call: &Call,
         hosted: &Arc<Hosted>,
         key: Option<&IdempotencyKey>,
-        stored: &mut ReadAhead<Arc<StoredPoint>>,
+        stored: &mut ChangedPoints,
         ids: &[u64],
     ) -> Result<Start<R>, Error> {
-        const DOING: &str = "while reading the points; nothing was changed";
         let mut base = hosted.published();
         let mut reads = 0;
         loop {
-            stored.read(call, DOING, hosted, &base, ids).await?;
+            let too_large = match stored.read(call, hosted, &base, ids).await {
+                Ok(()) => None,
+                // A retry of an operation that took effect is answered, even if its points have grown since.
+                Err(error @ Error::LimitExceeded { .. }) => Some(error),
+                Err(error) => return Err(error),
+            };
             let writer = match self.begin(call, hosted, key).await? {
                 Start::Writing(writer) => writer,
                 remembered @ Start::Remembered(_) => return Ok(remembered),
             };
+            if let Some(error) = too_large {
+                refused(call, hosted, writer, error).await?;
+                base = hosted.published();
+                continue;
+            }
             base = Arc::clone(writer.base());
             reads += 1;
             // It fails only if the cached records do not reach back to the read, or some of them were refused since.
-            if stored.catch_up(hosted, &writer) {
+            if stored.catch_up(hosted, &writer)? {
                 return Ok(Start::Writing(writer));
             }
             if reads == MAX_READS_AHEAD {
-                stored.read(call, DOING, hosted, &base, ids).await?;
-                stored.catch_up(hosted, &writer);
+                stored.read(call, hosted, &base, ids).await?;
+                stored.catch_up(hosted, &writer)?;
                 return Ok(Start::Writing(writer));
             }
         }

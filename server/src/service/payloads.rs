@@ -99,7 +99,7 @@ impl Payloads {
     pub(super) fn catch_up(&mut self, hosted: &Hosted, writer: &Writer) {
         self.compared.catch_up(hosted, writer);
         if let Some(neighbors) = &mut self.neighbors
-            && !neighbors.catch_up(hosted, writer)
+            && neighbors.catch_up(hosted, writer).is_none()
         {
             self.held.clear();
         }

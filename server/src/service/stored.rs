@@ -27,6 +27,9 @@ pub(super) const MAX_READS_AHEAD: usize = 3;
 /// Points read at once. A call can be cancelled between two batches.
 pub(super) const BATCH_ROWS: usize = 256;
 
+/// A batch ends with the point by which it has this many bytes.
+const BATCH_BYTES: usize = 1024 * 1024;
+
 /// The permits of all connections.
 static READS: LazyLock<Semaphore> = LazyLock::new(|| Semaphore::new(*MAX_STORED_READS));
 
@@ -147,35 +150,63 @@ impl<T: Send + 'static> ReadAhead<T> {
         ids: &[u64],
     ) -> Result<(), Error> {
         self.begin_at(published);
-        for ids in ids.chunks(BATCH_ROWS) {
-            let (ids, projection) = (ids.to_vec(), Arc::clone(&self.projection));
-            let batch = move |view: &dyn View| {
-                let points = ids.into_iter().map(|id| {
-                    let point = view.get(id)?;
-                    Ok((id, point.map(|point| projection(&point))))
-                });
-                points.collect::<Result<Vec<_>, LogError>>()
-            };
-            let batch = read(call, doing, hosted.name(), published, batch);
-            self.points.extend(batch.await?);
+        let mut rest = ids;
+        while !rest.is_empty() {
+            let read = self.read_part(call, doing, hosted, published, rest);
+            (_, rest) = rest.split_at(read.await?);
         }
         Ok(())
     }
 
-    /// Catches up to the writer's newest record from the recent and pending records. If these do not reach back far
-    /// enough, it forgets all values and returns false.
-    pub(super) fn catch_up(&mut self, hosted: &Hosted, writer: &Writer) -> bool {
+    /// Like [`ReadAhead::read`], up to the end of the first batch. Returns the number of `ids` that were read, at least one.
+    pub(super) async fn read_part(
+        &mut self,
+        call: &Call,
+        doing: &'static str,
+        hosted: &Hosted,
+        published: &Published,
+        ids: &[u64],
+    ) -> Result<usize, Error> {
+        let ids: Vec<u64> = ids.iter().copied().take(BATCH_ROWS).collect();
+        let projection = Arc::clone(&self.projection);
+        let batch = move |view: &dyn View| {
+            let (mut points, mut bytes) = (Vec::new(), 0);
+            for id in ids {
+                let point = view.get(id)?;
+                bytes += point.as_ref().map_or(0, |point| point.bytes());
+                points.push((id, point.map(|point| projection(&point))));
+                if bytes >= BATCH_BYTES {
+                    break;
+                }
+            }
+            Ok::<Vec<(u64, Option<T>)>, LogError>(points)
+        };
+        let batch = read(call, doing, hosted.name(), published, batch).await?;
+        let read = batch.len();
+        self.points.extend(batch);
+        Ok(read)
+    }
+
+    /// Forgets all values.
+    pub(super) fn clear(&mut self) {
+        self.points.clear();
+    }
+
+    /// Catches up to the writer's newest record from the recent and pending records; returns the bytes of the points that it
+    /// takes from them. If these do not reach back far enough, it forgets all values and returns None.
+    pub(super) fn catch_up(&mut self, hosted: &Hosted, writer: &Writer) -> Option<usize> {
         let before = std::mem::replace(&mut self.revision, writer.revision());
         let refusals = self.refusals.replace(writer.refusals());
         if self.points.is_empty() && !self.takes_new {
-            return true;
+            return Some(0);
         }
         let are_void = refusals.is_some_and(|it| it != writer.refusals());
         let records = hosted.records_since(before, writer);
         let Some(records) = records.filter(|_| !are_void) else {
             self.points.clear();
-            return false;
+            return None;
         };
+        let mut bytes = 0;
         for record in records {
             let effects = record.effects();
             for id in effects.removed() {
@@ -193,12 +224,13 @@ impl<T: Send + 'static> ReadAhead<T> {
                         state: point.row.into(),
                         payload: effects.payload(slot),
                     });
+                    bytes += stored.bytes();
                     self.points
                         .insert(point.id, Some((self.projection)(&stored)));
                 }
             }
         }
-        true
+        Some(bytes)
     }
 }
 

@@ -1,7 +1,5 @@
 //! `Update`: new tags and payloads for stored points.
 
-use std::sync::Arc;
-
 use bytes::Bytes;
 use wayfold_index::PointRef;
 use wayfold_proto::v1;
@@ -9,14 +7,14 @@ use wayfold_proto::v1;
 use super::{
     Call, Error, Limits, Service,
     call::TimeSlicer,
+    changed_points::ChangedPoints,
     check::{self, Violations},
     mutation::{IdempotencyKey, Start},
     read_view::{check_uid, revision, uid_is_named},
-    stored::ReadAhead,
 };
 use crate::{
     identity::Role,
-    log::{Effects, Outcome, StoredPoint},
+    log::{Effects, Outcome},
     registry::Hosted,
 };
 
@@ -37,7 +35,7 @@ impl Service {
         let key = IdempotencyKey::of("Update", &request.operation_id, &request, &mut pace).await?;
         let if_revision = check_update(&request, &hosted, self.limits(), &mut pace).await?;
 
-        let mut stored = ReadAhead::new(false, Arc::clone);
+        let mut stored = ChangedPoints::new(call);
         loop {
             let writer = match self
                 .begin_with(call, &hosted, key.as_ref(), &mut stored, &request.ids)
@@ -69,7 +67,7 @@ impl Service {
 async fn updated(
     request: &v1::UpdateRequest,
     if_revision: Option<u64>,
-    stored: &ReadAhead<Arc<StoredPoint>>,
+    stored: &ChangedPoints,
     hosted: &Hosted,
     pace: &mut TimeSlicer,
 ) -> Result<Effects, Error> {

@@ -15,15 +15,15 @@ use wayfold_proto::{
 use super::{
     Call, Error, Limits, Service,
     call::TimeSlicer,
+    changed_points::ChangedPoints,
     check::{self, Rows, Violations},
     mutation::{IdempotencyKey, Start},
     read_view::revision,
     session::{block, reserve},
-    stored::ReadAhead,
 };
 use crate::{
     identity::Role,
-    log::{Effects, Outcome, StoredPoint},
+    log::{Effects, Outcome},
     registry::{Hosted, Writer},
 };
 
@@ -84,7 +84,7 @@ impl Service {
         let reserve_count = request.reserve_count;
         let steps = Steps::check(request, &hosted, self.limits(), &mut pace).await?;
 
-        let mut stored = ReadAhead::new(false, Arc::clone);
+        let mut stored = ChangedPoints::new(call);
         let updated = steps.updated();
         loop {
             let begun = self.begin_with(call, &hosted, Some(&key), &mut stored, &updated);
@@ -202,7 +202,7 @@ impl Steps {
         &self,
         hosted: &Hosted,
         writer: &Writer,
-        stored: &ReadAhead<Arc<StoredPoint>>,
+        stored: &ChangedPoints,
         pace: &mut TimeSlicer,
     ) -> Result<(Effects, u64), Error> {
         let (mut nets, mut order) = (HashMap::new(), Vec::new());

@@ -89,6 +89,8 @@ pub(super) struct Batch {
     /// The number of rows and of steps that set a payload.
     payload_count: usize,
     rows: usize,
+    /// The number of steps that set a tag or a payload.
+    pub(super) update_count: usize,
     bytes: usize,
     /// About as many bytes as its searches hold, and its changes of points that others may change too.
     pub(super) kept_bytes: usize,
@@ -127,6 +129,11 @@ impl Batch {
         self.bytes + self.kept_bytes
     }
 
+    /// True if the server reads the stored point of a step of this kind, with its payload.
+    pub(super) fn is_update(step: &Step<'_>) -> bool {
+        matches!(step, Step::SetTag(_) | Step::SetPayload(_))
+    }
+
     /// The bytes that a step adds.
     pub(super) fn step_bytes(step: &Step<'_>) -> usize {
         match step {
@@ -139,6 +146,7 @@ impl Batch {
 
     pub(super) fn push(&mut self, id: u64, step: &Step<'_>) {
         self.bytes += Batch::step_bytes(step);
+        self.update_count += usize::from(Batch::is_update(step));
         self.ids.push(id);
         let (kind, tag) = match *step {
             Step::Put { tag, row, payload } => {

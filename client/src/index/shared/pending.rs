@@ -23,6 +23,10 @@ use crate::{Error, index::local::LocalPoints};
 /// The most steps of a batch: each waits for the slowest.
 const MAX_BATCH_STEPS: usize = 4_096;
 
+/// The most steps of a batch that set tags or payloads. The server refuses a batch for good if the stored points of these steps
+/// have more than 64 MiB, and a point has a payload of up to 64 KiB and a state of up to 2 KiB.
+const MAX_BATCH_UPDATES: usize = 900;
+
 /// The steps of a batch that is worth a call.
 const LARGE_BATCH_STEPS: usize = 64;
 
@@ -222,6 +226,7 @@ impl PendingWrites {
         let is_full = self.queue.back().is_none_or(|batch| {
             batch.number != 0
                 || batch.len() >= self.max_batch_steps
+                || (batch.update_count >= MAX_BATCH_UPDATES && Batch::is_update(step))
                 || batch.bytes() + bytes > self.max_batch_bytes
         });
         if is_full {

@@ -104,6 +104,18 @@ fn a_repeated_request_is_the_same() {
 }
 
 #[test]
+fn a_batch_sets_few_enough_tags_for_the_largest_payloads() {
+    let (mut writes, mut points) = pending_writes();
+    let id = insert(&mut writes, &mut points, 1.0);
+    for tag in 0..=MAX_BATCH_UPDATES as u64 {
+        let set = writes.change(id, &Step::SetTag(tag), &mut points);
+        set.expect("a tag");
+    }
+    let sizes: Vec<_> = writes.queue.iter().map(Batch::len).collect();
+    assert_eq!(sizes, [1 + MAX_BATCH_UPDATES, 1]);
+}
+
+#[test]
 fn a_batch_is_worth_a_call_once_it_has_many_writes_or_another_waits_behind_it() {
     let (mut writes, mut points) = pending_writes();
     writes.reserve(block(200, 100));
