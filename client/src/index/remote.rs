@@ -332,8 +332,14 @@ impl NearestNeighbors for Remote {
             // The server may lag behind one that answered this client before.
             let newest = watch.newest().number.max(index.revision().number);
             let (mut changed, mut revision) = (BTreeMap::new(), since.0);
-            while revision < newest {
-                match watch.next().await? {
+            loop {
+                // Of an index that was made again the server sends only a reset, and no newer revision.
+                let event = match watch.ready() {
+                    None if revision >= newest => break,
+                    None => watch.next().await?,
+                    event => event,
+                };
+                match event {
                     Some(WatchEvent::Mutation(mutation)) => {
                         revision = mutation.revision.number;
                         changed.extend(mutation.removed_ids.iter().map(|&id| (id, None)));

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use wayfold::{Error, Index, READ_ROWS, ReadRevision, Search, Space};
+use wayfold::{Code, Error, Index, READ_ROWS, ReadRevision, Search, Space};
 
 use super::conformance;
 use crate::{
@@ -76,6 +76,30 @@ async fn a_feed_that_stands_still_ends_a_call_at_its_timeout() {
     let index = opening.open().unwrap();
     let refused = index.changes(ReadRevision(3)).unwrap_err();
     assert!(matches!(refused, Error::Timeout { .. }), "{refused:?}");
+}
+
+/// A caller that knows all changes of the former index would wait for more of them without end.
+#[test]
+fn changes_of_an_index_that_was_made_again_are_refused() {
+    let server = Server::start();
+    let space: Space = "R1".parse().unwrap();
+    let index = remote(&server, "index", &space);
+    index.insert([1.0]).unwrap();
+    let newest = index.search([0.0], &Search::k(1)).unwrap().read_revision;
+    let none = index.changes(newest).unwrap().unwrap();
+    assert_eq!(
+        (none.stored.len(), none.removed.len(), none.read_revision),
+        (0, 0, newest)
+    );
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    runtime.block_on(async {
+        let client = server.client().await;
+        client.delete_index("index").await.unwrap();
+        client.create_index("index", &space).await.unwrap();
+    });
+    let refused = index.changes(newest).unwrap_err();
+    assert_eq!(refused.code(), Code::FailedPrecondition, "{refused}");
+    assert_eq!(refused.reason(), Some("UID_MISMATCH"), "{refused}");
 }
 
 /// The server ends a scan that waits for the removal of many points.
