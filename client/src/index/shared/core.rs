@@ -27,9 +27,6 @@ use crate::{
     net::request::MAX_WAIT,
 };
 
-/// The ids that are reserved at once, unless the server reserves fewer. The next ones are asked for when half are left.
-pub(super) const ID_BLOCK: u64 = 1 << 16;
-
 /// The order of locks: `pending_writes`, `points`, `published`, `connection`.
 pub(in crate::index) struct Core {
     pub(super) space: Space,
@@ -59,10 +56,6 @@ pub(in crate::index) struct Core {
 pub(in crate::index) struct Settings {
     pub(in crate::index) timeout: Duration,
     pub(super) max_pending_bytes: usize,
-    pub(super) max_payload_bytes: usize,
-    /// The ids that are reserved at once.
-    pub(super) id_block: u64,
-    pub(super) max_reserved_ids: u64,
 }
 
 /// The reports of the tasks.
@@ -159,6 +152,12 @@ impl Core {
         Ok(self.points.read().forest.contains(id))
     }
 
+    /// The most bytes of a payload that the server takes.
+    pub(super) fn max_payload_bytes(&self) -> Result<usize, Error> {
+        self.origin.check()?;
+        Ok(self.pending_writes.lock().limits.max_payload_bytes)
+    }
+
     fn check_writable(&self, writes: &PendingWrites) -> Result<(), Error> {
         self.check_readable()?;
         if writes.is_closed {
@@ -222,19 +221,6 @@ impl Core {
             }
         }
         Ok(())
-    }
-
-    /// The number of ids to reserve now.
-    pub(super) fn reserve_count(&self, writes: &PendingWrites) -> u64 {
-        let id_block = self.settings.id_block;
-        match writes.ids.len() {
-            left if left < writes.requested_ids => {
-                let missing = writes.requested_ids - left;
-                missing.clamp(id_block, self.settings.max_reserved_ids)
-            }
-            left if left < id_block / 2 => id_block,
-            _ => 0,
-        }
     }
 
     /// The server refused a write for good.

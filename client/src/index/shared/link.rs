@@ -138,6 +138,13 @@ impl Link {
         }
     }
 
+    /// The limits that the server has now.
+    pub(super) async fn limits(&self) -> Result<Limits, Error> {
+        let answer = self.call(&v1::GetServerRequest {}).await?;
+        let server = ServerInfo::from_message(v1::GetServerRequest::NAME, answer)?;
+        Ok(server.limits)
+    }
+
     /// The index that has the name now.
     pub(super) async fn index(&self) -> Result<IndexInfo, Error> {
         let request = v1::GetIndexRequest {

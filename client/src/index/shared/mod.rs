@@ -84,7 +84,7 @@ impl SharedIndex {
 
     /// Refuses a payload that the server would not take.
     fn check_payload(&self, payload: &[u8]) -> Result<(), Error> {
-        let (max, found) = (self.core.settings.max_payload_bytes, payload.len());
+        let (max, found) = (self.core.max_payload_bytes()?, payload.len());
         match found > max {
             true => Err(Error::Argument {
                 field: "payload",

@@ -7,7 +7,7 @@ use wayfold_index::Space;
 
 use super::{
     SharedIndex,
-    core::{Core, ID_BLOCK, Settings},
+    core::{Core, Settings},
     link::{Address, Link},
     pending::PendingWrites,
     sender,
@@ -134,10 +134,10 @@ impl OpenShared {
             None => link.index().await?,
         });
         let mut writes = PendingWrites::new(index.coordinate_count);
-        writes.limit(limits.max_rows_per_call, limits.max_request_bytes);
+        writes.limits = limits;
         let operation_id = fresh_operation_id();
-        let id_block = ID_BLOCK.min(limits.max_reserved_ids);
-        let opened = link.open_session(&index, id_block, &operation_id).await?;
+        let opened = link.open_session(&index, writes.id_block(), &operation_id);
+        let opened = opened.await?;
         writes.open(opened.session, opened.reserved);
         let mut points = LocalPoints::new(&index.space);
         let (forest, revision, _) = link.load(&index, 0, points.read_revision().0 + 1).await?;
@@ -151,9 +151,6 @@ impl OpenShared {
             Settings {
                 timeout: self.timeout,
                 max_pending_bytes: self.max_pending_bytes,
-                max_payload_bytes: limits.max_payload_bytes,
-                id_block,
-                max_reserved_ids: limits.max_reserved_ids,
             },
         ))
     }
@@ -175,7 +172,7 @@ pub(super) mod tests {
     use wayfold_proto::v1;
 
     use super::*;
-    use crate::{Client, ConnectionStatus, IndexInfo, Revision, UnsentWrite};
+    use crate::{Client, ConnectionStatus, IndexInfo, Limits, Revision, UnsentWrite};
 
     /// The state of an empty index that has one id to give, and no task.
     pub(in crate::index::shared) fn core(timeout: Duration, max_pending_bytes: usize) -> Arc<Core> {
@@ -195,6 +192,11 @@ pub(super) mod tests {
             space: space.clone(),
         };
         let mut writes = PendingWrites::new(space.coordinates());
+        writes.limits = Limits {
+            max_payload_bytes: 1,
+            max_reserved_ids: 1,
+            ..Limits::NONE
+        };
         let reserved = v1::IdBlock {
             first_id: 7,
             id_count: 1,
@@ -209,9 +211,6 @@ pub(super) mod tests {
             Settings {
                 timeout,
                 max_pending_bytes,
-                max_payload_bytes: 1,
-                id_block: 1,
-                max_reserved_ids: 1,
             },
         )
     }

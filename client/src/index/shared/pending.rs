@@ -18,7 +18,10 @@ use super::{
     meanwhile::{InsertSearch, OpenSearch, OpenSearches},
     rebased::RebasedPoint,
 };
-use crate::{Error, index::local::LocalPoints};
+use crate::{Error, Limits, index::local::LocalPoints};
+
+/// The ids that are reserved at once, unless the server reserves fewer. The next ones are asked for when half are left.
+const ID_BLOCK: u64 = 1 << 16;
 
 /// The most steps of a batch: each waits for the slowest.
 const MAX_BATCH_STEPS: usize = 4_096;
@@ -42,8 +45,8 @@ pub(super) struct PendingWrites {
     /// The writer session, once it is open.
     pub(super) session: Option<u64>,
     pub(super) ids: ReservedIds,
-    max_batch_steps: usize,
-    max_batch_bytes: usize,
+    /// The limits of the server, as far as they are known.
+    pub(super) limits: Limits,
     /// Batches that the copy has not seen published, the oldest first.
     queue: VecDeque<Batch>,
     next_number: u64,
@@ -82,8 +85,7 @@ impl PendingWrites {
             width,
             session: None,
             ids: ReservedIds::default(),
-            max_batch_steps: MAX_BATCH_STEPS,
-            max_batch_bytes: MAX_BATCH_BYTES,
+            limits: Limits::NONE,
             queue: VecDeque::new(),
             next_number: 1,
             rebased: HashMap::new(),
@@ -103,10 +105,22 @@ impl PendingWrites {
         }
     }
 
-    /// Keeps batches within the limits of the server.
-    pub(super) fn limit(&mut self, max_rows: usize, max_request_bytes: usize) {
-        self.max_batch_steps = MAX_BATCH_STEPS.min(max_rows).max(1);
-        self.max_batch_bytes = MAX_BATCH_BYTES.min(max_request_bytes / 2);
+    /// The number of ids that are reserved at once.
+    pub(super) fn id_block(&self) -> u64 {
+        ID_BLOCK.min(self.limits.max_reserved_ids)
+    }
+
+    /// The number of ids to reserve now.
+    pub(super) fn reserve_count(&self) -> u64 {
+        let id_block = self.id_block();
+        match self.ids.len() {
+            left if left < self.requested_ids => {
+                let missing = self.requested_ids - left;
+                missing.clamp(id_block, self.limits.max_reserved_ids)
+            }
+            left if left < id_block / 2 => id_block,
+            _ => 0,
+        }
     }
 
     /// Begins a session, whose first batch is number 1. `ids` keeps those that the caller chose since the last session.
@@ -223,11 +237,13 @@ impl PendingWrites {
 
     fn push(&mut self, id: u64, step: &Step<'_>) -> &mut Batch {
         let bytes = Batch::step_bytes(step);
+        let max_steps = MAX_BATCH_STEPS.min(self.limits.max_rows_per_call).max(1);
+        let max_bytes = MAX_BATCH_BYTES.min(self.limits.max_request_bytes / 2);
         let is_full = self.queue.back().is_none_or(|batch| {
             batch.number != 0
-                || batch.len() >= self.max_batch_steps
+                || batch.len() >= max_steps
                 || (batch.update_count >= MAX_BATCH_UPDATES && Batch::is_update(step))
-                || batch.bytes() + bytes > self.max_batch_bytes
+                || batch.bytes() + bytes > max_bytes
         });
         if is_full {
             self.queue.push_back(Batch::default());

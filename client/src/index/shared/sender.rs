@@ -72,7 +72,7 @@ pub(super) async fn run(core: Arc<Core>) {
                     () = core.urgent.notified() => break,
                 }
                 let writes = core.pending_writes.lock();
-                if writes.is_next_large() || core.reserve_count(&writes) > 0 {
+                if writes.is_next_large() || writes.reserve_count() > 0 {
                     break;
                 }
             }
@@ -95,7 +95,7 @@ fn next(core: &Core, index: &IndexInfo) -> Next {
         let Some(session) = writes.session else {
             return Next::Session;
         };
-        let reserve_count = core.reserve_count(&writes);
+        let reserve_count = writes.reserve_count();
         // If the index was made again meanwhile, the next look finds no session.
         if core.is_current(index)
             && let Some(mut request) = writes.next(session, reserve_count)
@@ -110,10 +110,17 @@ fn next(core: &Core, index: &IndexInfo) -> Next {
 }
 
 async fn open(core: &Core, index: &IndexInfo, operation_id: &str) -> Result<(), Error> {
-    let opened = core
-        .link
-        .open_session(index, core.settings.id_block, operation_id)
-        .await?;
+    // The limits may be lower after a restart of the server, or at another server.
+    let limits = core.link.limits().await?;
+    let id_block = {
+        let mut writes = core.pending_writes.lock();
+        writes.limits = limits;
+        writes.id_block()
+    };
+    // The server refuses an operation that is repeated with another number of ids.
+    let operation_id = format!("{operation_id}/{id_block}");
+    let opened = core.link.open_session(index, id_block, &operation_id);
+    let opened = opened.await?;
     let mut writes = core.pending_writes.lock();
     if core.is_current(index) {
         writes.open(opened.session, opened.reserved);

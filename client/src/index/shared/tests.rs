@@ -308,7 +308,7 @@ fn random_pending_writes_keep_their_payloads_and_are_given_back_in_order() {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let (core, shared) = idle(1 << 24, 1_000);
         // Smaller than what is written between two of them: several batches wait.
-        core.pending_writes.lock().limit(8, 1 << 20);
+        core.pending_writes.lock().limits.max_rows_per_call = 8;
         let index = Index::of_shared(shared);
         let (mut ids, mut pending) = (Vec::new(), VecDeque::new());
         let mut published = Content::new();

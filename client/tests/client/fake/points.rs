@@ -3,7 +3,7 @@
 use tonic::{Request, Response, Status, Streaming, async_trait};
 use wayfold_proto::v1::{self, point_service_server::PointService};
 
-use super::{Answers, Fake, answers, revision};
+use super::{Answers, Fake, LIMITS, answers, exceeded, revision};
 
 fn rows(states: &Option<v1::States>) -> usize {
     states
@@ -19,6 +19,23 @@ fn numbered(rows: usize) -> Option<v1::Neighbors> {
         distances: vec![0.5; rows],
         ..Default::default()
     })
+}
+
+impl Fake {
+    /// Reserves at most this many ids at once, as a server that was started again may.
+    pub(crate) fn limit_reserved_ids(&self, most: u64) {
+        self.inner.lock().unwrap().limits = Some(v1::Limits {
+            max_reserved_ids: most,
+            ..LIMITS
+        });
+    }
+
+    /// The refusal of a call that reserves too many ids.
+    fn too_many_ids(&self, reserve_count: u64) -> Option<Status> {
+        let limits = self.inner.lock().unwrap().limits.unwrap_or(LIMITS);
+        let most = limits.max_reserved_ids;
+        (reserve_count > most).then(|| exceeded("max_reserved_ids", most))
+    }
 }
 
 #[async_trait]
@@ -58,6 +75,9 @@ impl PointService for Fake {
         &self,
         request: Request<v1::OpenSessionRequest>,
     ) -> Result<Response<v1::OpenSessionResponse>, Status> {
+        if let Some(refused) = self.too_many_ids(request.get_ref().reserve_count) {
+            return Err(refused);
+        }
         Ok(Response::new(v1::OpenSessionResponse {
             session: 1,
             reserved: Some(v1::IdBlock {
@@ -74,6 +94,9 @@ impl PointService for Fake {
         request: Request<v1::WriteRequest>,
     ) -> Result<Response<v1::WriteResponse>, Status> {
         self.enter(&request, request.get_ref().ids.len()).await?;
+        if let Some(refused) = self.too_many_ids(request.get_ref().reserve_count) {
+            return Err(refused);
+        }
         let taken = self.inner.lock().unwrap().takes_at;
         let taken = taken.ok_or_else(|| Status::unimplemented("write"))?;
         Ok(Response::new(v1::WriteResponse {

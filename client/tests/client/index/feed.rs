@@ -153,6 +153,24 @@ async fn a_copy_of_an_index_that_was_made_again_shows_no_point_of_the_former() {
     assert_eq!(index.len().unwrap(), 1);
 }
 
+/// The first session has 1,000 ids, and the server reserves two at once later.
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn writing_begins_again_after_the_limits_of_the_server_were_lowered() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
+    fake.takes_batches(4);
+    let index = open(&fake);
+    fake.limit_reserved_ids(2);
+    // Fewer than half of the ids are left, so the batch reserves further ones.
+    index.insert_many(vec![[0.5]; 600]).unwrap();
+    let refused = index.flush().unwrap_err();
+    assert_eq!(refused.reason(), Some("LIMIT_EXCEEDED"), "{refused}");
+    assert_eq!(index.take_unsent().len(), 600);
+    index.insert([1.5]).unwrap();
+    index.flush().unwrap();
+    assert_eq!(index.len().unwrap(), 2);
+}
+
 /// The scan after a reset never ends: the copy answers from its points meanwhile, and says what it does.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_copy_that_reads_all_points_again_says_so() {

@@ -310,6 +310,10 @@ impl PendingWrites {
         why: Arc<Error>,
         points: &mut LocalPoints,
     ) -> Result<(), Error> {
+        // The caller may write again before the server is asked for its limits.
+        if let Some(lowered) = self.limits.lowered(&why) {
+            self.limits = lowered;
+        }
         let why = self.refused.get_or_insert(why);
         self.last_refusal = Some(Arc::clone(why));
         self.refusals += 1;

@@ -4,7 +4,7 @@ mod meanwhile;
 
 use super::*;
 use crate::{
-    Meanwhile,
+    Code, Meanwhile, Refusal,
     index::{
         local::{LocalPoints, NewRow},
         shared::meanwhile::Reloaded,
@@ -127,7 +127,7 @@ fn a_batch_is_worth_a_call_once_it_has_many_writes_or_another_waits_behind_it() 
     // It is under way.
     writes.next(1, 0);
     assert!(!writes.is_next_large());
-    writes.limit(2, usize::MAX);
+    writes.limits.max_rows_per_call = 2;
     for step in 1..=3 {
         insert(&mut writes, &mut points, step as f64);
         assert_eq!(writes.is_next_large(), step == 3);
@@ -273,4 +273,30 @@ fn ids_that_the_caller_chose_between_sessions_are_not_given() {
     writes.open(2, block(0, 5));
     let given: Vec<u64> = std::iter::from_fn(|| writes.ids.next()).collect();
     assert_eq!(given, [1, 2, 4]);
+}
+
+/// The writes that it gave back are stored again before the server is asked for its limits.
+#[test]
+fn batches_after_a_refusal_keep_to_the_lower_limit_that_it_names() {
+    let (mut writes, mut points) = pending_writes();
+    let metadata = [("limit", "max_rows_per_call"), ("value", "2")];
+    let metadata = metadata.map(|(key, value)| (key.to_owned(), value.to_owned()));
+    let refusal = Refusal {
+        code: Code::ResourceExhausted,
+        message: "too many rows".to_owned(),
+        reason: "LIMIT_EXCEEDED".to_owned(),
+        metadata: metadata.into(),
+        fields: Vec::new(),
+        ids: Vec::new(),
+        retry_after: None,
+    };
+    let why = Arc::new(Error::Refused(Box::new(refusal)));
+    writes.refuse(why, &mut points).expect("a copy");
+    writes.take_unsent();
+    writes.open(2, block(200, 50));
+    for row in [1.0, 2.0, 3.0] {
+        insert(&mut writes, &mut points, row);
+    }
+    let request = writes.next(2, 0).expect("a batch");
+    assert_eq!(request.ids, [200, 201]);
 }
