@@ -118,7 +118,7 @@ pub trait NearestNeighbors: fmt::Debug + Send + Sync {
     /// one after the other, and tag 0. Returns the ids.
     ///
     /// # Errors
-    /// Those of [`NearestNeighbors::insert`]; nothing is stored then.
+    /// Those of [`NearestNeighbors::insert`]; some of the points may be stored then.
     fn insert_many(&self, rows: &[f64]) -> Result<Vec<u64>, Self::Error>;
 
     /// Gives a stored point another state; its tag stays, its payload goes. False if there is no such point.

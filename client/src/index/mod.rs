@@ -106,7 +106,8 @@ impl Index {
     /// The number of points.
     ///
     /// # Errors
-    /// The server cannot be asked.
+    /// The index cannot be read: [`Error::Forked`] in a forked process, [`Error::Ended`] if a shared index is gone. A remote
+    /// index returns every error of its call to the server.
     pub fn len(&self) -> Result<usize, Error> {
         self.form.len()
     }
@@ -122,7 +123,9 @@ impl Index {
     /// Stores a state and returns its id.
     ///
     /// # Errors
-    /// [`Error::Width`], [`Error::Layout`], [`Error::State`]: it is no state of the space.
+    /// [`Error::Width`], [`Error::Layout`], [`Error::State`]: it is no state of the space. [`Error::Forked`]. A shared index
+    /// cannot be written: [`Error::Timeout`] if no room or no id came free, [`Error::WritesRefused`], [`Error::Closed`],
+    /// [`Error::Ended`]. A remote index returns every error of its call to the server.
     pub fn insert(&self, state: impl State) -> Result<u64, Error> {
         let mut found = Vec::new();
         let options = InsertOptions::new();
@@ -207,7 +210,7 @@ impl Index {
     /// The point with this id.
     ///
     /// # Errors
-    /// The server cannot be asked.
+    /// Those of [`Index::len`].
     pub fn get(&self, id: u64) -> Result<Option<StoredPoint>, Error> {
         Ok(self.form.get(id)?.map(StoredPoint::from))
     }
@@ -215,7 +218,7 @@ impl Index {
     /// The payload of the point with this id: empty if it has none, `None` if there is no such point.
     ///
     /// # Errors
-    /// The server cannot be asked.
+    /// Those of [`Index::len`]; a shared index also asks the server.
     pub fn payload(&self, id: u64) -> Result<Option<Vec<u8>>, Error> {
         self.form.payload(id)
     }
@@ -224,7 +227,7 @@ impl Index {
     /// there is no such point. A shared index asks the server once for a thousand of them.
     ///
     /// # Errors
-    /// The server cannot be asked.
+    /// Those of [`Index::payload`].
     pub fn payloads(&self, ids: &[u64]) -> Result<Vec<Option<Vec<u8>>>, Error> {
         self.form.payloads(ids)
     }
@@ -330,7 +333,7 @@ impl Index {
     /// All points as they are now, by ascending id.
     ///
     /// # Errors
-    /// The server cannot be asked.
+    /// Those of [`Index::len`].
     pub fn scan(&self) -> Result<StoredPoints, Error> {
         self.form.scan().map(StoredPoints)
     }
@@ -340,7 +343,7 @@ impl Index {
     /// `since`.
     ///
     /// # Errors
-    /// The server cannot be asked.
+    /// Those of [`Index::len`]. `UID_MISMATCH`: a remote index was made again.
     pub fn changes(&self, since: ReadRevision) -> Result<Option<Changes>, Error> {
         let changes = self.form.changes(since)?;
         Ok(changes.map(|changes| Changes {
