@@ -5,7 +5,7 @@
 mod outcome;
 
 use std::{
-    collections::{BTreeMap, HashMap, VecDeque},
+    collections::{BTreeMap, HashMap, HashSet, VecDeque},
     sync::Arc,
 };
 
@@ -18,7 +18,10 @@ use super::{
     meanwhile::{InsertSearch, OpenSearch, OpenSearches},
     rebased::RebasedPoint,
 };
-use crate::{Error, Limits, index::local::LocalPoints};
+use crate::{
+    Error, Limits,
+    index::local::{LocalPoints, NewRow},
+};
 
 /// The ids that are reserved at once, unless the server reserves fewer. The next ones are asked for when half are left.
 const ID_BLOCK: u64 = 1 << 16;
@@ -224,10 +227,61 @@ impl PendingWrites {
         if let Some(rebased) = self.rebased.get_mut(&id) {
             rebased.push(step, visible_from);
         }
-        let bytes = REBASED_STEP_BYTES + 2 * size_of::<f64>() * self.width;
+        let bytes = self.rebased_step_bytes();
         self.push(id, step).kept_bytes += bytes;
         self.bytes += bytes;
         Ok(())
+    }
+
+    /// Keeps the pending writes for a copy that was read again. The copy lacks an insert that was never sent, which is
+    /// stored like a new one: thousands wait if the server was away, and each rebased point takes several times its bytes.
+    fn rebase_all(&mut self, change: u64, points: &mut LocalPoints) -> Result<(), Error> {
+        let reserved = &self.ids;
+        let is_plain = |batch: &Batch, id: u64, step: &Step<'_>| {
+            let is_put = matches!(step, Step::Put { .. });
+            is_put && batch.number == 0 && batch.may_have_assigned(id) && reserved.contains(id)
+        };
+        let mut changed = HashSet::new();
+        for batch in &self.queue {
+            let steps = batch.steps(self.width);
+            let others = steps.filter(|(id, step)| !is_plain(batch, *id, step));
+            changed.extend(others.map(|(id, _)| id));
+        }
+        let mut plain = Vec::new();
+        for (id, step) in self.queue.iter().flat_map(|batch| batch.steps(self.width)) {
+            match step {
+                Step::Put { tag, row, .. } if !changed.contains(&id) => plain.push(NewRow {
+                    id,
+                    tag,
+                    row,
+                    is_new: true,
+                }),
+                step => {
+                    let base = || points.get(id).map(|point| (point.tag, point.row));
+                    let rebased = self.rebased.entry(id);
+                    let rebased = rebased.or_insert_with(|| RebasedPoint::new(base()));
+                    rebased.push(&step, change);
+                }
+            }
+        }
+        if !plain.is_empty() {
+            points.apply(plain.into_iter(), &[])?;
+        }
+        let step_bytes = self.rebased_step_bytes();
+        for batch in &mut self.queue {
+            let ids = batch.ids().iter();
+            let rebased = ids.filter(|&id| self.rebased.contains_key(id)).count();
+            let searches: usize = batch.searches.iter().map(OpenSearch::bytes).sum();
+            self.bytes -= batch.kept_bytes;
+            batch.kept_bytes = searches + rebased * step_bytes;
+            self.bytes += batch.kept_bytes;
+        }
+        Ok(())
+    }
+
+    /// About as many bytes as a step on a rebased point takes.
+    fn rebased_step_bytes(&self) -> usize {
+        REBASED_STEP_BYTES + 2 * size_of::<f64>() * self.width
     }
 
     /// True if the newest published points cannot have this id, because its insert is pending.

@@ -257,16 +257,7 @@ impl PendingWrites {
         self.open_searches.reload(change, changes);
         self.limit_arrivals();
         let answerable = self.confirm_up_to(revision, points)?;
-        for batch in &self.queue {
-            for (id, step) in batch.steps(self.width) {
-                let base = || points.get(id).map(|point| (point.tag, point.row));
-                let rebased = self
-                    .rebased
-                    .entry(id)
-                    .or_insert_with(|| RebasedPoint::new(base()));
-                rebased.push(&step, change);
-            }
-        }
+        self.rebase_all(change, points)?;
         for (&id, rebased) in &self.rebased {
             show(id, rebased, points)?;
         }

@@ -300,3 +300,28 @@ fn batches_after_a_refusal_keep_to_the_lower_limit_that_it_names() {
     let request = writes.next(2, 0).expect("a batch");
     assert_eq!(request.ids, [200, 201]);
 }
+
+#[test]
+fn inserts_that_were_never_sent_are_no_rebased_points_after_a_reload() {
+    let (mut writes, mut points) = pending_writes();
+    let sent = insert(&mut writes, &mut points, 1.0);
+    writes.next(1, 0).expect("a batch");
+    let plain = insert(&mut writes, &mut points, 2.0);
+    let tagged = insert(&mut writes, &mut points, 3.0);
+    let tag = Step::SetTag(5);
+    writes.change(tagged, &tag, &mut points).expect("a point");
+    reload(&mut writes, &mut points, 20, &[]);
+    let content = [sent, plain, tagged].map(|id| shown(&points, id));
+    assert_eq!(content, [Some((0, 1.0)), Some((0, 2.0)), Some((5, 3.0))]);
+    let rebased = [sent, plain, tagged].map(|id| writes.rebased.contains_key(&id));
+    assert_eq!(rebased, [true, false, true]);
+    let held: usize = writes.queue.iter().map(Batch::held_bytes).sum();
+    assert_eq!((writes.bytes, writes.published_points), (held, 0));
+    assert!(held > 3 * writes.rebased_step_bytes());
+    for number in [1, 2] {
+        writes.next(1, 0).expect("a batch");
+        writes.confirm(1, number, &mut points).expect("a copy");
+    }
+    assert_eq!((points.forest.len(), writes.published_points), (3, 3));
+    assert_eq!((writes.bytes, writes.rebased.len()), (0, 0));
+}
