@@ -3,7 +3,10 @@
 mod reading;
 mod writing;
 
-use std::sync::{Arc, OnceLock, Weak};
+use std::{
+    sync::{Arc, OnceLock, Weak},
+    time::SystemTime,
+};
 
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::watch;
@@ -16,7 +19,9 @@ use super::{
 };
 use crate::log::{
     Entry, LogError, Operation, Origin, Record, Retention, Sessions, Window,
-    retention::BoundedQueue, unapplied::UnappliedQueue,
+    record::time_ms,
+    retention::{BoundedQueue, arrival_ms},
+    unapplied::UnappliedQueue,
 };
 
 pub(super) struct Index {
@@ -36,7 +41,7 @@ pub(super) struct Index {
 
 pub(super) struct State {
     pub(super) head: Head,
-    /// The times of the records after `head.trimmed`.
+    /// The times from which the records after `head.trimmed` count.
     records: BoundedQueue<u64>,
     /// The revisions of the kept operations.
     operations: BoundedQueue<u64>,
@@ -75,10 +80,16 @@ impl State {
         }
     }
 
-    /// Counts a stored record.
+    /// Counts a record that was stored before the store was opened. Its arrival is not stored, so its stamp counts.
     pub(super) fn count_record(&mut self, record: &Record) {
-        let bytes = record.effects().bytes();
-        self.records.push(record.time_ms(), bytes);
+        let time = record.time_ms().min(time_ms(SystemTime::now()));
+        self.records.push(time, record.effects().bytes());
+    }
+
+    /// Counts a record that arrives now.
+    pub(super) fn count_arrival(&mut self, record: &Record) {
+        self.records
+            .push(arrival_ms(record), record.effects().bytes());
     }
 
     /// Counts a stored operation.
@@ -215,7 +226,7 @@ impl Index {
         };
         self.durable()?;
         let state = &mut *state;
-        let forgotten = retention.forget_records(&mut state.records, |time_ms| *time_ms);
+        let forgotten = retention.forget_records(&mut state.records, |time| *time);
         state.head.trimmed += forgotten.count() as u64;
         let forgotten = retention.forget_operations(&mut state.operations);
         state.forgotten.extend(forgotten);

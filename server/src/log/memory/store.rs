@@ -14,7 +14,7 @@ use crate::log::{
     LogError, Operation, Origin, Record, RecordPosition, RecordStream, Retention, Sessions,
     StoredPoint, Uid, View, Window, following,
     record::position_after,
-    retention::{Allowance, BoundedQueue},
+    retention::{Allowance, BoundedQueue, arrival_ms},
     unapplied::UnappliedQueue,
 };
 
@@ -27,8 +27,8 @@ pub(super) struct Store {
 
 struct State {
     head: Head,
-    /// The newest records, without a gap up to the head.
-    records: BoundedQueue<Arc<Record>>,
+    /// The newest records, without a gap up to the head, each with the time from which it counts.
+    records: BoundedQueue<(Arc<Record>, u64)>,
     /// The newest operations.
     operations: BoundedQueue<Arc<Operation>>,
     unapplied: UnappliedQueue<Head>,
@@ -41,7 +41,8 @@ impl State {
     fn write(&mut self, record: &Arc<Record>) {
         self.head.apply(record);
         let bytes = record.effects().bytes();
-        self.records.push(Arc::clone(record), bytes);
+        self.records
+            .push((Arc::clone(record), arrival_ms(record)), bytes);
         if let Some(operation) = record.effects().operation() {
             let bytes = operation.bytes();
             self.operations.push(Arc::clone(operation), bytes);
@@ -193,6 +194,7 @@ impl Store {
         let mut left = Allowance::of(max_bytes);
         let records = state.records.iter().skip(skipped);
         Ok(records
+            .map(|(record, _)| record)
             .take_while(|record| left.take(record))
             .cloned()
             .collect())
@@ -209,7 +211,7 @@ impl Store {
     pub(super) fn trim(&self, retention: &Retention) {
         let state = &mut *self.state.lock();
         retention
-            .forget_records(&mut state.records, |record| record.time_ms())
+            .forget_records(&mut state.records, |(_, time)| *time)
             .for_each(drop);
         retention
             .forget_operations(&mut state.operations)

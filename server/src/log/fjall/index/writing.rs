@@ -106,7 +106,7 @@ impl Index {
         state.forgotten.clear();
         state.sessions.apply_changes(changes);
         for record in records {
-            state.count_record(record);
+            state.count_arrival(record);
             if let Some(operation) = record.effects().operation() {
                 state.count_operation(record.revision(), operation);
             }
