@@ -4,7 +4,7 @@
 
 use std::{
     sync::{Arc, Weak, atomic::Ordering::Relaxed},
-    time::SystemTime,
+    time::{Duration, Instant, SystemTime},
 };
 
 use futures_util::{
@@ -232,11 +232,24 @@ impl Hosted {
             LogError::journal_damaged(self.uid(), record.revision(), what)
         })?;
         self.payload_sizes.lock().apply(record);
+        if let Some(batch) = effects.batch() {
+            let mut uses = self.session_uses.lock();
+            uses.insert(batch.session, Instant::now());
+            for ended in &batch.ended {
+                uses.remove(ended);
+            }
+        }
         if let Some(operation) = effects.operation() {
             self.operations.lock().remember(Arc::clone(operation));
         }
         self.recent.lock().push(Arc::clone(record));
         Ok(())
+    }
+
+    /// True if this process has applied a batch of a session within this time, by its own clock.
+    pub(crate) fn is_session_used_within(&self, session: u64, time: Duration) -> bool {
+        let used = self.session_uses.lock().get(&session).copied();
+        used.is_some_and(|used| used.elapsed() < time)
     }
 }
 

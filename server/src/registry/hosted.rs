@@ -3,11 +3,12 @@
 mod closing;
 
 use std::{
+    collections::BTreeMap,
     sync::{
         Arc, Weak,
         atomic::{AtomicBool, AtomicU64, Ordering::Relaxed},
     },
-    time::SystemTime,
+    time::{Instant, SystemTime},
 };
 
 use tokio::{
@@ -68,6 +69,8 @@ pub struct Hosted {
     pub(super) last_seen_revision: AtomicU64,
     pub(super) last_idle_revision: AtomicU64,
     pub(super) recent: parking_lot::Mutex<RecentRecords>,
+    /// The sessions of which this process has applied a batch, each with the time of the newest one.
+    pub(super) session_uses: parking_lot::Mutex<BTreeMap<u64, Instant>>,
     pub(crate) subscribers: Subscribers,
     /// The records that subscribers read from the log because no publication brought them.
     pub(crate) missed: AtomicU64,
@@ -142,6 +145,7 @@ impl Hosted {
             last_seen_revision: AtomicU64::new(u64::MAX),
             last_idle_revision: AtomicU64::new(u64::MAX),
             recent: parking_lot::Mutex::new(RecentRecords::new(host.options.window_bytes)),
+            session_uses: parking_lot::Mutex::default(),
             subscribers: Subscribers::default(),
             missed: AtomicU64::new(0),
             held: AtomicU64::new(0),

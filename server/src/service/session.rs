@@ -47,7 +47,7 @@ impl Service {
             };
             let session = writer.revision() + 1;
             let mut effects = Effects::new(hosted.space().coordinates());
-            let evaluated = ended(&writer, limits).and_then(|ended| {
+            let evaluated = ended(&hosted, &writer, limits).and_then(|ended| {
                 let count = request.reserve_count;
                 let reserved = reserve(&hosted, &writer, &effects, count, limits, &ended)?;
                 let response = v1::OpenSessionResponse {
@@ -75,10 +75,12 @@ impl Service {
 }
 
 /// The sessions that have been idle for too long; an error if the others are as many as an index may have.
-fn ended(writer: &Writer, limits: &Limits) -> Result<Vec<u64>, Error> {
+fn ended(hosted: &Hosted, writer: &Writer, limits: &Limits) -> Result<Vec<u64>, Error> {
     let idle = Duration::from_secs(limits.max_session_idle_seconds);
     let since = SystemTime::now().checked_sub(idle);
-    let ended = since.map_or_else(Vec::new, |since| writer.sessions().unused_since(since));
+    let mut ended = since.map_or_else(Vec::new, |since| writer.sessions().unused_since(since));
+    // Another server's clock may have stamped the records, so this server ends no session that it has seen in use.
+    ended.retain(|session| !hosted.is_session_used_within(*session, idle));
     let open = writer.sessions().len() - ended.len();
     if open >= limits.max_sessions {
         return Err(Error::LimitExceeded {
@@ -150,10 +152,10 @@ pub(super) fn block(ids: &Range<u64>) -> v1::IdBlock {
 mod tests {
     use super::*;
     use crate::{
-        log::{Block, MemoryLog, Origin, PointStore, Session, Sessions},
+        log::{Block, Journal, MemoryLog, Origin, PointStore, Record, Session, Sessions},
         registry::{Registry, RegistryOptions},
         service::Code,
-        testing::arm,
+        testing::{arm, log_with},
     };
 
     /// The index has as many blocks as it may have, and one of them belongs to an idle session.
@@ -198,5 +200,37 @@ mod tests {
         let refused = open().await.unwrap_err();
         assert_eq!(refused.code(), Code::ResourceExhausted);
         assert!(refused.to_string().contains("max_blocks"), "{refused}");
+    }
+
+    /// The clock of the server that stamped its batch is far behind.
+    #[tokio::test]
+    async fn a_session_that_this_server_saw_in_use_does_not_end_by_the_clock_of_another() {
+        let entry = arm();
+        let log = log_with(&entry, &[]);
+        let registry = Registry::new(Arc::clone(&log), RegistryOptions::default());
+        registry.replay().unwrap();
+        let hosted = registry.get("arm").unwrap();
+        let service = Service::new(registry, Limits::default());
+        service.set_ready();
+        let mut effects = Effects::new(1);
+        effects.set_batch(Some(Arc::new(Batch {
+            session: 1,
+            number: 0,
+            fingerprint: [0; 32],
+            response: Bytes::new(),
+            reserved: 0..0,
+            ended: Vec::new(),
+        })));
+        let record = Record::new(1, Record::NO_PREVIOUS, 0, effects);
+        assert!(log.submit(entry.uid, Arc::new(record)).is_ok());
+        hosted.reached(1).await.unwrap();
+        let request = v1::OpenSessionRequest {
+            index_name: "arm".into(),
+            ..Default::default()
+        };
+        let opened = service.open_session(&Call::default(), request).await;
+        assert_eq!(opened.unwrap().session, 2);
+        let published = hosted.reached(2).await.unwrap();
+        assert!(published.view.sessions().get(1).is_some());
     }
 }
