@@ -93,11 +93,13 @@ Exit status:
              disk is full, or its list of files is damaged; the old store is kept";
 
 const AFTER_RESEED: &str = "\
-Stop this server first; NATS has to run. The index gets a new uid and a new journal,
-which begin with the points, the writer sessions and the revision of the data
-directory. The name moves to it, and the old one is deleted at all servers: what
-only others have is lost, so take snapshots of theirs before. Clients that watch the
-index begin again, and operation ids of calls to the old one are forgotten.
+Stop all servers of the cluster first, this one last, so that no other one writes
+meanwhile; NATS has to run. The index gets a new uid and a new journal, which begin
+with the points, the writer sessions and the revision of the data directory. The name
+moves to it, and the old one is deleted at all servers: what only others have is
+lost, so take snapshots of theirs before. The command prints the number of revisions
+of the journal that it left out. Clients that watch the index begin again, and
+operation ids of calls to the old one are forgotten.
 
 The data directory needs room for the points twice until the server starts again.
 

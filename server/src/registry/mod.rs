@@ -64,7 +64,7 @@ pub use operations::OperationWindow;
 pub use options::RegistryOptions;
 use payload_sizes::PayloadSizes;
 pub(crate) use peer_comparison::ComparisonFailure;
-pub(crate) use reseed::{Seed, reseed};
+pub(crate) use reseed::{LeftOut, Seed, reseed};
 pub(crate) use restore::AwaitedCopy;
 pub use restore::Restore;
 pub(crate) use stopped::Stopped;

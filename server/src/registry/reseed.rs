@@ -1,10 +1,14 @@
 //! Starts a new generation of an index from the points of this server: an operator's way out if its servers contradict each
 //! other, or if no server can follow its journal. The index gets a new uid and a new journal, and the other servers take copies.
 
+use std::sync::Arc;
+
 use thiserror::Error;
 
 use super::restore::publish;
-use crate::log::{Catalogue, Entry, Log, LogError, Origin, StoredPoint, Uid};
+use crate::log::{
+    Catalogue, Entry, Log, LogError, Origin, Record, RecordPosition, StoredPoint, Uid,
+};
 
 /// The points that are written at a time.
 const PAGE_POINTS: usize = 4096;
@@ -29,8 +33,21 @@ pub(crate) struct Reseeded {
     pub(crate) revision: u64,
     /// The number of its points.
     pub(crate) points: u64,
-    /// The number of later revisions in the journal, which are gone.
-    pub(crate) left_out: Result<u64, LogError>,
+    /// The revisions of the journal that are gone.
+    pub(crate) left_out: Result<LeftOut, LogError>,
+}
+
+/// The revisions of a journal that a new generation leaves out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct LeftOut {
+    /// The newest revision at which the journal is not known to have another record than this server. Above it, up to the
+    /// newest revision of this server, other servers have written other records.
+    pub(crate) after: u64,
+    /// The number of the journal's revisions after it.
+    pub(crate) count: u64,
+    /// True if both have the same record of `after`. Otherwise one of them no longer keeps it, and the times of the records
+    /// are all that tells them apart.
+    pub(crate) is_compared: bool,
 }
 
 /// The index has no new generation.
@@ -111,7 +128,7 @@ pub(crate) fn reseed(
     }
     restoring.finish(view.sessions().clone(), Vec::new())?;
     // A journal that has lost the index is one of the reasons for this call.
-    let newest = log.journal.newest(old.uid);
+    let left_out = left_out(log, old.uid, view.position());
     let run = *Uid::unique().as_bytes();
     publish(log, run, &entry, Some(old.uid), origin).map_err(|error| match error {
         LogError::NameTaken { .. } => ReseedError::Replaced { old: old.uid },
@@ -122,16 +139,155 @@ pub(crate) fn reseed(
         new: entry.uid,
         revision: origin.revision,
         points,
-        left_out: newest.map(|newest| newest.saturating_sub(origin.revision)),
+        left_out,
     })
+}
+
+/// What is known of the record of a revision in the journal.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Comparison {
+    /// It is that of this server.
+    Same,
+    /// It is another one.
+    Other,
+    /// It cannot be compared.
+    Unknown,
+}
+
+/// The revisions of the journal that are not among the records of this server, whose newest one is `own`. Blocks.
+fn left_out(log: &Log, uid: Uid, own: RecordPosition) -> Result<LeftOut, LogError> {
+    let newest = log.journal.newest(uid)?;
+    let own_newest = log.points.retained(uid, own.revision)?;
+    let compare = |revision: u64| -> Result<Comparison, LogError> {
+        if revision == 0 {
+            return Ok(Comparison::Same);
+        }
+        let Some(record) = journal_record(log, uid, revision)? else {
+            return Ok(Comparison::Unknown);
+        };
+        let digest = match revision == own.revision {
+            true => Some(own.digest),
+            false => log.points.retained(uid, revision)?.map(|it| *it.digest()),
+        };
+        // This server made or applied its own record of the revision before its newest one.
+        let is_younger = |newest: &Arc<Record>| record.time_ms() > newest.time_ms();
+        Ok(match digest {
+            Some(digest) if digest == *record.digest() => Comparison::Same,
+            Some(_) => Comparison::Other,
+            None if own_newest.as_ref().is_some_and(is_younger) => Comparison::Other,
+            None => Comparison::Unknown,
+        })
+    };
+    let mut after = newest.min(own.revision);
+    let mut found = compare(after)?;
+    if found == Comparison::Other {
+        // A record names the one before it: after the first other one, all are others.
+        let mut other = after;
+        (after, found) = (0, Comparison::Same);
+        while other - after > 1 {
+            let middle = after + (other - after) / 2;
+            match compare(middle)? {
+                Comparison::Other => other = middle,
+                same => (after, found) = (middle, same),
+            }
+        }
+    }
+    Ok(LeftOut {
+        after,
+        count: newest - after,
+        is_compared: found == Comparison::Same,
+    })
+}
+
+/// The record of a revision in the journal; None if the journal does not have it or it is damaged. Blocks.
+fn journal_record(log: &Log, uid: Uid, revision: u64) -> Result<Option<Arc<Record>>, LogError> {
+    match log.journal.read(uid, revision.checked_sub(1), 1) {
+        Ok(records) => Ok(records.into_iter().find(|it| it.revision() == revision)),
+        Err(LogError::Trimmed { .. } | LogError::JournalDamaged { .. }) => Ok(None),
+        Err(error) => Err(error),
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::{fs, sync::Arc};
+    use std::fs;
 
     use super::*;
-    use crate::log::{Durability, FjallLog};
+    use crate::{
+        log::{Durability, Effects, FjallLog, PointStore},
+        testing::{arm, log_with, trim_all},
+    };
+
+    /// This many records after `position`, with the times from `time_ms` on.
+    fn records(mut position: RecordPosition, count: u64, time_ms: u64) -> Vec<Arc<Record>> {
+        let records = (0..count).map(|number| {
+            let (revision, time_ms) = (position.revision + 1, time_ms + number);
+            let record = Record::new(revision, position.digest, time_ms, Effects::new(1));
+            position = record.position();
+            Arc::new(record)
+        });
+        records.collect()
+    }
+
+    /// The revisions that a server leaves out whose records are `own` after the five that it shares with the journal, which
+    /// has `others` after these. A server that is `trimmed` keeps its newest record alone.
+    fn outcome(own: u64, others: u64, trimmed: bool) -> LeftOut {
+        let entry = arm();
+        let shared = records(RecordPosition::START, 5, 10);
+        let position = shared.last().unwrap().position();
+        let log = |count, time_ms| {
+            let records = [shared.clone(), records(position, count, time_ms)].concat();
+            log_with(&entry, &records)
+        };
+        let (points, journal) = (log(own, 20), log(others, 50));
+        if trimmed {
+            trim_all(&points, entry.uid);
+        }
+        let own = points.view(entry.uid).unwrap().position();
+        let log = Log {
+            journal,
+            ..Log::from(points)
+        };
+        left_out(&log, entry.uid, own).unwrap()
+    }
+
+    #[test]
+    fn a_reseed_knows_the_revisions_that_others_wrote() {
+        let left_out = |after, count, is_compared| LeftOut {
+            after,
+            count,
+            is_compared,
+        };
+        // The server is behind, or the journal has lost records.
+        assert_eq!(outcome(0, 0, false), left_out(5, 0, true));
+        assert_eq!(outcome(0, 4, false), left_out(5, 4, true));
+        assert_eq!(outcome(9, 0, false), left_out(5, 0, true));
+        // Others have written in the place of its records: fewer, as many, and more.
+        for others in [1, 9, 12] {
+            assert_eq!(outcome(9, others, false), left_out(5, others, true));
+        }
+        // The times tell that, if the server keeps no record to compare.
+        assert_eq!(outcome(9, 0, true), left_out(5, 0, false));
+        assert_eq!(outcome(9, 4, true), left_out(5, 4, false));
+        assert_eq!(outcome(0, 4, true), left_out(5, 4, true));
+    }
+
+    #[test]
+    fn a_reseed_of_an_index_whose_journal_is_gone_leaves_out_nothing() {
+        let entry = arm();
+        let points = log_with(&entry, &records(RecordPosition::START, 3, 10));
+        let own = points.view(entry.uid).unwrap().position();
+        let log = Log {
+            journal: log_with(&entry, &[]),
+            ..Log::from(points)
+        };
+        let expected = LeftOut {
+            after: 0,
+            count: 0,
+            is_compared: true,
+        };
+        assert_eq!(left_out(&log, entry.uid, own), Ok(expected));
+    }
 
     #[test]
     fn an_index_that_cannot_be_read_is_not_called_missing() {
