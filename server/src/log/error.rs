@@ -189,7 +189,7 @@ pub enum LogError {
         /// synced.
         last: u64,
     },
-    /// A server of a cluster cannot read its own copy of an index: see [`LogError::of_copy`].
+    /// A server of a cluster cannot read its own copy of an index.
     #[error(
         "this server cannot read its copy of the index ({what}): call another server, which may have another copy. \
          docs/operations.md tells how this server gets one"
