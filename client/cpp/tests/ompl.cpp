@@ -360,6 +360,27 @@ void threads() {
     CHECK(problem.definition->getSolutionPath()->check());
 }
 
+// A resolution of motion checks that is set after `use` counts, as it does without `use`, also if `use` refuses the space.
+void resolution_after_use() {
+    const auto length = [](const auto &act) {
+        const auto space = std::make_shared<ob::SE2StateSpace>();
+        space->setBounds(box(2));
+        const auto si = std::make_shared<ob::SpaceInformation>(space);
+        si->setStateValidityChecker([](const ob::State *) { return true; });
+        og::RRTConnect planner(si);
+        act(planner);
+        space->setLongestValidSegmentFraction(0.0001);
+        planner.setup();
+        return space->getLongestValidSegmentLength();
+    };
+    const double plain = length([](auto &) {});
+    CHECK(length([](auto &planner) { wayfold::use(planner); }) == plain);
+    CHECK(length([](auto &planner) {
+              const auto zeros = [](const ob::State *, double *row) { std::fill_n(row, 3, 0); };
+              refuses<ompl::Exception>("distance of two states", [&] { wayfold::use(planner, "R3", zeros); });
+          }) == plain);
+}
+
 } // namespace
 
 int main() {
@@ -369,6 +390,7 @@ int main() {
     conformance();
     flattening();
     refusals();
+    resolution_after_use();
     threads();
     std::cout << "ompl: ok\n";
 }

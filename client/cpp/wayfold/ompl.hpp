@@ -102,6 +102,33 @@ struct SetupFlag : ompl::base::Planner {
     static void clear(ompl::base::Planner &planner) { planner.*(&SetupFlag::setup_) = false; }
 };
 
+// The same of a space information, which would ignore a resolution of motion checks that is set later.
+struct InformationFlag : ompl::base::SpaceInformation {
+    static void clear(ompl::base::SpaceInformation &information) { information.*(&InformationFlag::setup_) = false; }
+};
+
+// Sets a space information up for the time of a scope, also of one that an exception ends.
+class InformationSetup {
+public:
+    explicit InformationSetup(ompl::base::SpaceInformation &information)
+        : information_(information), was_setup_(information.isSetup()) {
+        if (!was_setup_) {
+            information_.setup();
+        }
+    }
+    InformationSetup(const InformationSetup &) = delete;
+    InformationSetup &operator=(const InformationSetup &) = delete;
+    ~InformationSetup() {
+        if (!was_setup_) {
+            InformationFlag::clear(information_);
+        }
+    }
+
+private:
+    ompl::base::SpaceInformation &information_;
+    const bool was_setup_;
+};
+
 // True if each part of the space has a serialized form or as many reals as dimensions: they set all of a new state.
 inline bool is_settable(const ompl::base::StateSpace *space) {
     namespace ob = ompl::base;
@@ -182,9 +209,7 @@ template <class P> void use(P &planner, Context context) {
     namespace og = ompl::geometric;
     context.information = planner.getSpaceInformation();
     const bool was_setup = planner.isSetup();
-    if (!context.information->isSetup()) {
-        context.information->setup();
-    }
+    const InformationSetup information_setup(*context.information);
     check_space(context);
     if constexpr (std::is_base_of_v<og::PRM, P>) {
         read_vertices<og::PRM>(planner, context);
