@@ -55,6 +55,22 @@ private:
     RowToState read_;
 };
 
+// The same call may succeed later: the errors after which the index repeats a write.
+inline bool is_outage(const Error &error) {
+    switch (error.code()) {
+    case WAYFOLD_CODE_CANCELLED:
+    case WAYFOLD_CODE_UNKNOWN:
+    case WAYFOLD_CODE_DEADLINE_EXCEEDED:
+    case WAYFOLD_CODE_INTERNAL:
+    case WAYFOLD_CODE_UNAVAILABLE:
+        return true;
+    case WAYFOLD_CODE_RESOURCE_EXHAUSTED:
+        return error.reason() != "LIMIT_EXCEEDED";
+    default:
+        return false;
+    }
+}
+
 // The ids at the ends of a vertex's edges, ascending, in eight bytes each, little-endian.
 inline std::string payload_of(std::vector<std::uint64_t> ids) {
     std::sort(ids.begin(), ids.end());

@@ -9,7 +9,9 @@
 #include <cstddef>
 #include <cstdint>
 #include <future>
+#include <limits>
 #include <optional>
+#include <set>
 #include <string>
 #include <unordered_map>
 #include <utility>
@@ -139,7 +141,7 @@ protected:
         asked_ = vertex;
         search_ = search;
         tried_.clear();
-        const std::size_t count = index_.search_into(row.data(), search, near_ids_, &near_distances_);
+        const std::size_t count = search_others(vertex, row, search);
         const bool is_full = search.raw().k > 0 && count >= search.raw().k;
         const double radius = is_full ? near_distances_[count - 1] : search.raw().radius;
         for (std::size_t at = 0; at < count; at++) {
@@ -152,7 +154,9 @@ protected:
         std::sort(tried_.begin(), tried_.end());
         if (!query_vertices_.empty()) {
             for (const Neighbor &query : queries_.search(row, Search::within(radius))) {
-                near.emplace_back(query.distance, query_vertices_.at(query.id));
+                if (query_vertices_.at(query.id) != vertex) {
+                    near.emplace_back(query.distance, query_vertices_.at(query.id));
+                }
             }
             std::stable_sort(near.begin(), near.end(), [](const auto &a, const auto &b) { return a.first < b.first; });
         }
@@ -171,6 +175,27 @@ protected:
     std::future<std::vector<std::optional<std::string>>> reading_;
 
 private:
+    // Searches the index, and leaves out the vertex itself, which the index has if it is another process's. Returns the
+    // number of neighbours.
+    std::size_t search_others(Vertex vertex, const std::vector<double> &row, const Search &search) {
+        const std::uint32_t k = search.raw().k;
+        const bool is_stored = vertex < ids_.size() && !is_query(vertex);
+        Search with_itself = search;
+        if (is_stored && k > 0 && k < std::numeric_limits<std::uint32_t>::max()) {
+            with_itself = Search::k(k + 1).radius(search.raw().radius);
+        }
+        const std::size_t found = index_.search_into(row.data(), with_itself, near_ids_, &near_distances_);
+        std::size_t count = 0;
+        for (std::size_t at = 0; at < found; at++) {
+            if (!is_stored || near_ids_[at] != ids_[vertex]) {
+                near_ids_[count] = near_ids_[at];
+                near_distances_[count] = near_distances_[at];
+                count++;
+            }
+        }
+        return k > 0 ? std::min<std::size_t>(count, k) : count;
+    }
+
     // Takes over the payloads that have been read. During an outage they are asked for again later. Returns false if it
     // has waited for them in vain.
     bool take_read(Clock::time_point until) {
@@ -192,22 +217,6 @@ private:
                 throw;
             }
             return has_ended;
-        }
-    }
-
-    // The same call may succeed later: the errors after which the index repeats a write.
-    static bool is_outage(const Error &error) {
-        switch (error.code()) {
-        case WAYFOLD_CODE_CANCELLED:
-        case WAYFOLD_CODE_UNKNOWN:
-        case WAYFOLD_CODE_DEADLINE_EXCEEDED:
-        case WAYFOLD_CODE_INTERNAL:
-        case WAYFOLD_CODE_UNAVAILABLE:
-            return true;
-        case WAYFOLD_CODE_RESOURCE_EXHAUSTED:
-            return error.reason() != "LIMIT_EXCEEDED";
-        default:
-            return false;
         }
     }
 
@@ -303,18 +312,32 @@ private:
             }
         }
         known_edges_ = boost::num_edges(g_);
-        if (!query_vertices_.empty()) {
-            std::for_each(fresh.begin(), fresh.end(), [this](Vertex vertex) { try_queries(vertex); });
+        if (!query_vertices_.empty() && !fresh.empty()) {
+            try_queries(fresh);
         }
     }
 
-    // Start and goal states that are near a vertex of another process, as if PRM had added the vertex.
-    void try_queries(Vertex vertex) {
-        const std::vector<Vertex> near = connectionStrategy_(vertex);
-        for (const Vertex other : near) {
-            if (is_query(other)) {
-                try_motion(vertex, other);
+    // Tries motions between start and goal states and the vertices of other processes that have arrived together, in
+    // ascending order. A vertex whose neighbours are those that arrived with it does not find a query that is near: each
+    // query searches too.
+    void try_queries(const std::vector<Vertex> &fresh) {
+        std::set<std::pair<Vertex, Vertex>> motions;
+        for (const Vertex vertex : fresh) {
+            for (const Vertex other : connectionStrategy_(vertex)) {
+                if (is_query(other)) {
+                    motions.emplace(vertex, other);
+                }
             }
+        }
+        for (const auto &[id, query] : query_vertices_) {
+            for (const Vertex other : connectionStrategy_(query)) {
+                if (std::binary_search(fresh.begin(), fresh.end(), other)) {
+                    motions.emplace(other, query);
+                }
+            }
+        }
+        for (const auto &[vertex, query] : motions) {
+            try_motion(vertex, query);
         }
     }
 
