@@ -2,9 +2,13 @@
 #include "check.hpp"
 #include "roadmap.hpp"
 
+#include <algorithm>
+#include <cstdint>
 #include <iostream>
+#include <memory>
 #include <ompl/util/Console.h>
 #include <string>
+#include <utility>
 #include <vector>
 
 using roadmap::Planner;
@@ -40,10 +44,45 @@ void arrivals_together() {
     }
 }
 
+// Little-endian, as in a payload.
+std::string bytes_of(const std::vector<std::uint64_t> &ids) {
+    std::string bytes;
+    for (const std::uint64_t id : ids) {
+        for (unsigned int byte = 0; byte < 8; byte++) {
+            bytes.push_back(static_cast<char>(id >> (8 * byte)));
+        }
+    }
+    return bytes;
+}
+
+// A payload that no roadmap has is not taken for edges.
+void foreign_payloads() {
+    const std::uint64_t too_large = std::uint64_t{1} << 63;
+    const std::vector<std::pair<std::string, std::string>> payloads{
+        {"12 bytes", std::string(12, 'a')},    {"do not ascend", bytes_of({4, 3})}, {"do not ascend", bytes_of({3, 3})},
+        {"the point itself", bytes_of({3, 7})}, {"below 2^63", bytes_of({3, too_large})}};
+    for (const auto &[problem, payload] : payloads) {
+        const auto index = wayfold::Index::in_memory(space);
+        index.insert({0.5, 0.5, 0}, 0, payload, 7);
+        Planner planner(index);
+        refuses<ompl::Exception>("point 7 is no vertex of a roadmap", [&] { planner.prm->refresh(); });
+        refuses<ompl::Exception>(problem, [&] { planner.prm->refresh(); });
+        CHECK(planner.prm->edgeCount() == 0);
+        CHECK(index.remove(7));
+        planner.prm->clear();
+        planner.grow(20);
+        CHECK(planner.prm->milestoneCount() == 20);
+    }
+    using wayfold::detail::edges_of, wayfold::detail::payload_of;
+    CHECK(payload_of({5, 3, 5}) == bytes_of({3, 5}) && edges_of(7, payload_of({5, 3})) == std::vector<std::uint64_t>({3, 5}));
+    CHECK(edges_of(7, "").empty());
+}
+
 } // namespace
 
 int main() {
     ompl::msg::setLogLevel(ompl::msg::LOG_NONE);
     arrivals_together();
+    foreign_payloads();
     std::cout << "shared_prm_foreign: ok\n";
 }

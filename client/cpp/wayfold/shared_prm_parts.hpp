@@ -20,7 +20,9 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <limits>
 #include <memory>
 #include <optional>
@@ -74,6 +76,8 @@ inline bool is_outage(const Error &error) {
 // The ids at the ends of a vertex's edges, ascending, in eight bytes each, little-endian.
 inline std::string payload_of(std::vector<std::uint64_t> ids) {
     std::sort(ids.begin(), ids.end());
+    // A connection strategy of the caller's may name a neighbour twice.
+    ids.erase(std::unique(ids.begin(), ids.end()), ids.end());
     std::string payload;
     payload.reserve(8 * ids.size());
     for (const std::uint64_t id : ids) {
@@ -84,14 +88,26 @@ inline std::string payload_of(std::vector<std::uint64_t> ids) {
     return payload;
 }
 
+// Refuses what `payload_of` does not make: other programs store payloads too, and nobody has checked edges for these.
 inline std::vector<std::uint64_t> edges_of(std::uint64_t id, const std::string &payload) {
+    const auto refuse = [id](const std::string &problem) {
+        throw ompl::Exception("wayfold: point " + std::to_string(id) + " is no vertex of a roadmap: its payload " + problem);
+    };
     if (payload.size() % 8 != 0) {
-        throw ompl::Exception("wayfold: point " + std::to_string(id) + " is no vertex of a roadmap: its payload has " +
-                              std::to_string(payload.size()) + " bytes, and ids have eight each");
+        refuse("has " + std::to_string(payload.size()) + " bytes, and ids have eight each");
     }
     std::vector<std::uint64_t> ids(payload.size() / 8, 0);
     for (std::size_t at = 0; at < payload.size(); at++) {
         ids[at / 8] |= static_cast<std::uint64_t>(static_cast<unsigned char>(payload[at])) << (8 * (at % 8));
+    }
+    if (std::adjacent_find(ids.begin(), ids.end(), std::greater_equal<>()) != ids.end()) {
+        refuse("names ids that do not ascend");
+    }
+    if (std::binary_search(ids.begin(), ids.end(), id)) {
+        refuse("names the point itself");
+    }
+    if (!ids.empty() && ids.back() >> 63 != 0) {
+        refuse("names " + std::to_string(ids.back()) + ", and ids are below 2^63");
     }
     return ids;
 }
