@@ -95,6 +95,11 @@ int main() {
         }
     }
     CHECK(index.search_many(nullptr, 0, wayfold::Search::k(1)).empty());
+    std::vector<std::uint64_t> no_ids;
+    std::vector<double> no_numbers;
+    std::vector<std::size_t> no_counts;
+    index.nearest_k(no_numbers.data(), 0, 1, no_ids.data(), no_numbers.data(), no_counts.data());
+    CHECK(index.insert_many(no_numbers.data(), 0).empty());
 
     // Factors: 0 is the nearest one and the radius 0, and a negative one is refused.
     CHECK(index.search(rows[3], wayfold::Search::k_factor(0)) == index.nearest_k(rows[3], 1));

@@ -53,7 +53,8 @@ pub unsafe extern "C" fn wayfold_index_nearest(
 
 /// Answers a search of `count` states. Row i of `ids` and `distances`, of `capacity` numbers, gets the neighbours of
 /// state i, nearest first and at equal distances by id; `found[i]` is their number. If it exceeds `capacity`, the row has
-/// the nearest `capacity` of them. The rest of a row keeps its content. `ids` and `distances` may be null.
+/// the nearest `capacity` of them. The rest of a row keeps its content. `ids` and `distances` may be null, and without a
+/// state `found` too.
 /// `read_revision` gets the revision that the answer read, for `since` of a later search, and the oldest one if a remote
 /// index divided the states among calls; it may be null, and keeps its content without a state.
 ///
@@ -85,7 +86,7 @@ pub unsafe extern "C" fn wayfold_index_search(
             .ok_or_else(|| null("search"))?
             .search();
         product(count, capacity)?;
-        if found.is_null() {
+        if count > 0 && found.is_null() {
             return Err(null("found"));
         }
         if count == 1 {
