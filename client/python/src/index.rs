@@ -115,7 +115,7 @@ impl Index {
         &self,
         states: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArrayDyn<i64>>> {
-        let (py, Rows { numbers, shape }) = (states.py(), self.rows(states)?);
+        let (py, Rows { numbers, shape }) = (states.py(), self.many_rows(states)?);
         let width = self.index.space().coordinates();
         let ids = self.call(py, |index| index.insert_many(numbers.chunks_exact(width)))?;
         if let Some(&last) = ids.last() {

@@ -6,6 +6,7 @@ import pickle
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -66,6 +67,18 @@ def test_searches() -> None:
         index.search_each([[0, 0], [5, 0]], [wayfold.Search(1)])
     with pytest.raises(ValueError, match="k, k_factor or radius"):
         wayfold.Search()
+
+
+@pytest.mark.parametrize("states", [[], (), np.empty((0, 2))])
+def test_no_states_are_no_error(states: Any) -> None:
+    index = plane()
+    ids = index.insert_many(states)
+    assert ids.shape == (0,) and ids.dtype == np.int64 and len(index) == 3
+    assert index.search_many(states, wayfold.Search(1)) == [] and index.search_each(states, []) == []
+    with pytest.raises(ValueError, match="states"):
+        index.insert([])
+    with pytest.raises(ValueError, match="states"):
+        index.nearest([])
 
 
 def test_an_answer_says_what_it_has_seen() -> None:

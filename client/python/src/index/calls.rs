@@ -10,6 +10,7 @@ use std::{
 use pyo3::{
     exceptions::{PyOverflowError, PyRuntimeWarning},
     prelude::*,
+    types::{PyList, PyTuple},
 };
 use wayfold::{Error, InsertOptions};
 
@@ -117,6 +118,19 @@ impl Index {
         rows(0, states, self.index.space(), self.names.bind(states.py()))
     }
 
+    /// The rows of a call that takes many states. An empty list has none: as an array it would be one state without numbers.
+    pub(super) fn many_rows(&self, states: &Bound<'_, PyAny>) -> PyResult<Rows> {
+        let is_empty = states.cast::<PyList>().is_ok_and(|list| list.is_empty())
+            || states.cast::<PyTuple>().is_ok_and(|tuple| tuple.is_empty());
+        match is_empty {
+            true => Ok(Rows {
+                numbers: Vec::new(),
+                shape: vec![0],
+            }),
+            false => self.rows(states),
+        }
+    }
+
     /// Stores a state.
     pub(super) fn inserted(
         &self,
@@ -212,7 +226,7 @@ impl Index {
         ) -> Result<Vec<wayfold::SearchResult>, Error>
         + Send,
     ) -> PyResult<Vec<SearchResult>> {
-        let (py, rows) = (states.py(), self.rows(states)?);
+        let (py, rows) = (states.py(), self.many_rows(states)?);
         let rows = rows.numbers.chunks_exact(self.index.space().coordinates());
         let found = self.call(py, |index| search(index, rows))?;
         Ok(found
