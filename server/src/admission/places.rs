@@ -4,7 +4,15 @@
 //! could keep them until their deadlines. So a call that finds no free place gets the place of such a call, if the flow of
 //! that call has more calls under way than its own.
 
-use std::{cmp::Reverse, collections::BTreeMap, fmt, mem, sync::Arc};
+use std::{
+    cmp::Reverse,
+    collections::BTreeMap,
+    fmt, mem,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    },
+};
 
 use parking_lot::Mutex;
 use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
@@ -37,6 +45,8 @@ pub struct CallPlace {
     flow: Arc<Flow>,
     /// None once the call has ended.
     permit: Mutex<Option<OwnedSemaphorePermit>>,
+    /// Changes under the lock of the waiting calls.
+    is_lost: AtomicBool,
     lost: Notify,
 }
 
@@ -70,7 +80,7 @@ impl CallPlaces {
         self.free.available_permits()
     }
 
-    /// A place for a call of `flow`. If none is free, a call that only waits [loses](CallPlace::lost) its place, and holds a
+    /// A place for a call of `flow`. If its flow may take none of the free ones, a call that only waits [loses](CallPlace::lost) its place, and holds a
     /// permit of `exits` instead until its refusal is sent.
     pub(crate) fn take(
         self: &Arc<Self>,
@@ -82,7 +92,7 @@ impl CallPlaces {
         let is_greedy = flow.under_way() > free;
         let permit = match free {
             0 => self.take_from_waiting(flow, exits),
-            _ if is_greedy => None,
+            _ if is_greedy => self.take_from_waiting(flow, exits),
             _ => Arc::clone(&self.free).try_acquire_owned().ok(),
         };
         let Some(permit) = permit else {
@@ -95,6 +105,7 @@ impl CallPlaces {
             all: Arc::clone(self),
             flow: Arc::clone(flow),
             permit: Mutex::new(Some(permit)),
+            is_lost: AtomicBool::new(false),
             lost: Notify::new(),
         }))
     }
@@ -115,6 +126,8 @@ impl CallPlaces {
             .filter(|&(under_way, _)| under_way >= least)
             .min_by_key(|&(under_way, number)| (Reverse(under_way), number))?;
         let place = waiting.places.remove(&number)?;
+        // What it holds from now on is no place.
+        place.is_lost.store(true, Relaxed);
         drop(waiting);
         let mut held = place.permit.lock();
         let permit = mem::replace(held.as_mut()?, exit);
@@ -129,7 +142,9 @@ impl CallPlace {
         let mut waiting = self.all.waiting.lock();
         let number = waiting.next;
         waiting.next += 1;
-        waiting.places.insert(number, Arc::clone(self));
+        if !self.is_lost.load(Relaxed) {
+            waiting.places.insert(number, Arc::clone(self));
+        }
         drop(waiting);
         PlaceWait {
             number,

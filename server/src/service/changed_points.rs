@@ -64,7 +64,15 @@ impl ChangedPoints {
     /// returns false.
     pub(super) fn catch_up(&mut self, hosted: &Hosted, writer: &Writer) -> Result<bool, Error> {
         match self.points.catch_up(hosted, writer) {
-            Some(bytes) => self.hold(bytes).map(|()| true),
+            Some(0) => Ok(true),
+            // A record may have replaced points that were read, and removed others.
+            Some(_) => {
+                let points = self.points.values().flatten();
+                let bytes: usize = points.map(|point| held_bytes(point.bytes())).sum();
+                let more = bytes.saturating_sub(self.bytes);
+                self.bytes = bytes - more;
+                self.hold(more).map(|()| true)
+            }
             None => {
                 self.forget();
                 Ok(false)

@@ -142,14 +142,19 @@ impl Service {
             }
             base = Arc::clone(writer.base());
             reads += 1;
-            // It fails only if the cached records do not reach back to the read, or some of them were refused since.
-            if stored.catch_up(hosted, &writer)? {
-                return Ok(Start::Writing(writer));
+            let mut caught_up = stored.catch_up(hosted, &writer);
+            // It is false only if the cached records do not reach back to the read, or some of them were refused since.
+            if caught_up == Ok(false) && reads == MAX_READS_AHEAD {
+                let read = stored.read(call, hosted, &base, ids).await;
+                caught_up = read.and_then(|()| stored.catch_up(hosted, &writer).map(|_| true));
             }
-            if reads == MAX_READS_AHEAD {
-                stored.read(call, hosted, &base, ids).await?;
-                stored.catch_up(hosted, &writer)?;
-                return Ok(Start::Writing(writer));
+            match caught_up {
+                Ok(true) => return Ok(Start::Writing(writer)),
+                Ok(false) => {}
+                Err(error) => {
+                    refused(call, hosted, writer, error).await?;
+                    base = hosted.published();
+                }
             }
         }
     }

@@ -24,6 +24,9 @@ use crate::{
 /// Approximate bytes of a part, less if answers are limited to less. Its checksum is computed without a pause.
 const PART_BYTES: usize = 256 * 1024;
 
+/// A page ends with the point by which it has this many bytes, or those that are left of a part.
+const MIN_PAGE_BYTES: usize = 64 * 1024;
+
 /// Points read from the log at once.
 const PAGE_ROWS: usize = 128;
 
@@ -214,7 +217,9 @@ impl Rows {
     ) -> Result<(Self, Option<u64>), LogError> {
         let mut rows = Self::default();
         while rows.bytes < most {
-            let page = view.page_within(after, PAGE_ROWS, most - rows.bytes)?;
+            // The first point of a page costs more than the others.
+            let page =
+                view.page_within(after, PAGE_ROWS, (most - rows.bytes).max(MIN_PAGE_BYTES))?;
             if page.is_empty() {
                 break;
             }

@@ -187,6 +187,11 @@ impl<T: Send + 'static> ReadAhead<T> {
         Ok(read)
     }
 
+    /// The values, None for a point that is not stored.
+    pub(super) fn values(&self) -> impl Iterator<Item = &Option<T>> {
+        self.points.values()
+    }
+
     /// Forgets all values.
     pub(super) fn clear(&mut self) {
         self.points.clear();
