@@ -1,8 +1,8 @@
 //! The places of calls: they bound the calls that are under way.
 //!
 //! A flow may take half of the places that are left, so ten flows can take all of them. Calls that only wait for a revision
-//! could keep them until their deadlines. So a call that finds no free place gets the place of such a call, if the flow of
-//! that call has more calls under way than its own.
+//! could keep them until their deadlines. So a call whose flow may take no free place gets the place of such a call, if the
+//! flow of that call has more calls under way than its own.
 
 use std::{
     cmp::Reverse,
@@ -80,8 +80,8 @@ impl CallPlaces {
         self.free.available_permits()
     }
 
-    /// A place for a call of `flow`. If its flow may take none of the free ones, a call that only waits [loses](CallPlace::lost) its place, and holds a
-    /// permit of `exits` instead until its refusal is sent.
+    /// A place for a call of `flow`. If the flow may take no free one, a call that only waits [loses](CallPlace::lost) its place,
+    /// and holds a permit of `exits` instead until its refusal is sent.
     pub(crate) fn take(
         self: &Arc<Self>,
         flow: &Arc<Flow>,
@@ -126,7 +126,7 @@ impl CallPlaces {
             .filter(|&(under_way, _)| under_way >= least)
             .min_by_key(|&(under_way, number)| (Reverse(under_way), number))?;
         let place = waiting.places.remove(&number)?;
-        // What it holds from now on is no place.
+        // From now on it holds an exit, and no place.
         place.is_lost.store(true, Relaxed);
         drop(waiting);
         let mut held = place.permit.lock();

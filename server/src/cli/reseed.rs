@@ -54,7 +54,7 @@ pub(super) fn run(config: &Config, name: &str, uid: Option<&str>) -> ExitCode {
     }
 }
 
-/// What a new generation from `revision` on leaves out; empty if nothing.
+/// The line about the revisions that a new generation from `revision` on leaves out; empty if there are none.
 fn report(left_out: &LeftOut, revision: u64) -> String {
     let LeftOut {
         after,

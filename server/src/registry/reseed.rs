@@ -143,7 +143,7 @@ pub(crate) fn reseed(
     })
 }
 
-/// What is known of the record of a revision in the journal.
+/// The comparison of the journal's record of a revision with that of this server.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Comparison {
     /// It is that of this server.

@@ -199,8 +199,8 @@ fn an_own_point_that_others_removed_has_left_once_its_batch_is_confirmed() {
     assert_eq!(told(&answers), [[7]]);
 }
 
-/// The states of points whose tag is odd now precede the insert, their tags perhaps not. So each takes only a part of a
-/// place, and thousands of them no more than a few answers' room.
+/// Their states precede the insert, and their tags perhaps not. If they took no part of a place, thousands of them would
+/// push out other answers.
 #[test]
 fn after_a_reload_points_whose_tag_may_be_newer_take_parts_of_places() {
     for (k, rows, nearest) in [(1, 2..4, 2..4), (2, 2..1_000, 2..34)] {
