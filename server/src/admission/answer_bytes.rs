@@ -78,7 +78,7 @@ mod tests {
 
     const MIB: usize = 1024 * 1024;
 
-    /// Room for 64 MiB, of which a flow holds 16 MiB at most.
+    /// All flows hold at most 64 MiB, and one holds at most 16 MiB.
     fn admission() -> Admission {
         let config = AdmissionConfig {
             max_bytes: 64 * MIB,

@@ -288,7 +288,7 @@ impl Flow {
         }
     }
 
-    /// The most bytes of all flows for this one to take `bytes` more, of which it holds `before` already. An eighth of them is for
+    /// All flows may hold this many bytes if this one takes `bytes`, of which it holds `before` already. An eighth of all is for
     /// flows that hold little then, and three more for those that hold little now: a few greedy ones cannot take everything,
     /// nor can many with one large answer each.
     fn most_of_all(&self, before: usize, bytes: usize) -> usize {

@@ -242,7 +242,7 @@ mod tests {
         assert_eq!(exits.available_permits(), 1);
         drop(waits);
         assert!(places.waiting.lock().places.is_empty());
-        // A place that is free goes to whoever asks next.
+        // The next call gets the free place.
         drop(place.end());
         assert_eq!(places.free(), 1);
         places.take(&newcomer, &exits).unwrap();

@@ -69,7 +69,7 @@ pub struct Hosted {
     pub(super) last_seen_revision: AtomicU64,
     pub(super) last_idle_revision: AtomicU64,
     pub(super) recent: parking_lot::Mutex<RecentRecords>,
-    /// The sessions of which this process has applied a batch, each with the time of the newest one.
+    /// The time at which this process last applied a batch, by session.
     pub(super) session_uses: parking_lot::Mutex<BTreeMap<u64, Instant>>,
     pub(crate) subscribers: Subscribers,
     /// The records that subscribers read from the log because no publication brought them.

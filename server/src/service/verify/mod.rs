@@ -101,8 +101,8 @@ impl Service {
 }
 
 impl Verification {
-    /// The most bytes that the work for the next message takes beside those that it keeps: a page, and the table of its states,
-    /// which doubles while it grows.
+    /// The next message takes at most this many bytes beside [`Verification::kept_bytes`]: a page, and the table of its
+    /// states, which doubles while it grows.
     pub(crate) fn next_bytes(&self) -> usize {
         match self.stage {
             Phase::Done => 0,
