@@ -30,7 +30,7 @@ pub use shared::{ConnectionStatus, Meanwhile, MeanwhileAnswers, OpenShared, Unse
 
 use std::sync::Arc;
 
-use wayfold_index::{NearestNeighbors, Neighbor, ReadRevision, ScaledSearch, Space};
+use wayfold_index::{NearestNeighbors, Neighbor, ReadRevision, Space};
 
 use crate::{
     Error, Radius, State,
@@ -66,6 +66,9 @@ pub struct Index {
     /// What `form` holds, if it is the shared one.
     #[cfg(feature = "net")]
     shared: Option<Arc<shared::Core>>,
+    /// How the payloads of a remote index hold edges. `shared` knows it for a shared index, which may be made again.
+    #[cfg(feature = "net")]
+    payload_encoding: crate::PayloadEncoding,
     /// The kinds of the numbers of a state.
     coordinates: Arc<[Coordinate]>,
 }
@@ -95,6 +98,8 @@ impl Index {
             form,
             #[cfg(feature = "net")]
             shared: None,
+            #[cfg(feature = "net")]
+            payload_encoding: crate::PayloadEncoding::Unspecified,
         }
     }
 
@@ -374,27 +379,5 @@ impl Index {
         let ids = self.form.scan()?.map(|point| point.map(|point| point.id));
         let ids = ids.collect::<Result<Vec<u64>, Error>>()?;
         self.form.remove_many(&ids)
-    }
-
-    fn ask(
-        &self,
-        state: impl State,
-        scaled: &ScaledSearch<'_>,
-        found: &mut Vec<Neighbor>,
-    ) -> Result<ReadRevision, Error> {
-        self.with_row(state, |row| self.form.search(row, scaled, found))
-    }
-
-    fn ask_many(
-        &self,
-        rows: &[f64],
-        searches: &[ScaledSearch<'_>],
-    ) -> Result<Vec<SearchResult>, Error> {
-        let found = self.form.search_many(rows, searches)?.into_iter();
-        let found = found.map(|(neighbors, read_revision)| SearchResult {
-            neighbors,
-            read_revision,
-        });
-        Ok(found.collect())
     }
 }

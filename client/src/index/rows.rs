@@ -1,8 +1,10 @@
-//! The states that a caller gives as canonical rows.
+//! The states that a caller gives as canonical rows, and the searches of these rows.
 
 use std::cell::Cell;
 
-use super::Index;
+use wayfold_index::{Neighbor, ReadRevision, ScaledSearch};
+
+use super::{Index, SearchResult};
 use crate::{Error, State, state};
 
 thread_local! {
@@ -42,6 +44,30 @@ impl Index {
             self.canonicalize(row, &mut rows[start..])?;
         }
         action(&rows)
+    }
+
+    /// Answers a search about a state into `found`.
+    pub(super) fn ask(
+        &self,
+        state: impl State,
+        scaled: &ScaledSearch<'_>,
+        found: &mut Vec<Neighbor>,
+    ) -> Result<ReadRevision, Error> {
+        self.with_row(state, |row| self.form.search(row, scaled, found))
+    }
+
+    /// Answers searches about rows, one after the other.
+    pub(super) fn ask_many(
+        &self,
+        rows: &[f64],
+        searches: &[ScaledSearch<'_>],
+    ) -> Result<Vec<SearchResult>, Error> {
+        let found = self.form.search_many(rows, searches)?.into_iter();
+        let found = found.map(|(neighbors, read_revision)| SearchResult {
+            neighbors,
+            read_revision,
+        });
+        Ok(found.collect())
     }
 
     fn canonicalize(&self, row: usize, numbers: &mut [f64]) -> Result<(), Error> {

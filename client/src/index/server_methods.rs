@@ -6,7 +6,7 @@ use super::{
     ConnectionStatus, Index, MeanwhileAnswers, OpenRemote, OpenShared, UnsentWrite,
     shared::SharedIndex,
 };
-use crate::Error;
+use crate::{Error, PayloadEncoding};
 
 impl Index {
     /// The index of this name on a server, with a copy of it in this process: own writes are in the copy at once and
@@ -47,6 +47,16 @@ impl Index {
         Index {
             shared: Some(Arc::clone(&shared.core)),
             ..Index::of(Arc::new(shared))
+        }
+    }
+
+    /// How the payloads hold edges, as the index declared when it was created: another program may have created it, and a
+    /// payload that means something else may look like edges. `Unspecified` if it declares nothing, in memory, and for a
+    /// shared index in a forked process.
+    pub fn payload_encoding(&self) -> PayloadEncoding {
+        match &self.shared {
+            Some(shared) => shared.payload_encoding(),
+            None => self.payload_encoding,
         }
     }
 

@@ -7,8 +7,9 @@ use wayfold_index::Space;
 use wayfold_proto::v1;
 
 use crate::{
-    Client, Error, Get, IndexInfo, Insert, Knn, KnnAnswers, KnnRequests, Limits, Query, Radius,
-    Remove, Revision, ScanRequest, SnapshotRequest, State, States, Update, Verify, WatchRequest,
+    Client, Error, Get, IndexInfo, Insert, Knn, KnnAnswers, KnnRequests, Limits, PayloadEncoding,
+    Query, Radius, Remove, Revision, ScanRequest, SnapshotRequest, State, States, Update, Verify,
+    WatchRequest,
     net::{call::Call, client::within, connections::Connection, newest::Newest, request::MAX_WAIT},
 };
 
@@ -34,6 +35,7 @@ struct Shared {
     name: String,
     uid: Arc<str>,
     space: Space,
+    payload_encoding: PayloadEncoding,
     /// The last revision, of `uid`, that an answer named.
     newest: Arc<Newest>,
 }
@@ -47,6 +49,7 @@ impl IndexHandle {
             name: info.name,
             uid: info.revision.uid,
             space: info.space,
+            payload_encoding: info.payload_encoding,
         };
         IndexHandle {
             shared: Arc::new(shared),
@@ -96,6 +99,11 @@ impl IndexHandle {
     /// The number of coordinates of a state.
     pub fn coordinates(&self) -> usize {
         self.shared.space.coordinates()
+    }
+
+    /// How its payloads hold edges, as it declared when it was created.
+    pub fn payload_encoding(&self) -> PayloadEncoding {
+        self.shared.payload_encoding
     }
 
     /// The last revision that an answer named; the handle's reads see this one or a later one.

@@ -43,7 +43,7 @@ impl OpenRemote {
     }
 
     /// How the payloads of an index that is created here hold edges: nothing is declared unless set. An index that
-    /// declares another encoding is refused.
+    /// declares another encoding is refused; one that declares nothing is opened ([`Index::payload_encoding`] tells).
     pub fn payload_encoding(mut self, encoding: PayloadEncoding) -> OpenRemote {
         self.payload_encoding = encoding;
         self
@@ -73,7 +73,7 @@ impl OpenRemote {
     ///
     /// # Errors
     /// [`Error::Address`], [`Error::Connection`], [`Error::Timeout`]. `NOT_FOUND`: there is no index of this name.
-    /// `ALREADY_EXISTS`: it has another space.
+    /// `ALREADY_EXISTS`: it has another space or encoding.
     pub fn open(self) -> Result<Index, Error> {
         let index = wait_for(async move {
             let client = Client::builder().timeout(self.timeout);
@@ -91,6 +91,9 @@ impl OpenRemote {
                 false => index,
             })
         })?;
-        Ok(Index::of(Arc::new(Remote { index })))
+        Ok(Index {
+            payload_encoding: index.payload_encoding(),
+            ..Index::of(Arc::new(Remote { index }))
+        })
     }
 }

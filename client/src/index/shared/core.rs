@@ -18,7 +18,7 @@ use super::{
     status::ConnectionStatus,
 };
 use crate::{
-    Error, IndexInfo,
+    Error, IndexInfo, PayloadEncoding,
     index::{
         local::LocalPoints,
         merger::{self, MergeOwner},
@@ -192,6 +192,15 @@ impl Core {
     /// The pending writes; `None` in a forked process.
     fn lock_here(&self) -> Option<MutexGuard<'_, PendingWrites>> {
         (!self.is_forked()).then(|| self.pending_writes.lock())
+    }
+
+    /// How the payloads of the index that the copy follows hold edges. A forked process does not take the lock, which may
+    /// be held there without end.
+    pub(in crate::index) fn payload_encoding(&self) -> PayloadEncoding {
+        match self.is_forked() {
+            true => PayloadEncoding::Unspecified,
+            false => self.published.lock().0.payload_encoding,
+        }
     }
 
     /// The number of writes that the server has not acknowledged.

@@ -80,7 +80,7 @@ impl OpenShared {
     }
 
     /// How the payloads of an index that is created here hold edges: nothing is declared unless set. An index that
-    /// declares another encoding is refused.
+    /// declares another encoding is refused; one that declares nothing is opened ([`Index::payload_encoding`] tells).
     pub fn payload_encoding(mut self, encoding: PayloadEncoding) -> OpenShared {
         self.payload_encoding = encoding;
         self
@@ -113,7 +113,7 @@ impl OpenShared {
     ///
     /// # Errors
     /// [`Error::Address`], [`Error::Connection`], [`Error::Timeout`]. `NOT_FOUND`: there is no index of this name.
-    /// `ALREADY_EXISTS`: it has another space. [`Error::Argument`]: a prefix or a name that is no key of Zenoh.
+    /// `ALREADY_EXISTS`: it has another space or encoding. [`Error::Argument`]: a prefix or a name that is no key of Zenoh.
     pub fn open(self) -> Result<Index, Error> {
         let core = wait_for(self.connect())?;
         let (index, revision) = core.published.lock().clone();

@@ -6,7 +6,9 @@ use std::{
     time::Duration,
 };
 
-use wayfold::{Error, Index, InsertOptions, ScaledRadius, Search, Space, StateProblem};
+use wayfold::{
+    Code, Error, Index, InsertOptions, PayloadEncoding, ScaledRadius, Search, Space, StateProblem,
+};
 
 use super::model::Model;
 
@@ -87,6 +89,26 @@ pub(crate) fn refuses_what_is_no_state(make: impl Fn(&Space) -> Index) {
         "{id:?}"
     );
     assert_eq!(index.len().unwrap(), 1);
+}
+
+/// An index tells the encoding of payloads that its creator declared, whatever a later caller declares, and refuses another.
+/// `open` creates the index of a name if it gets an encoding.
+pub(crate) fn declares_its_payloads(
+    open: impl Fn(&str, Option<PayloadEncoding>) -> Result<Index, Error>,
+) {
+    use PayloadEncoding::{Edges, Unspecified, WeightedEdges};
+    for (name, declared, later) in [
+        ("edges", Edges, Unspecified),
+        ("weighted", WeightedEdges, WeightedEdges),
+        ("undeclared", Unspecified, Edges),
+    ] {
+        for caller in [Some(declared), Some(later), None] {
+            let index = open(name, caller).unwrap();
+            assert_eq!(index.payload_encoding(), declared, "{name}, {caller:?}");
+        }
+    }
+    let refused = open("edges", Some(WeightedEdges)).unwrap_err();
+    assert_eq!(refused.code(), Code::AlreadyExists, "{refused}");
 }
 
 /// A search that is out of time says so.

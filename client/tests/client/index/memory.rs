@@ -1,6 +1,6 @@
 //! The form in memory.
 
-use wayfold::{Index, InsertOptions, Search, Space};
+use wayfold::{Index, InsertOptions, PayloadEncoding, Search, Space};
 
 use super::{conformance, model::Model};
 
@@ -36,6 +36,13 @@ fn answers_tell_what_they_have_read() {
 #[test]
 fn misses_no_edge() {
     conformance::misses_no_edge(in_memory);
+}
+
+/// It has no other readers to whom it could declare an encoding.
+#[test]
+fn declares_nothing_about_its_payloads() {
+    let index = in_memory(&Space::se2());
+    assert_eq!(index.payload_encoding(), PayloadEncoding::Unspecified);
 }
 
 #[test]

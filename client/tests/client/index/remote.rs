@@ -55,6 +55,19 @@ fn misses_no_edge() {
 }
 
 #[test]
+fn declares_its_payloads() {
+    let server = Server::start();
+    let space: Space = "R1".parse().unwrap();
+    conformance::declares_its_payloads(|name, encoding| {
+        let index = Index::remote(&server.uri, name);
+        match encoding {
+            Some(encoding) => index.create(&space).payload_encoding(encoding).open(),
+            None => index.open(),
+        }
+    });
+}
+
+#[test]
 fn it_is_never_cleared() {
     let server = Server::start();
     let index = remote(&server, "index", &Space::se2());

@@ -9,7 +9,7 @@ use std::{
 };
 
 use wayfold::{
-    Client, Code, ConnectionStatus, Error, Index, InsertOptions, OpenShared, PayloadEncoding,
+    Client, ConnectionStatus, Error, Index, InsertOptions, OpenShared, PayloadEncoding,
     RetryPolicy, Search, Space,
 };
 
@@ -94,7 +94,7 @@ tests!(
     another_process_holds_the_same,
     racing_writers_agree,
     no_edge_between_processes_is_missed,
-    payloads_are_declared,
+    declares_its_payloads,
     writes_to_an_index_that_is_gone_come_back,
     an_index_of_another_space_is_refused,
     it_may_be_used_and_dropped_in_a_task,
@@ -282,29 +282,18 @@ fn conforms_beside_writers_of_this_process(link: ServerLink) {
     conformance::answers_tell_what_they_have_read(|space| shared(&link, "answers", space));
 }
 
-/// An index declares how its payloads hold edges, and refuses another declaration.
-fn payloads_are_declared(link: ServerLink) {
+fn declares_its_payloads(link: ServerLink) {
     let space: Space = "R1".parse().unwrap();
-    let open = |encoding| {
-        link.index("index")
-            .create(&space)
-            .payload_encoding(encoding)
-            .open()
-    };
-    open(PayloadEncoding::Edges).unwrap();
-    open(PayloadEncoding::Unspecified).unwrap();
-    let refused = open(PayloadEncoding::WeightedEdges).unwrap_err();
-    assert_eq!(refused.code(), Code::AlreadyExists, "{refused}");
-    let remote = Index::remote(&link.server.uri, "index").create(&space);
-    let remote = remote.payload_encoding(PayloadEncoding::WeightedEdges);
-    assert_eq!(remote.open().unwrap_err().code(), Code::AlreadyExists);
-    let runtime = tokio::runtime::Runtime::new().unwrap();
-    let info = async { link.server.client().await.index_info("index").await };
-    let info = runtime.block_on(info).unwrap();
-    assert_eq!(info.payload_encoding, PayloadEncoding::Edges);
+    conformance::declares_its_payloads(|name, encoding| {
+        let index = link.index(name);
+        match encoding {
+            Some(encoding) => index.create(&space).payload_encoding(encoding).open(),
+            None => index.open(),
+        }
+    });
 }
 
-/// An index that was made again refuses what is pending, which comes back in order.
+/// An index that was made again refuses what is pending, which comes back in order. The copy tells the new index's encoding.
 fn writes_to_an_index_that_is_gone_come_back(link: ServerLink) {
     let space: Space = "R1".parse().unwrap();
     let index = shared(&link, "index", &space);
@@ -314,7 +303,8 @@ fn writes_to_an_index_that_is_gone_come_back(link: ServerLink) {
     runtime.block_on(async {
         let client = link.server.client().await;
         client.delete_index("index").await.unwrap();
-        client.create_index("index", &space).await.unwrap();
+        let created = client.create_index_with("index", &space, PayloadEncoding::Edges);
+        created.await.unwrap();
     });
     // Until the refusal arrives, writes are taken.
     let mut written = Vec::new();
@@ -344,6 +334,7 @@ fn writes_to_an_index_that_is_gone_come_back(link: ServerLink) {
         thread::yield_now();
     }
     assert_eq!(index.len().unwrap(), 0);
+    assert_eq!(index.payload_encoding(), PayloadEncoding::Edges);
     let id = index.insert([3.0]).unwrap();
     index.flush().unwrap();
     let fresh = shared(&link, "index", &space);
