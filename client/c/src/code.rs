@@ -20,7 +20,7 @@ pub enum Code {
     DeadlineExceeded = 4,
     /// The server has no index of this name.
     NotFound = 5,
-    /// The id is taken, or the index exists with another space.
+    /// The id is taken, or the index exists with another space or encoding of payloads.
     AlreadyExists = 6,
     /// The caller lacks the right.
     PermissionDenied = 7,

@@ -178,6 +178,11 @@ int main(void) {
     wayfold_unsent_free(unsent);
     CHECK(wayfold_index_close(index, 0, NULL) == WAYFOLD_CODE_INVALID_ARGUMENT);
     CHECK(wayfold_index_flush(index) == WAYFOLD_CODE_OK && wayfold_index_flush_within(index, 0) == WAYFOLD_CODE_OK);
+    // An index in memory declares nothing about its payloads.
+    uint32_t encoding = 9;
+    CHECK(wayfold_index_payload_encoding(index, &encoding) == WAYFOLD_CODE_OK && encoding == 0);
+    CHECK(wayfold_index_payload_encoding(index, NULL) == WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(strcmp(wayfold_error_field(), "payload_encoding") == 0);
     // A certificate without its key.
     wayfold_server server = {.uri = "https://127.0.0.1:1", .name = "cell", .client_certificate = "PEM"};
     wayfold_index *opened = NULL;

@@ -33,9 +33,10 @@ pub struct WayfoldServer {
     pub client_key: *const c_char,
     /// The longest time of a call in milliseconds; 0 for the client's own, 30 s.
     pub timeout_ms: u64,
-    /// How the payloads of an index that is created here hold edges, for programs that show them. 0: nothing is declared.
+    /// How the payloads of an index that is created here hold edges, for programs that read them. 0: nothing is declared.
     /// 1: 8 bytes an edge, the id at its other end, little-endian. 2: 16 bytes an edge, the id and the cost as an IEEE 754
-    /// double, both little-endian. An index that declares another encoding is refused. Ignored if `space` is null.
+    /// double, both little-endian. An index that declares another encoding is refused; one that declares nothing is opened
+    /// (`wayfold_index_payload_encoding` tells). Ignored if `space` is null.
     pub payload_encoding: u32,
     /// The most bytes of writes that a shared index has pending: a write that exceeds them waits. 0 for the client's own,
     /// 16 MiB. The remote form has no pending writes.
@@ -105,6 +106,31 @@ pub unsafe extern "C" fn wayfold_index_remote(
         }
         // SAFETY: the caller's promise.
         unsafe { give(open.open()?, index) }
+    })
+}
+
+/// Writes how the payloads of the index hold edges, as `payload_encoding` of the `wayfold_server` that created it: another
+/// program may have created it, and a payload that means something else may look like edges. 0 if the index declares
+/// nothing, in memory, and for a shared index in a forked process.
+///
+/// Thread-safe.
+///
+/// # Safety
+/// `index` is a handle; `payload_encoding` can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn wayfold_index_payload_encoding(
+    index: *const WayfoldIndex,
+    payload_encoding: *mut u32,
+) -> Code {
+    call(|| {
+        // SAFETY: the caller's promise.
+        let declared = match unsafe { index_of(index) }?.payload_encoding() {
+            PayloadEncoding::Unspecified => 0,
+            PayloadEncoding::Edges => 1,
+            PayloadEncoding::WeightedEdges => 2,
+        };
+        // SAFETY: the caller's promise.
+        unsafe { put(declared, payload_encoding, "payload_encoding") }
     })
 }
 
