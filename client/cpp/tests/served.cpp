@@ -154,7 +154,10 @@ int main(int count, char **arguments) {
     const auto other = message_of<wayfold::Error>([&] { wayfold::Index::shared(uri, "cell", "R3"); });
     CHECK(other.find("cell") != std::string::npos);
     using wayfold::NewIndex, wayfold::PayloadEncoding;
-    wayfold::Index::remote(uri, "roadmap", NewIndex("R2", PayloadEncoding::edges));
+    const auto declared = wayfold::Index::remote(uri, "roadmap", NewIndex("R2", PayloadEncoding::edges));
+    CHECK(declared.payload_encoding() == PayloadEncoding::edges);
+    CHECK(wayfold::Index::shared(uri, "roadmap").payload_encoding() == PayloadEncoding::edges);
+    CHECK(shared.payload_encoding() == PayloadEncoding::none && memory.payload_encoding() == PayloadEncoding::none);
     const auto otherwise = message_of<wayfold::Error>(
         [&] { wayfold::Index::shared(uri, "roadmap", NewIndex("R2", PayloadEncoding::weighted_edges)); });
     CHECK(otherwise.find("PAYLOAD_ENCODING_EDGES, not PAYLOAD_ENCODING_WEIGHTED_EDGES") != std::string::npos);

@@ -5,6 +5,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -151,8 +152,8 @@ private:
     std::string ca_certificate_, client_certificate_, client_key_, token_;
 };
 
-// How the payloads of an index hold edges, for programs that show them: the ids at the other ends, 8 bytes each,
-// little-endian; or ids with costs (double), 16 bytes an edge.
+// How the payloads of an index hold edges, for programs that read them: the ids at the other ends, 8 bytes each,
+// little-endian; or ids with costs (double), 16 bytes an edge. An index that exists keeps its own.
 enum class PayloadEncoding : std::uint32_t { none = 0, edges = 1, weighted_edges = 2 };
 
 // An index to create if it is missing.
@@ -186,6 +187,46 @@ struct UnsentWrite {
     std::string payload;
 };
 #endif
+
+namespace detail {
+
+// The points of a handle, which is freed. A state has `width` numbers.
+inline Changes changes_of(wayfold_points *raw_points, std::size_t width) {
+    const std::unique_ptr<wayfold_points, void (*)(wayfold_points *)> points(raw_points, wayfold_points_free);
+    Changes changes{{}, {}, wayfold_points_read_revision(raw_points)};
+    const std::size_t count = wayfold_points_count(raw_points);
+    const std::uint64_t *ids = wayfold_points_ids(raw_points);
+    const std::uint64_t *tags = wayfold_points_tags(raw_points);
+    const double *states = wayfold_points_states(raw_points);
+    for (std::size_t at = 0; at < count; at++) {
+        const double *state = states + at * width;
+        changes.stored.push_back({ids[at], tags[at], std::vector<double>(state, state + width)});
+    }
+    std::size_t removed = 0;
+    const std::uint64_t *removed_ids = wayfold_points_removed(raw_points, &removed);
+    changes.removed.assign(removed_ids, removed_ids + removed);
+    return changes;
+}
+
+#ifndef WAYFOLD_NO_NET
+// The writes of a handle, which is freed.
+inline std::vector<UnsentWrite> unsent_of(wayfold_unsent *raw_unsent, std::size_t width) {
+    const std::unique_ptr<wayfold_unsent, void (*)(wayfold_unsent *)> unsent(raw_unsent, wayfold_unsent_free);
+    std::vector<UnsentWrite> writes;
+    wayfold_unsent_write one{};
+    for (std::size_t at = 0; wayfold_unsent_get(raw_unsent, at, &one); at++) {
+        UnsentWrite write{one.kind, one.id, one.tag, {}, {}};
+        if (one.state != nullptr) {
+            write.state.assign(one.state, one.state + width);
+        }
+        write.payload.assign(reinterpret_cast<const char *>(one.payload), one.payload_bytes);
+        writes.push_back(std::move(write));
+    }
+    return writes;
+}
+#endif
+
+} // namespace detail
 
 // Where the trees of an index in memory are merged: on two threads that all indices of the process share, or in the
 // insert that makes a merge due.

@@ -43,6 +43,13 @@ public:
         return open(wayfold_index_remote, server, uri, name, create, credentials, timeout_ms);
     }
 
+    // How the payloads hold edges, as the index declared when it was created: another program may have created it, and a
+    // payload that means something else may look like edges. `none` in memory and for an index that declares nothing.
+    PayloadEncoding payload_encoding() const {
+        std::uint32_t declared = 0;
+        detail::check(wayfold_index_payload_encoding(raw(), &declared));
+        return static_cast<PayloadEncoding>(declared);
+    }
     // Waits until the server has acknowledged every write before this call, at most for the index's timeout.
     void flush() const { detail::check(wayfold_index_flush(raw())); }
     // The same, at most for this long.
@@ -84,14 +91,14 @@ public:
     std::vector<UnsentWrite> take_unsent() const {
         wayfold_unsent *unsent = nullptr;
         detail::check(wayfold_index_take_unsent(raw(), &unsent));
-        return read(unsent);
+        return detail::unsent_of(unsent, width_);
     }
     // Takes no more writes, waits for the pending ones, and returns those that the server has not acknowledged in time: it
     // may have taken the first of them.
     std::vector<UnsentWrite> close(std::uint64_t timeout_ms) const {
         wayfold_unsent *unsent = nullptr;
         detail::check(wayfold_index_close(raw(), timeout_ms, &unsent));
-        return read(unsent);
+        return detail::unsent_of(unsent, width_);
     }
 #endif
 
@@ -325,14 +332,14 @@ public:
     std::vector<StoredPoint> scan() const {
         wayfold_points *points = nullptr;
         detail::check(wayfold_index_scan(raw(), &points));
-        return read(points).stored;
+        return detail::changes_of(points, width_).stored;
     }
     // Nothing if the index has forgotten some of the changes: scan it then. `UINT64_MAX` reads only the revision of
     // now; a remote index refuses it.
     std::optional<Changes> changes(std::uint64_t since) const {
         wayfold_points *points = nullptr;
         detail::check(wayfold_index_changes(raw(), since, &points));
-        return points == nullptr ? std::nullopt : std::optional<Changes>(read(points));
+        return points == nullptr ? std::nullopt : std::optional<Changes>(detail::changes_of(points, width_));
     }
 
 private:
@@ -349,39 +356,7 @@ private:
         }
     }
 
-    Changes read(wayfold_points *raw_points) const {
-        const std::unique_ptr<wayfold_points, void (*)(wayfold_points *)> points(raw_points, wayfold_points_free);
-        Changes changes{{}, {}, wayfold_points_read_revision(raw_points)};
-        const std::size_t count = wayfold_points_count(raw_points);
-        const std::uint64_t *ids = wayfold_points_ids(raw_points);
-        const std::uint64_t *tags = wayfold_points_tags(raw_points);
-        const double *states = wayfold_points_states(raw_points);
-        for (std::size_t at = 0; at < count; at++) {
-            const double *state = states + at * width_;
-            changes.stored.push_back({ids[at], tags[at], std::vector<double>(state, state + width_)});
-        }
-        std::size_t removed = 0;
-        const std::uint64_t *removed_ids = wayfold_points_removed(raw_points, &removed);
-        changes.removed.assign(removed_ids, removed_ids + removed);
-        return changes;
-    }
-
 #ifndef WAYFOLD_NO_NET
-    std::vector<UnsentWrite> read(wayfold_unsent *raw_unsent) const {
-        const std::unique_ptr<wayfold_unsent, void (*)(wayfold_unsent *)> unsent(raw_unsent, wayfold_unsent_free);
-        std::vector<UnsentWrite> writes;
-        wayfold_unsent_write one{};
-        for (std::size_t at = 0; wayfold_unsent_get(raw_unsent, at, &one); at++) {
-            UnsentWrite write{one.kind, one.id, one.tag, {}, {}};
-            if (one.state != nullptr) {
-                write.state.assign(one.state, one.state + width_);
-            }
-            write.payload.assign(reinterpret_cast<const char *>(one.payload), one.payload_bytes);
-            writes.push_back(std::move(write));
-        }
-        return writes;
-    }
-
     using Open = wayfold_code (*)(const wayfold_server *, wayfold_index **);
 
     static Index open(Open open, wayfold_server server, const std::string &uri, const std::string &name,
