@@ -21,6 +21,8 @@ namespace ob = ompl::base;
 namespace og = ompl::geometric;
 
 inline const std::string space = "sum(R2, SO2:0.5)";
+// The roadmap's index, if it is missing.
+inline const wayfold::NewIndex new_index{space, wayfold::PayloadEncoding::edges};
 
 struct Planner {
     explicit Planner(const wayfold::Index &index, bool star = false)

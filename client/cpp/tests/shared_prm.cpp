@@ -25,7 +25,7 @@ namespace {
 
 // A process that grows a roadmap, and prints it once the other one is ready too.
 void grow(const std::string &uri, const std::string &name, unsigned int iterations, bool expands) {
-    Planner planner(wayfold::Index::shared(uri, name, space));
+    Planner planner(wayfold::Index::shared(uri, name, new_index));
     std::cout << "ready" << std::endl;
     std::string go;
     std::getline(std::cin, go);
@@ -45,7 +45,7 @@ void grow(const std::string &uri, const std::string &name, unsigned int iteratio
 
 // Grows without an end, and tells how many vertices the server has at least.
 void grow_on(const std::string &uri, const std::string &name) {
-    Planner planner(wayfold::Index::shared(uri, name, space));
+    Planner planner(wayfold::Index::shared(uri, name, new_index));
     for (;;) {
         planner.grow(20);
         const std::uint64_t vertices = planner.prm->milestoneCount(), pending = planner.prm->index().pending();
@@ -135,7 +135,7 @@ void two_processes(const std::string &uri, bool expands) {
 void no_missed_edge(const std::string &uri) {
     for (int round = 0; round < 10; round++) {
         const std::string name = "pairs-" + std::to_string(round);
-        Planner a(wayfold::Index::shared(uri, name, space)), b(wayfold::Index::shared(uri, name));
+        Planner a(wayfold::Index::shared(uri, name, new_index)), b(wayfold::Index::shared(uri, name));
         for (Planner *planner : {&a, &b}) {
             planner->si->setMotionValidator(std::make_shared<discs::AllMotions>(planner->si));
             planner->prm->setMaxNearestNeighbors(20);
@@ -192,7 +192,7 @@ void alone() {
 // Start and goal states of a query get edges to vertices of other processes that arrive later, and a connection
 // strategy within a radius works as well.
 void queries_and_strategies(const std::string &uri) {
-    Planner a(wayfold::Index::shared(uri, "queries", space)), b(wayfold::Index::shared(uri, "queries"));
+    Planner a(wayfold::Index::shared(uri, "queries", new_index)), b(wayfold::Index::shared(uri, "queries"));
     for (Planner *planner : {&a, &b}) {
         const auto &near = planner->prm->getNearestNeighbors();
         planner->prm->setConnectionStrategy([near, found = std::vector<og::PRM::Vertex>()](og::PRM::Vertex at) mutable
@@ -216,7 +216,7 @@ void refusals(const std::string &uri) {
     const auto si = discs::information();
     const auto other_space = wayfold::Index::shared(uri, "other-space", "R3");
     refuses<ompl::Exception>("the index has the space R3", [&] { wayfold::SharedPRM(si, other_space); });
-    const auto index = wayfold::Index::shared(uri, "refusals", space), remote = wayfold::Index::remote(uri, "refusals");
+    const auto index = wayfold::Index::shared(uri, "refusals", new_index), remote = wayfold::Index::remote(uri, "refusals");
     refuses<ompl::Exception>("not a remote one", [&] { wayfold::SharedPRM(si, remote); });
     // Without a problem definition an edge has no cost.
     wayfold::SharedPRM undefined(si, wayfold::Index::in_memory(space));
@@ -347,7 +347,7 @@ void simple_setup(const std::string &uri) {
     setup.setStartState(ob::ScopedState<>(setup.getStateSpace(), problem->getStartState(0)));
     setup.setGoal(problem->getGoal());
     const auto planner = std::make_shared<wayfold::SharedPRM>(
-        setup.getSpaceInformation(), wayfold::Index::shared(uri, "setup", space),
+        setup.getSpaceInformation(), wayfold::Index::shared(uri, "setup", new_index),
         [](const ob::State *state, double *row) {
             const auto &pose = *state->as<discs::Pose>();
             row[0] = pose.getX();

@@ -1,9 +1,12 @@
-// shared_prm.hpp: vertices of other processes that arrive together, and points that are no vertices.
+// shared_prm.hpp: vertices of other processes that arrive together, points that are no vertices, and indices of other
+// programs: shared_prm_foreign URI CLI, where CLI is the command line's program.
 #include "check.hpp"
 #include "roadmap.hpp"
 
 #include <algorithm>
+#include <chrono>
 #include <cstdint>
+#include <cstdlib>
 #include <iostream>
 #include <memory>
 #include <ompl/util/Console.h>
@@ -78,11 +81,60 @@ void foreign_payloads() {
     CHECK(edges_of(7, "").empty());
 }
 
+// An index of a server that declares another encoding, or none, is refused, though its payloads decode to ids.
+void foreign_declarations(const std::string &uri) {
+    using wayfold::PayloadEncoding;
+    // An edge to the point 1000003 with the cost 1.
+    const std::string payload = bytes_of({1000003, 0x3ff0000000000000});
+    for (const bool is_weighted : {false, true}) {
+        const auto encoding = is_weighted ? PayloadEncoding::weighted_edges : PayloadEncoding::none;
+        const std::string name = is_weighted ? "weighted" : "undeclared";
+        const std::string sentence = is_weighted ? "this one declares weighted edges" : "this one declares nothing";
+        const auto index = wayfold::Index::shared(uri, name, {space, encoding});
+        CHECK(index.payload_encoding() == encoding);
+        refuses<ompl::Exception>(sentence, [&] { Planner planner(index); });
+        const std::uint64_t id = index.insert({0.5, 0.5, 0}, 0, payload);
+        index.flush();
+        CHECK(wayfold::detail::edges_of(id, payload).size() == 2);
+        refuses<ompl::Exception>(sentence, [&] { Planner planner(index); });
+    }
+    // By its name, for which the planner declares edges.
+    const auto si = discs::information();
+    refuses<ompl::Exception>("this one declares nothing", [&] { wayfold::SharedPRM(si, uri, "undeclared"); });
+    refuses<wayfold::Error>("PAYLOAD_ENCODING_WEIGHTED_EDGES, not PAYLOAD_ENCODING_EDGES",
+                            [&] { wayfold::SharedPRM(si, uri, "weighted"); });
+}
+
+// An operator makes the index again, with another encoding, while a planner has it open: nothing is stored there.
+void made_again(const std::string &uri, const std::string &cli) {
+    const auto run = [&](const std::string &words) {
+        CHECK(std::system(("'" + cli + "' --server " + uri + " " + words + " > /dev/null").c_str()) == 0);
+    };
+    Planner planner(wayfold::Index::shared(uri, "again", roadmap::new_index));
+    planner.grow(10);
+    planner.prm->flush();
+    run("delete again");
+    run("create again --space '" + space + "' --payloads weighted-edges");
+    const auto &index = planner.prm->index();
+    const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(60);
+    while (index.payload_encoding() != wayfold::PayloadEncoding::weighted_edges) {
+        CHECK(std::chrono::steady_clock::now() < end);
+    }
+    for (int round = 0; round < 2; round++) {
+        refuses<ompl::Exception>("this one declares weighted edges", [&] { planner.grow(1); });
+        planner.prm->clear();
+    }
+    CHECK(index.empty());
+}
+
 } // namespace
 
-int main() {
+int main(int count, char **arguments) {
+    CHECK(count == 3);
     ompl::msg::setLogLevel(ompl::msg::LOG_NONE);
     arrivals_together();
     foreign_payloads();
+    foreign_declarations(arguments[1]);
+    made_again(arguments[1], arguments[2]);
     std::cout << "shared_prm_foreign: ok\n";
 }

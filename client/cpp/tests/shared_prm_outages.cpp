@@ -27,7 +27,7 @@ struct Inside : wayfold::SharedPRM {
 
 // The server stops answering: a flush ends at its own time, and not after the hour of the index.
 void flush_in_time(const std::string &uri, pid_t server) {
-    Planner planner(wayfold::Index::shared(uri, "stopped", space, {}, 3600 * 1000));
+    Planner planner(wayfold::Index::shared(uri, "stopped", new_index, {}, 3600 * 1000));
     stop(server);
     planner.grow(50);
     refuses<wayfold::Error>("flush", [&] { planner.prm->flush(std::chrono::milliseconds(200)); });
@@ -42,7 +42,7 @@ void flush_in_time(const std::string &uri, pid_t server) {
 
 // A call waits for one read of payloads while the server does not answer, also if one was under way before.
 void one_wait(const std::string &uri, pid_t server) {
-    Planner reader(wayfold::Index::shared(uri, "one-wait", space, {}, 2000));
+    Planner reader(wayfold::Index::shared(uri, "one-wait", new_index, {}, 2000));
     reader.prm->refresh();
     Planner writer(wayfold::Index::shared(uri, "one-wait"));
     writer.grow(20);
@@ -64,7 +64,7 @@ void one_wait(const std::string &uri, pid_t server) {
 
 // The first vertices of two graphs of PRM*, for which PRM asks for no neighbours, get the edge between them.
 void first_vertices(const std::string &uri, pid_t server) {
-    Planner a(wayfold::Index::shared(uri, "first", space), true), b(wayfold::Index::shared(uri, "first"), true);
+    Planner a(wayfold::Index::shared(uri, "first", new_index), true), b(wayfold::Index::shared(uri, "first"), true);
     stop(server);
     for (Planner *planner : {&a, &b}) {
         planner->si->setMotionValidator(std::make_shared<discs::AllMotions>(planner->si));
@@ -112,7 +112,7 @@ void failed_reads() {
 
 // Pending vertices that the server has refused are not taken for removed ones. `clear` ends the error.
 void refused_write(const std::string &uri, pid_t server) {
-    const auto index = wayfold::Index::shared(uri, "refused", space), other = wayfold::Index::shared(uri, "refused");
+    const auto index = wayfold::Index::shared(uri, "refused", new_index), other = wayfold::Index::shared(uri, "refused");
     const std::uint64_t reserved = other.insert({0.1, 0.1, 0}) + 1;
     other.flush();
     Planner planner(index);

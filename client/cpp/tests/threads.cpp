@@ -80,7 +80,7 @@ void two_planners(const std::string &uri) {
     for (int number = 0; number < 2; number++) {
         threads.emplace_back([&] {
             const auto si = discs::information();
-            wayfold::SharedPRM planner(si, wayfold::Index::shared(uri, "threads-prm", space));
+            wayfold::SharedPRM planner(si, uri, "threads-prm");
             planner.setProblemDefinition(discs::problem(si));
             planner.growRoadmap(0.3);
             CHECK(planner.solve(ob::timedPlannerTerminationCondition(60)) == ob::PlannerStatus::EXACT_SOLUTION);

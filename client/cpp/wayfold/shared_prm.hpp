@@ -33,15 +33,16 @@ class SharedPRM : public detail::SharedRoadmap {
     using Condition = ompl::base::PlannerTerminationCondition;
 
 public:
-    // On the server's index of this name, which is made if there is none: it declares that its payloads are edges, so that
-    // the server's page draws them. With `star`, connects like PRM*.
+    // On the server's index of this name, which is made if there is none: it declares that its payloads are edges
+    // (PayloadEncoding::edges). Another one must have declared the same, as others' payloads may only look like edges.
+    // With `star`, connects like PRM*.
     SharedPRM(const ompl::base::SpaceInformationPtr &si, const std::string &uri, const std::string &name, bool star = false,
               const Credentials &credentials = {})
         : SharedPRM(si,
                     Index::shared(uri, name, {OmplSpace(si->getStateSpace()).text(), PayloadEncoding::edges}, credentials),
                     star) {}
 
-    // On an index, in memory or shared, that this planner alone has opened.
+    // On an index that this planner alone has opened: in memory, or a shared one that declares PayloadEncoding::edges.
     SharedPRM(const ompl::base::SpaceInformationPtr &si, const Index &index, bool star = false)
         : SharedPRM(si, index, detail::RowsOfStates(si->getStateSpace()), star) {}
 
@@ -153,6 +154,7 @@ private:
             }
             throw;
         }
+        detail::check_encoding(index);
         nn_ = std::make_shared<detail::RoadmapNeighbors<SharedPRM>>(*this);
         nn_->setDistanceFunction([this](const Vertex &a, const Vertex &b) { return distanceFunction(a, b); });
         install_samplers();

@@ -88,6 +88,18 @@ inline std::string payload_of(std::vector<std::uint64_t> ids) {
     return payload;
 }
 
+// Refuses an index of a server that does not declare payloads as `payload_of` makes them: bytes of another meaning may
+// decode to ids. An index in memory declares nothing, and has no writers in other processes.
+inline void check_encoding(const Index &index) {
+    const PayloadEncoding declared = index.payload_encoding();
+    if (declared == PayloadEncoding::edges || !index.status()) {
+        return;
+    }
+    const std::string found = declared == PayloadEncoding::none ? "nothing about its payloads" : "weighted edges";
+    throw ompl::Exception("wayfold: a roadmap needs an index that was created with wayfold::PayloadEncoding::edges "
+                          "(on the command line, --payloads edges); this one declares " + found);
+}
+
 // Refuses what `payload_of` does not make: other programs store payloads too, and nobody has checked edges for these.
 inline std::vector<std::uint64_t> edges_of(std::uint64_t id, const std::string &payload) {
     const auto refuse = [id](const std::string &problem) {

@@ -241,6 +241,8 @@ private:
 
     void find_changes() {
         Changes changes = changes_after(index_, is_loaded_ ? std::optional(read_revision_) : std::nullopt, vertices_);
+        // The index may have been made again.
+        check_encoding(index_);
         for (const std::uint64_t id : changes.removed) {
             if (vertices_.count(id) > 0) {
                 const auto status = index_.status();
