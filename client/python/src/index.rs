@@ -66,6 +66,12 @@ impl Index {
         }
     }
 
+    /// How the payloads hold edges, as the index declared when it was created; None if it declares nothing.
+    #[getter]
+    fn payload_encoding(&self, py: Python<'_>) -> PyResult<Option<&'static str>> {
+        self.declared_encoding(py)
+    }
+
     fn __len__(&self, py: Python<'_>) -> PyResult<usize> {
         self.call(py, wayfold::Index::len)
     }

@@ -96,6 +96,15 @@ fn created(
     }
 }
 
+/// The name of an encoding in Python; none for one that is not declared.
+pub(crate) fn name_of(encoding: PayloadEncoding) -> Option<&'static str> {
+    match encoding {
+        PayloadEncoding::Unspecified => None,
+        PayloadEncoding::Edges => Some("edges"),
+        PayloadEncoding::WeightedEdges => Some("weighted-edges"),
+    }
+}
+
 fn credentials(
     token: Option<String>,
     ca: Option<Vec<u8>>,

@@ -58,6 +58,7 @@ def test_an_index_of_a_server_is_not_used_after_a_fork(server: Server) -> None:
     methods = (shared.pending, shared.status, shared.flush, shared.take_unsent, shared.close, shared.meanwhile)
     for method in (*methods, lambda: shared.wait_meanwhile(0.0), lambda: shared.__exit__(None, None, None)):
         assert in_fork(method).startswith("Forked: "), method
+    assert in_fork(lambda: shared.payload_encoding).startswith("Forked: ")
 
     def raise_in_a_block() -> None:
         with shared:

@@ -225,6 +225,15 @@ def test_errors_have_classes(server: Server) -> None:
         wayfold.remote(server.url, "other", timeout=-1)
 
 
+@pytest.mark.parametrize("encoding", ["edges", "weighted-edges", None])
+def test_an_index_tells_how_its_payloads_hold_edges(server: Server, encoding: object) -> None:
+    name = f"payloads-{encoding}".lower()
+    created = wayfold.remote(server.url, name, create="R2", payload_encoding=encoding)  # type: ignore[arg-type]
+    for index in (created, wayfold.remote(server.url, name), wayfold.shared(server.url, name)):
+        assert index.payload_encoding == encoding
+    assert wayfold.Index("R2").payload_encoding is None
+
+
 @pytest.mark.parametrize("opened", [wayfold.shared, wayfold.remote])
 def test_an_index_of_a_server_is_not_pickled(server: Server, opened: object) -> None:
     index = opened(server.url, "pickled", create="R2")  # type: ignore[operator]

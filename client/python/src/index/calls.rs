@@ -17,6 +17,7 @@ use wayfold::{Error, InsertOptions};
 use super::Index;
 use crate::{
     error::OrRaise,
+    open::name_of,
     points::SearchResult,
     rows::{Rows, one_state, rows},
     space::names,
@@ -204,6 +205,12 @@ impl Index {
             }
             _ => Ok(()),
         })
+    }
+
+    /// The encoding of payloads that the index declares.
+    pub(super) fn declared_encoding(&self, py: Python<'_>) -> PyResult<Option<&'static str>> {
+        self.check_process(py)?;
+        Ok(name_of(py.detach(|| self.index.payload_encoding())))
     }
 
     pub(super) fn found(
