@@ -33,9 +33,8 @@ class SharedPRM : public detail::SharedRoadmap {
     using Condition = ompl::base::PlannerTerminationCondition;
 
 public:
-    // On the server's index of this name, which is made if there is none: it declares that its payloads are edges
-    // (PayloadEncoding::edges). Another one must have declared the same, as others' payloads may only look like edges.
-    // With `star`, connects like PRM*.
+    // On the server's index of this name, which is made if there is none, and declares PayloadEncoding::edges then. One that
+    // exists must declare the same: payloads of another meaning may look like edges. With `star`, connects like PRM*.
     SharedPRM(const ompl::base::SpaceInformationPtr &si, const std::string &uri, const std::string &name, bool star = false,
               const Credentials &credentials = {})
         : SharedPRM(si,
