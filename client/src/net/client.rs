@@ -1,6 +1,7 @@
 //! The connection to a server, and the calls about whole indices.
 
 mod builder;
+mod calls;
 mod health;
 
 use std::{
@@ -9,7 +10,7 @@ use std::{
     time::Duration,
 };
 
-use tokio::time::{Instant, timeout_at};
+use tokio::time::Instant;
 use tonic::Code;
 use wayfold_index::Space;
 use wayfold_proto::{
@@ -18,6 +19,7 @@ use wayfold_proto::{
 };
 
 pub use self::builder::ClientBuilder;
+pub(crate) use self::calls::within;
 use super::{
     call::Call,
     connections::{Connection, Connections},
@@ -206,16 +208,6 @@ impl Client {
         }
     }
 
-    /// The longest time that this attempt of a call waits for its server to reach a revision. Each of several servers is
-    /// left once; the last attempt, and those after each server was asked, wait to the end.
-    pub(crate) fn patience(&self, timeout: Duration, attempt: usize) -> Duration {
-        let most = usize::try_from(self.settings.retry.attempts).unwrap_or(usize::MAX);
-        match attempt < most && attempt <= self.connections.len() {
-            true => self.connections.patience(timeout),
-            false => Duration::MAX,
-        }
-    }
-
     /// False if the client has seen a newer revision of the index.
     fn is_newest(&self, info: &IndexInfo) -> bool {
         self.newest(&info.revision).number() <= info.revision.number
@@ -302,77 +294,6 @@ impl Client {
         Ok(named.next().map(|damaged| damaged.uid))
     }
 
-    /// Makes a call with one answer, with retries.
-    pub(crate) async fn send<C: Call>(
-        &self,
-        timeout: Duration,
-        request: &C,
-    ) -> Result<C::Answer, Error> {
-        let attempt =
-            |connection, remaining| C::send(connection, within(remaining, request.clone()));
-        self.call(C::NAME, timeout, attempt).await
-    }
-
-    /// Makes a call, with retries; each attempt gets the time that is left.
-    pub(crate) async fn call<A, F, Fut>(
-        &self,
-        call: &'static str,
-        timeout: Duration,
-        attempt: F,
-    ) -> Result<A, Error>
-    where
-        F: FnMut(Connection, Duration) -> Fut,
-        Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
-    {
-        let deadline = Instant::now() + timeout;
-        let answer = self.call_at(call, timeout, deadline, attempt).await;
-        answer.map(|(answer, _)| answer)
-    }
-
-    /// Acts like [`Client::call`] until `deadline`, and returns the connection that the answer came on. Errors name
-    /// `timeout`.
-    pub(crate) async fn call_at<A, F, Fut>(
-        &self,
-        call: &'static str,
-        timeout: Duration,
-        deadline: Instant,
-        mut attempt: F,
-    ) -> Result<(A, Connection), Error>
-    where
-        F: FnMut(Connection, Duration) -> Fut,
-        Fut: Future<Output = Result<tonic::Response<A>, tonic::Status>>,
-    {
-        let attempt = || {
-            let connection = self.connection();
-            let began = Instant::now();
-            let remaining = deadline.saturating_duration_since(began);
-            let sent = attempt(connection.clone(), remaining);
-            async move {
-                let error = match timeout_at(deadline, sent).await {
-                    Ok(Ok(response)) => {
-                        self.connections.answered(&connection);
-                        return Ok((response.into_inner(), connection));
-                    }
-                    Ok(Err(status)) => Error::from_status(call, connection.uri(), timeout, status),
-                    Err(_) => Error::timeout(call, timeout),
-                };
-                self.connections
-                    .failed(&connection, &error, began.elapsed());
-                Err(match self.connections.are_several() {
-                    // Another server may accept the certificate.
-                    true => error,
-                    false => error.or_handshake(),
-                })
-            }
-        };
-        let answer = self.settings.retry.run(deadline, attempt).await;
-        if let Err(error) = &answer {
-            let mut known = self.known_limits();
-            *known = known.filter(|limits| limits.lowered(error).is_none());
-        }
-        answer
-    }
-
     /// The connection that the next call uses.
     pub(crate) fn connection(&self) -> Connection {
         self.connections.current()
@@ -393,13 +314,6 @@ impl Client {
     pub(crate) fn max_message_bytes(&self) -> usize {
         self.settings.max_message_bytes
     }
-}
-
-/// A request that the server gives up after `remaining`.
-pub(crate) fn within<Q>(remaining: Duration, message: Q) -> tonic::Request<Q> {
-    let mut request = tonic::Request::new(message);
-    request.set_timeout(remaining);
-    request
 }
 
 impl fmt::Debug for Client {
