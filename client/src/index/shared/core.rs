@@ -39,6 +39,8 @@ pub(in crate::index) struct Core {
     pub(super) work: Notify,
     /// Wakes the sender if it waits before the next batch.
     pub(super) urgent: Notify,
+    /// Wakes the subscriber once the sender has opened a session.
+    pub(super) session_opened: Notify,
     pub(super) points: RwLock<LocalPoints>,
     /// The index that the copy follows, and the revision that it has reached. The revision and the number of points in
     /// its description grow stale.
@@ -92,6 +94,7 @@ impl Core {
             progress: Condvar::new(),
             work: Notify::new(),
             urgent: Notify::new(),
+            session_opened: Notify::new(),
             points: RwLock::new(points),
             published: Mutex::new((index, revision)),
             connection: Mutex::default(),

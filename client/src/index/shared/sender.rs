@@ -124,6 +124,7 @@ async fn open(core: &Core, index: &IndexInfo, operation_id: &str) -> Result<(), 
     let mut writes = core.pending_writes.lock();
     if core.is_current(index) {
         writes.open(opened.session, opened.reserved);
+        core.session_opened.notify_one();
         core.progress.notify_all();
     }
     Ok(())

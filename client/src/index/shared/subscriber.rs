@@ -32,8 +32,8 @@ pub(super) struct Subscriber {
     index: Arc<IndexInfo>,
     /// The newest revision that was applied.
     revision: u64,
-    /// True if the feed must hold what own sessions wrote.
-    is_unfiltered: bool,
+    /// The session whose mutations the feed must hold, because it left out what this process needs; 0 for none.
+    unfiltered: u64,
     /// The time since which no index has the name.
     missing: Option<Instant>,
     /// The number of failures since the last mutation, or since the last feed that stood for [`RECOVERY_TIME`].
@@ -46,8 +46,10 @@ pub(super) struct Subscriber {
 enum Stop {
     /// The server cannot send the next mutations.
     Reset(Reset),
-    /// The feed left out what this process needs after all.
-    Unfiltered,
+    /// The feed left out what this process needs of the session after all.
+    Unfiltered(u64),
+    /// The feed may leave out another session from now on.
+    OtherSession,
     Failed(Error),
 }
 
@@ -63,7 +65,7 @@ impl Subscriber {
             core,
             index,
             revision,
-            is_unfiltered: false,
+            unfiltered: 0,
             missing: None,
             failures: 0,
             reloads: 0,
@@ -77,10 +79,11 @@ impl Subscriber {
             let failed = match stop {
                 Stop::Failed(error) => Err(error),
                 Stop::Reset(reset) => self.reload(&reset).await,
-                Stop::Unfiltered => {
-                    self.is_unfiltered = true;
+                Stop::Unfiltered(session) => {
+                    self.unfiltered = session;
                     Ok(())
                 }
+                Stop::OtherSession => Ok(()),
             };
             let recovered = match failed {
                 Ok(()) => Ok(()),
@@ -93,10 +96,7 @@ impl Subscriber {
     }
 
     async fn follow(&mut self) -> Result<std::convert::Infallible, Stop> {
-        let session = match self.is_unfiltered {
-            true => 0,
-            false => self.core.pending_writes.lock().session.unwrap_or(0),
-        };
+        let session = self.own_session();
         let watch = self.core.link.watch(&self.index, self.revision, session);
         let mut watch = watch.await?;
         let opened = Instant::now();
@@ -104,7 +104,16 @@ impl Subscriber {
         loop {
             self.core
                 .set_following(watch.newest().number.saturating_sub(self.revision));
-            let next = watch.next().await;
+            let next = tokio::select! {
+                next = watch.next() => next,
+                () = self.core.session_opened.notified() => {
+                    // The own writes would come back with their points.
+                    if self.own_session() != session {
+                        return Err(Stop::OtherSession);
+                    }
+                    continue;
+                }
+            };
             if opened.elapsed() >= RECOVERY_TIME {
                 self.failures = 0;
             }
@@ -113,6 +122,14 @@ impl Subscriber {
                 None => return Err(Error::protocol("watch", "the feed ended").into()),
             }
         }
+    }
+
+    /// The session whose mutations the feed may leave out; 0 for none.
+    fn own_session(&self) -> u64 {
+        let session = self.core.pending_writes.lock().session;
+        session
+            .filter(|session| *session != self.unfiltered)
+            .unwrap_or(0)
     }
 
     /// Applies the next event, and those of the same message up to [`MAX_LOCKED_ROWS`]: readers see them at once. The
@@ -254,7 +271,7 @@ fn apply(
     }
     if session != 0 && session == left_out {
         // A batch that was given back to the caller, and that the server had taken after all.
-        return Err(Stop::Unfiltered);
+        return Err(Stop::Unfiltered(session));
     }
     let stored = mutation.stored.iter().map(|point| NewRow {
         id: point.id,

@@ -74,6 +74,8 @@ struct Inner {
     uid: Option<&'static str>,
     /// The revision of the batches that it takes; without it, it takes none.
     takes_at: Option<u64>,
+    /// The number of writer sessions that it has opened.
+    sessions: u64,
     /// True if calls wait for ever.
     silent: bool,
     /// The parts of the next snapshots; a snapshot that is not ended waits for ever after its last part.

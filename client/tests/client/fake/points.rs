@@ -78,8 +78,10 @@ impl PointService for Fake {
         if let Some(refused) = self.too_many_ids(request.get_ref().reserve_count) {
             return Err(refused);
         }
+        let mut inner = self.inner.lock().unwrap();
+        inner.sessions += 1;
         Ok(Response::new(v1::OpenSessionResponse {
-            session: 1,
+            session: inner.sessions,
             reserved: Some(v1::IdBlock {
                 first_id: 1 << 32,
                 id_count: request.into_inner().reserve_count,

@@ -27,21 +27,42 @@ fn reset(reason: v1::ResetReason, revision: u64) -> v1::WatchResponse {
     reset
 }
 
+/// The mutation as the first batch of the first session.
+fn of_first_batch(mutation: v1::Mutation) -> v1::Mutation {
+    v1::Mutation {
+        session: 1,
+        batch: 1,
+        ..mutation
+    }
+}
+
 fn open(fake: &Fake) -> Index {
     Index::shared(&fake.uri, "line").open().unwrap()
 }
 
-/// Waits until the fake was asked to watch this many times. Returns the `after_revision` of each of these requests.
-fn after_revisions(fake: &Fake, watches: usize) -> Vec<Option<u64>> {
+/// Waits until the fake was asked to watch this many times. Returns these requests.
+fn watch_requests(fake: &Fake, watches: usize) -> Vec<v1::WatchRequest> {
     loop {
-        let requests = fake.watch_requests();
+        let mut requests = fake.watch_requests();
         if requests.len() >= watches {
-            let requests = requests.into_iter().take(watches);
-            let after = requests.map(|request| request.after_revision);
-            return after.map(|after| after.map(|after| after.number)).collect();
+            requests.truncate(watches);
+            return requests;
         }
         thread::yield_now();
     }
+}
+
+/// Waits until the fake was asked to watch this many times. Returns the `after_revision` of each of these requests.
+fn after_revisions(fake: &Fake, watches: usize) -> Vec<Option<u64>> {
+    let requests = watch_requests(fake, watches).into_iter();
+    let after = requests.map(|request| request.after_revision);
+    after.map(|after| after.map(|after| after.number)).collect()
+}
+
+/// Waits until the fake was asked to watch this many times. Returns the `own_session` of each of these requests.
+fn own_sessions(fake: &Fake, watches: usize) -> Vec<u64> {
+    let requests = watch_requests(fake, watches).into_iter();
+    requests.map(|request| request.own_session).collect()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
@@ -169,6 +190,41 @@ async fn writing_begins_again_after_the_limits_of_the_server_were_lowered() {
     index.insert([1.5]).unwrap();
     index.flush().unwrap();
     assert_eq!(index.len().unwrap(), 2);
+}
+
+/// A refusal ends the first session, and a write begins the second one.
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn the_feed_leaves_out_the_writes_of_the_session_after_a_refusal() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
+    let index = open(&fake);
+    assert_eq!(own_sessions(&fake, 1), [1]);
+    index.insert([0.5]).unwrap();
+    let refused = index.flush().unwrap_err();
+    assert_eq!(refused.code(), Code::Unimplemented, "{refused}");
+    fake.takes_batches(4);
+    assert_eq!(index.take_unsent().len(), 1);
+    index.insert([1.5]).unwrap();
+    index.flush().unwrap();
+    assert_eq!(own_sessions(&fake, 2), [1, 2]);
+}
+
+/// The batch is none of the pending ones, as one that was given back although the server had taken it.
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn an_own_batch_that_is_not_pending_comes_again_with_its_points() {
+    let fake = Fake::start().await;
+    fake.scan_answers(scanned(3, &[(1, 0.0)]), true);
+    fake.watch_tells(vec![
+        Ok(message(4, vec![])),
+        Ok(message(
+            4,
+            vec![of_first_batch(piece(4, &[], &[], (0, false)))],
+        )),
+    ]);
+    let stored = of_first_batch(piece(4, &[(9, 1.0)], &[], (0, false)));
+    fake.watch_tells(vec![Ok(message(4, vec![])), Ok(message(4, vec![stored]))]);
+    wait_for(&open(&fake), &[(1, 0.0), (9, 1.0)]);
+    assert_eq!(own_sessions(&fake, 2), [1, 0]);
 }
 
 /// The scan after a reset never ends: the copy answers from its points meanwhile, and says what it does.
