@@ -2,7 +2,10 @@
 
 mod meanwhile;
 
-use super::*;
+use super::{
+    batching::{LARGE_BATCH_STEPS, MAX_BATCH_UPDATES},
+    *,
+};
 use crate::{
     Code, Meanwhile, Refusal,
     index::{

@@ -1,0 +1,68 @@
+//! The division of pending writes into batches.
+
+use wayfold_proto::v1;
+
+use super::{Batch, PendingWrites, Step};
+
+/// The most steps of a batch: each waits for the slowest.
+const MAX_BATCH_STEPS: usize = 4_096;
+
+/// The most steps of a batch that set tags or payloads. The server refuses a batch for good if the points of these steps have more
+/// than 64 MiB, and a point has a payload of up to 64 KiB and a state of up to 2 KiB.
+pub(super) const MAX_BATCH_UPDATES: usize = 900;
+
+/// The steps of a batch that is worth a call.
+pub(super) const LARGE_BATCH_STEPS: usize = 64;
+
+/// The most bytes of a batch.
+const MAX_BATCH_BYTES: usize = 1 << 20;
+
+impl PendingWrites {
+    pub(super) fn push(&mut self, id: u64, step: &Step<'_>) -> &mut Batch {
+        let bytes = Batch::step_bytes(step);
+        let max_steps = MAX_BATCH_STEPS.min(self.limits.max_rows_per_call).max(1);
+        let max_bytes = MAX_BATCH_BYTES.min(self.limits.max_request_bytes / 2);
+        let is_full = self.queue.back().is_none_or(|batch| {
+            batch.number != 0
+                || batch.len() >= max_steps
+                || (batch.update_count >= MAX_BATCH_UPDATES && Batch::is_update(step))
+                || batch.bytes() + bytes > max_bytes
+        });
+        if is_full {
+            self.queue.push_back(Batch::default());
+        }
+        self.bytes += bytes;
+        self.written += 1;
+        let last = self.queue.len() - 1;
+        let batch = &mut self.queue[last];
+        batch.push(id, step);
+        batch
+    }
+
+    /// The next batch to send, which grows no more. With `reserve_count` there is one even if no write is pending.
+    pub(in crate::index::shared) fn next(
+        &mut self,
+        session: u64,
+        reserve_count: u64,
+    ) -> Option<v1::WriteRequest> {
+        let is_taken = |batch: &Batch| batch.revision.is_some();
+        if reserve_count > 0 && self.queue.iter().all(is_taken) {
+            self.queue.push_back(Batch::default());
+        }
+        let batch = self.queue.iter_mut().find(|batch| !is_taken(batch))?;
+        if batch.number == 0 {
+            batch.number = self.next_number;
+            batch.session = session;
+            batch.reserve_count = reserve_count;
+            self.next_number += 1;
+        }
+        Some(batch.message())
+    }
+
+    /// True if the next batch has many writes, or grows no more.
+    pub(in crate::index::shared) fn is_next_large(&self) -> bool {
+        let mut next = self.queue.iter().filter(|batch| batch.number == 0);
+        let is_large = |batch: &Batch| batch.len() >= LARGE_BATCH_STEPS;
+        next.next().is_some_and(is_large) || next.next().is_some()
+    }
+}
