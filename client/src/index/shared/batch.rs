@@ -170,8 +170,8 @@ impl Batch {
 
     /// Notes that the index assigned the id of the last step.
     pub(super) fn assign(&mut self, id: u64) {
-        let (first, _) = self.assigned.unwrap_or((id, id));
-        self.assigned = Some((first, id));
+        let (first, last) = self.assigned.unwrap_or((id, id));
+        self.assigned = Some((first.min(id), last.max(id)));
     }
 
     /// True if the batch has a step on this id, and the id is among those that the index assigned in it.

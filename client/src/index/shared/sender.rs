@@ -114,7 +114,7 @@ async fn open(core: &Core, index: &IndexInfo, operation_id: &str) -> Result<(), 
     let limits = core.link.limits().await?;
     let id_block = {
         let mut writes = core.pending_writes.lock();
-        writes.limits = limits;
+        writes.set_limits(limits);
         writes.id_block()
     };
     // The server refuses an operation that is repeated with another number of ids.

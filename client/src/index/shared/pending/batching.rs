@@ -2,7 +2,8 @@
 
 use wayfold_proto::v1;
 
-use super::{Batch, PendingWrites, Step};
+use super::{Batch, OpenSearch, PendingWrites, Step};
+use crate::Limits;
 
 /// The most steps of a batch: each waits for the slowest.
 const MAX_BATCH_STEPS: usize = 4_096;
@@ -18,7 +19,15 @@ pub(super) const LARGE_BATCH_STEPS: usize = 64;
 const MAX_BATCH_BYTES: usize = 1 << 20;
 
 impl PendingWrites {
+    /// Adds a write.
     pub(super) fn push(&mut self, id: u64, step: &Step<'_>) -> &mut Batch {
+        self.bytes += Batch::step_bytes(step);
+        self.written += 1;
+        self.place(id, step)
+    }
+
+    /// Adds a step to the last batch, or to a new one if that is full or under way.
+    fn place(&mut self, id: u64, step: &Step<'_>) -> &mut Batch {
         let bytes = Batch::step_bytes(step);
         let max_steps = MAX_BATCH_STEPS.min(self.limits.max_rows_per_call).max(1);
         let max_bytes = MAX_BATCH_BYTES.min(self.limits.max_request_bytes / 2);
@@ -31,12 +40,48 @@ impl PendingWrites {
         if is_full {
             self.queue.push_back(Batch::default());
         }
-        self.bytes += bytes;
-        self.written += 1;
         let last = self.queue.len() - 1;
         let batch = &mut self.queue[last];
         batch.push(id, step);
         batch
+    }
+
+    /// Notes the limits of the server. If a batch may have less than before, those that were never sent are divided again:
+    /// the server would refuse the larger ones for good.
+    pub(in crate::index::shared) fn set_limits(&mut self, limits: Limits) {
+        let is_lower = limits.max_rows_per_call < self.limits.max_rows_per_call
+            || limits.max_request_bytes < self.limits.max_request_bytes;
+        self.limits = limits;
+        if is_lower {
+            self.divide_again();
+        }
+    }
+
+    fn divide_again(&mut self) {
+        let is_sent = |batch: &&Batch| batch.number != 0;
+        let sent = self.queue.iter().take_while(is_sent).count();
+        let (width, rebased_bytes) = (self.width, self.rebased_step_bytes());
+        for mut old in self.queue.split_off(sent) {
+            self.bytes -= old.kept_bytes;
+            let mut searches = std::mem::take(&mut old.searches).into_iter().peekable();
+            for (position, (id, step)) in old.steps(width).enumerate() {
+                let search = searches.next_if(|open| open.step == position);
+                let mut kept = search.as_ref().map_or(0, OpenSearch::bytes);
+                if self.rebased.contains_key(&id) {
+                    kept += rebased_bytes;
+                }
+                let batch = self.place(id, &step);
+                if matches!(step, Step::Put { .. }) && old.may_have_assigned(id) {
+                    batch.assign(id);
+                }
+                if let Some(mut open) = search {
+                    open.step = batch.len() - 1;
+                    batch.searches.push(open);
+                }
+                batch.kept_bytes += kept;
+                self.bytes += kept;
+            }
+        }
     }
 
     /// The next batch to send, which grows no more. With `reserve_count` there is one even if no write is pending.

@@ -304,6 +304,49 @@ fn batches_after_a_refusal_keep_to_the_lower_limit_that_it_names() {
     assert_eq!(request.ids, [200, 201]);
 }
 
+/// The batch under way, a search, a point that others may change, and an own point that is changed.
+#[test]
+fn batches_that_were_never_sent_are_divided_by_lower_limits() {
+    let (mut writes, mut points) = pending_writes();
+    insert(&mut writes, &mut points, 1.0);
+    let sent = writes.next(1, 0);
+    let ids = [2.0, 3.0, 4.0].map(|row| insert(&mut writes, &mut points, row));
+    let change = points.read_revision().0;
+    writes.note_search(ids[2], &[4.0], &Search::nearest_k(1).into(), &[], change);
+    let own = put(7, &[5.0]);
+    writes.change(9, &own, &mut points).expect("a state");
+    let tag = Step::SetTag(5);
+    writes.change(ids[0], &tag, &mut points).expect("a point");
+    writes.set_limits(Limits {
+        max_rows_per_call: 2,
+        ..writes.limits
+    });
+    let held: usize = writes.queue.iter().map(Batch::held_bytes).sum();
+    assert_eq!((writes.bytes, writes.written), (held, 6));
+    assert_eq!(writes.next(1, 0), sent);
+    assert!(writes.is_pending_insert(ids[2]) && !writes.is_pending_insert(9));
+    writes.confirm(1, 1, &mut points).expect("a copy");
+    let expected = [vec![ids[0], ids[1]], vec![ids[2], 9], vec![ids[0]]];
+    for (number, ids) in (2..).zip(expected) {
+        let request = writes.next(1, 0).expect("a batch");
+        assert_eq!((request.batch, request.ids), (number, ids));
+        writes
+            .acknowledge(number, number, 0, &mut points)
+            .expect("a batch");
+    }
+    let answered = [2, 3, 4].map(|number| {
+        let named = writes.confirm(1, number, &mut points).expect("a copy");
+        named.expect("an own batch").len()
+    });
+    assert_eq!(answered, [0, 1, 0]);
+    assert_eq!((writes.bytes, writes.rebased.len()), (0, 0));
+    assert_eq!(writes.published_points, points.forest.len());
+    assert_eq!(
+        [ids[0], 9].map(|id| shown(&points, id)),
+        [Some((5, 2.0)), Some((7, 5.0))]
+    );
+}
+
 #[test]
 fn inserts_that_were_never_sent_are_no_rebased_points_after_a_reload() {
     let (mut writes, mut points) = pending_writes();
