@@ -98,6 +98,8 @@ pub(super) struct Batch {
     pub(super) revision: Option<u64>,
     /// The first and the last of its ids that the index assigned.
     assigned: Option<(u64, u64)>,
+    /// The ids that the caller chose for its puts.
+    pub(super) chosen_ids: Vec<u64>,
     /// The searches of its inserts.
     pub(super) searches: Vec<OpenSearch>,
     /// The session that sent it.

@@ -64,8 +64,8 @@ impl ReservedIds {
     }
 
     /// Forgets ids that the caller chose and whose writes are published: the server reserves only ids above all that it
-    /// has stored. Writes are published in their order, so only the last `unpublished` ids can have others. An id that
-    /// was stored and removed in one batch counts as never stored: a later block may include it.
+    /// has stored. Writes are published in their order, so only the last `unpublished` ids can have others. A batch removes
+    /// no id that it stored: the server would count that as never stored.
     pub(super) fn forget_published(&mut self, unpublished: usize) {
         while self.caller_ids.len() > unpublished {
             self.caller_ids.pop_front();

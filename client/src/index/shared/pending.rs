@@ -216,7 +216,11 @@ impl PendingWrites {
             rebased.push(step, visible_from);
         }
         let bytes = self.rebased_step_bytes();
-        self.push(id, step).kept_bytes += bytes;
+        let batch = self.push(id, step);
+        batch.kept_bytes += bytes;
+        if matches!(step, Step::Put { .. }) {
+            batch.chosen_ids.push(id);
+        }
         self.bytes += bytes;
         Ok(())
     }

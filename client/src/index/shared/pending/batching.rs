@@ -26,7 +26,8 @@ impl PendingWrites {
         self.place(id, step)
     }
 
-    /// Adds a step to the last batch, or to a new one if that is full or under way.
+    /// Adds a step to the last batch, or to a new one if that is full or under way, or stores the point that the step
+    /// removes.
     fn place(&mut self, id: u64, step: &Step<'_>) -> &mut Batch {
         let bytes = Batch::step_bytes(step);
         let max_steps = MAX_BATCH_STEPS.min(self.limits.max_rows_per_call).max(1);
@@ -36,6 +37,8 @@ impl PendingWrites {
                 || batch.len() >= max_steps
                 || (batch.update_count >= MAX_BATCH_UPDATES && Batch::is_update(step))
                 || batch.bytes() + bytes > max_bytes
+                // The server would not count the id as used, and could reserve it for another point.
+                || (matches!(step, Step::Remove) && batch.chosen_ids.contains(&id))
         });
         if is_full {
             self.queue.push_back(Batch::default());
@@ -71,8 +74,10 @@ impl PendingWrites {
                     kept += rebased_bytes;
                 }
                 let batch = self.place(id, &step);
-                if matches!(step, Step::Put { .. }) && old.may_have_assigned(id) {
-                    batch.assign(id);
+                match step {
+                    Step::Put { .. } if old.chosen_ids.contains(&id) => batch.chosen_ids.push(id),
+                    Step::Put { .. } => batch.assign(id),
+                    _ => {}
                 }
                 if let Some(mut open) = search {
                     open.step = batch.len() - 1;

@@ -304,6 +304,32 @@ fn batches_after_a_refusal_keep_to_the_lower_limit_that_it_names() {
     assert_eq!(request.ids, [200, 201]);
 }
 
+/// The server reserves an id again that no batch has left stored. Lower limits divide the batches again.
+#[test]
+fn no_batch_removes_a_point_that_it_stores_under_an_id_of_the_caller() {
+    let (mut writes, mut points) = pending_writes();
+    let (own, remove) = (put(0, &[1.0]), Step::Remove);
+    for step in [&own, &remove, &own] {
+        writes.change(150, step, &mut points).expect("a state");
+    }
+    // The server has counted this id since it reserved it.
+    let assigned = insert(&mut writes, &mut points, 2.0);
+    writes
+        .change(assigned, &remove, &mut points)
+        .expect("a point");
+    writes.set_limits(Limits {
+        max_rows_per_call: 1_000,
+        ..writes.limits
+    });
+    let expected = [vec![150], vec![150, 150, assigned, assigned]];
+    for (number, ids) in (1..).zip(expected) {
+        let request = writes.next(1, 0).expect("a batch");
+        assert_eq!((request.batch, request.ids), (number, ids));
+        writes.confirm(1, number, &mut points).expect("a copy");
+    }
+    assert_eq!(writes.next(1, 0), None);
+}
+
 /// The batch under way, a search, a point that others may change, and an own point that is changed.
 #[test]
 fn batches_that_were_never_sent_are_divided_by_lower_limits() {
