@@ -1,6 +1,7 @@
 //! The answers to searches, without a server.
 
 mod hidden;
+mod places;
 
 use super::*;
 
@@ -41,6 +42,33 @@ fn confirmed(writes: &mut PendingWrites, points: &mut LocalPoints, number: u64) 
 fn neighbor_ids(answer: &Meanwhile) -> Vec<u64> {
     let neighbors = answer.neighbors.iter();
     neighbors.map(|neighbor| neighbor.id).collect()
+}
+
+/// Inserts a point at 0, whose search found these points.
+fn ask(
+    writes: &mut PendingWrites,
+    points: &mut LocalPoints,
+    search: &Search<'_>,
+    found: &[(u64, f64)],
+) {
+    let id = insert(writes, points, 0.0);
+    let found = found.iter();
+    let found: Vec<_> = found
+        .map(|&(id, distance)| Neighbor { distance, id })
+        .collect();
+    let change = points.read_revision().0;
+    writes.note_search(id, &[0.0], &(*search).into(), &found, change);
+}
+
+fn told(answers: &[Meanwhile]) -> Vec<Vec<u64>> {
+    answers.iter().map(neighbor_ids).collect()
+}
+
+/// The points within 1.0 whose tag is odd.
+fn odd_tags() -> Search<'static> {
+    let mut search = Search::nearest_r(1.0);
+    (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
+    search
 }
 
 /// The first batch is answered exactly, the second one after a reload by a superset.
@@ -210,41 +238,6 @@ fn answers_that_no_one_takes_are_dropped() {
     assert!(!writes.open_searches.take().has_dropped);
 }
 
-#[test]
-fn a_point_that_takes_the_place_of_a_removed_neighbor_is_answered() {
-    let (mut writes, mut points) = pending_writes();
-    foreign(&mut writes, &mut points, 1, 0, 1.0);
-    insert_near_1(&mut writes, &mut points, &Search::nearest_k(1));
-    writes
-        .apply(std::iter::empty(), &[1], &mut points)
-        .expect("a point");
-    foreign(&mut writes, &mut points, 2, 0, 2.0);
-    writes.next(1, 0).expect("a batch");
-    let answers = confirmed(&mut writes, &mut points, 1);
-    assert_eq!(neighbor_ids(&answers[0]), [2]);
-}
-
-/// A pending write of its own may hide the neighbor from this process before it learns of the tag.
-#[test]
-fn a_point_that_takes_the_place_of_a_neighbor_with_another_tag_is_answered() {
-    let mut search = Search::nearest_k(1);
-    (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
-    for is_hidden in [false, true] {
-        let (mut writes, mut points) = pending_writes();
-        foreign(&mut writes, &mut points, 1, 1, 1.0);
-        insert_near_1(&mut writes, &mut points, &search);
-        if is_hidden {
-            let tag = Step::SetTag(0);
-            writes.change(1, &tag, &mut points).expect("a point");
-        }
-        foreign_tag(&mut writes, &mut points, 1, 0);
-        foreign(&mut writes, &mut points, 2, 1, 3.0);
-        writes.next(1, 0).expect("a batch");
-        let answers = confirmed(&mut writes, &mut points, 1);
-        assert_eq!(neighbor_ids(&answers[0]), [2], "{is_hidden}");
-    }
-}
-
 /// Two writers store the same id at once.
 #[test]
 fn a_point_is_no_neighbor_of_its_own() {
@@ -335,18 +328,6 @@ fn very_many_points_of_others_make_a_superset() {
     let first = answerable.answers(&space()).next().expect("an answer");
     assert!(first.is_superset);
     assert!(neighbor_ids(&first).contains(&1));
-}
-
-#[test]
-fn a_point_that_takes_the_place_of_a_moved_neighbor_is_answered() {
-    let (mut writes, mut points) = pending_writes();
-    foreign(&mut writes, &mut points, 1, 0, 1.0);
-    insert_near_1(&mut writes, &mut points, &Search::nearest_k(1));
-    foreign(&mut writes, &mut points, 1, 0, 10.0);
-    foreign(&mut writes, &mut points, 2, 0, 2.0);
-    writes.next(1, 0).expect("a batch");
-    let answers = confirmed(&mut writes, &mut points, 1);
-    assert_eq!(neighbor_ids(&answers[0]), [2]);
 }
 
 #[test]

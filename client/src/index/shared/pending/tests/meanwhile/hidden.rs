@@ -2,35 +2,8 @@
 
 use super::*;
 
-/// The points within 1.0 whose tag is odd.
-fn odd_tags() -> Search<'static> {
-    let mut search = Search::nearest_r(1.0);
-    (search.filter.tag_mask, search.filter.tag_value) = (1, 1);
-    search
-}
-
-/// Inserts a point at 0, whose search found these points.
-fn ask(
-    writes: &mut PendingWrites,
-    points: &mut LocalPoints,
-    search: &Search<'_>,
-    found: &[(u64, f64)],
-) {
-    let id = insert(writes, points, 0.0);
-    let found = found.iter();
-    let found: Vec<_> = found
-        .map(|&(id, distance)| Neighbor { distance, id })
-        .collect();
-    let change = points.read_revision().0;
-    writes.note_search(id, &[0.0], &(*search).into(), &found, change);
-}
-
 fn change(writes: &mut PendingWrites, points: &mut LocalPoints, id: u64, step: &Step<'_>) {
     writes.change(id, step, points).expect("a point");
-}
-
-fn told(answers: &[Meanwhile]) -> Vec<Vec<u64>> {
-    answers.iter().map(neighbor_ids).collect()
 }
 
 /// The first search precedes the own tag. The second one has seen it.
