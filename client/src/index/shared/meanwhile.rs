@@ -41,7 +41,8 @@ pub struct Meanwhile {
     pub id: u64,
     /// The number of points that the index had just before it; if `is_superset`, maybe at a later moment.
     pub points_before: usize,
-    /// Its neighbours, nearest first.
+    /// Its neighbours, nearest first. With [`Search::since`](crate::Search::since), points that only got their tag since are
+    /// among them, and take no place of the others.
     pub neighbors: Vec<Neighbor>,
     /// True if all points were read again between, or others stored very many: some neighbours may have been in the answer of
     /// the insert, or come after the point, and one that was stored again after it may be missing. If others stored very
@@ -280,21 +281,26 @@ impl Answerable {
         let points = self.points.iter();
         let contents = points
             .filter_map(|(id, (changes, versions))| Some((changes, *id, open.content(versions)?)));
+        let is_new = |changes: &[Arrival]| {
+            let mut unseen = changes.iter().filter(|arrival| arrival.is_unseen(open));
+            unseen.any(|arrival| arrival.is_new(open))
+        };
         let unseen = contents.filter(|(changes, id, (tag, _))| {
-            let unseen = changes.iter().filter(|arrival| arrival.is_unseen(open));
-            let Some(first) = unseen.clone().next() else {
+            let Some(first) = changes.iter().find(|arrival| arrival.is_unseen(open)) else {
                 return false;
             };
-            let old_tag = |arrival: &Arrival| arrival.difference.old_tag_in(open.change);
-            let is_new = unseen.clone().any(|arrival| old_tag(arrival).is_none());
+            let old_tag = first.difference.old_tag_in(open.change);
             // Another writer may have stored a point under the same id.
             let is_other = *id != open.id;
-            is_other && passes(*tag) && (is_new || !old_tag(first).is_some_and(passes))
+            is_other && passes(*tag) && (is_new(changes) || !old_tag.is_some_and(passes))
         });
         let neighbors = unseen.map(|(changes, id, (_, row))| {
             let distance = space.distance(&open.row, row);
             let last = changes.iter().rfind(|arrival| !arrival.is_hidden(open));
             let last = last.filter(|arrival| arrival.is_unseen(open));
+            // A search for later points does not count one that has only got its tag since.
+            let counts = open.filter.since_revision == 0 || is_new(changes);
+            let last = last.filter(|_| counts);
             let place = last.map_or(0, |arrival| arrival.place(open));
             (Neighbor { distance, id }, place)
         });

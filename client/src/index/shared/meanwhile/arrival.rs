@@ -38,10 +38,15 @@ impl Arrival {
         self.change > open.change && may_be_before && !self.is_hidden(open)
     }
 
+    /// True if the search saw another state under its id, or none.
+    pub(super) fn is_new(&self, open: &OpenSearch) -> bool {
+        self.difference.old_tag_in(open.change).is_none()
+    }
+
     /// The parts of a place that it takes: all if it certainly came before the point of the search, none if it may have
     /// come after.
     pub(super) fn place(&self, open: &OpenSearch) -> usize {
-        let is_new = self.difference.old_tag_in(open.change).is_none();
+        let is_new = self.is_new(open);
         match self.revision {
             _ if open.revision == Some(AFTER_ALL) => WHOLE_PLACE,
             None if self.change < open.first_reload => WHOLE_PLACE,

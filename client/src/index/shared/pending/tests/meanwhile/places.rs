@@ -48,3 +48,33 @@ fn a_point_that_takes_the_place_of_a_moved_neighbor_is_answered() {
     let answers = confirmed(&mut writes, &mut points, 1);
     assert_eq!(neighbor_ids(&answers[0]), [2]);
 }
+
+/// The nearest point whose tag is odd.
+fn nearest_odd() -> Search<'static> {
+    Search {
+        k: 1,
+        radius: f64::INFINITY,
+        ..odd_tags()
+    }
+}
+
+/// The point 2 was stored before the revision and gets its tag after it. The points 3 and 4 are stored after it; 3 gets
+/// its tag later.
+#[test]
+fn a_point_that_only_got_its_tag_since_takes_no_place_of_a_later_one() {
+    for (k, expected) in [(1, vec![2, 3]), (2, vec![2, 3, 4])] {
+        let (mut writes, mut points) = pending_writes();
+        foreign(&mut writes, &mut points, 2, 0, 1.0);
+        let mut search = Search { k, ..nearest_odd() };
+        search.filter.since_revision = points.read_revision().0;
+        ask(&mut writes, &mut points, &search, &[]);
+        foreign_tag(&mut writes, &mut points, 2, 1);
+        foreign(&mut writes, &mut points, 3, 0, 3.0);
+        foreign_tag(&mut writes, &mut points, 3, 1);
+        foreign(&mut writes, &mut points, 4, 1, 4.0);
+        writes.next(1, 0).expect("a batch");
+        let answers = confirmed(&mut writes, &mut points, 1);
+        assert_eq!(told(&answers), [expected]);
+        assert!(!answers[0].is_superset);
+    }
+}
