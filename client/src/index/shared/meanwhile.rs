@@ -44,10 +44,11 @@ pub struct Meanwhile {
     /// Its neighbours, nearest first. With [`Search::since`](crate::Search::since), points that only got their tag since are
     /// among them, and take no place of the others.
     pub neighbors: Vec<Neighbor>,
-    /// True if all points were read again between, or others stored very many: some neighbours may have been in the answer of
-    /// the insert, or come after the point, and one that was stored again after it may be missing. If others stored very
-    /// many, they are as this process shows them, with its later writes. For a scaled `k`, as many points as the copy had and
-    /// 4,096 more count as very many.
+    /// True if all points were read again between, or others stored very many, or they removed or moved a neighbour that the
+    /// insert found or gave it another tag: some neighbours may have been in the answer of the insert, or come after the
+    /// point, and one that was stored again after it may be missing. If all points were not read again, they are as this
+    /// process shows them, with its later writes. For a scaled `k`, as many points as the copy had and 4,096 more count as
+    /// very many.
     pub is_superset: bool,
 }
 
@@ -86,12 +87,15 @@ pub(super) struct OpenSearches {
 /// The contents of a point, each before a step of the batch.
 pub(super) type Versions = Vec<(usize, Option<Content>)>;
 
+/// By id: the changes of a point, the oldest first, and its contents.
+type KnownPoints = HashMap<u64, (Vec<Arrival>, Versions)>;
+
 /// Searches whose points the server has stored, with everything that their answers need.
 #[derive(Debug)]
 pub(super) struct Answerable {
     searches: Vec<OpenSearch>,
-    /// By the id of each point that an answer may name: its changes, the oldest first, and its contents.
-    points: HashMap<u64, (Vec<Arrival>, Versions)>,
+    /// The points that an answer may name.
+    points: KnownPoints,
     /// The ids of the own writes in the batch of the searches and in the pending ones after it, if there is a snapshot.
     later: HashSet<u64>,
     /// The last change by which another writer removed or moved a point, or gave it another tag.
@@ -178,6 +182,7 @@ impl OpenSearches {
     /// that stay open.
     pub(super) fn answerable(
         &mut self,
+        space: &Space,
         mut searches: Vec<OpenSearch>,
         later: impl FnOnce() -> HashSet<u64>,
         oldest: Option<&OpenSearch>,
@@ -193,15 +198,18 @@ impl OpenSearches {
             searches.iter_mut().for_each(OpenSearch::search_all);
             after = self.stored.len();
         }
-        let short = searches.iter_mut().filter(|open| open.is_short());
+        let is_short = |open: &OpenSearch| open.is_short() || open.is_wider(space.dimension());
+        let short = searches.iter_mut().filter(|open| is_short(open));
         short.for_each(OpenSearch::search_all);
         let mut changes: HashMap<u64, Vec<Arrival>> = HashMap::new();
         for arrival in self.stored.range(after..) {
             changes.entry(arrival.id).or_default().push(*arrival);
         }
-        // An older point that the insert did not answer may have no change, and is looked up too.
+        // An older point may have no change, and is looked up too.
+        let departure = self.departure;
         for open in searches.iter().filter(|open| !open.searches_all) {
-            for neighbor in open.unanswered() {
+            let neighbors = open.unanswered().iter();
+            for neighbor in neighbors.chain(open.may_have_left(departure)) {
                 changes.entry(neighbor.id).or_default();
             }
         }
@@ -209,11 +217,19 @@ impl OpenSearches {
         let points = changes
             .into_iter()
             .map(|(id, changes)| (id, (changes, published(id))));
+        let points: KnownPoints = points.collect();
+        // An older point that has no change takes the place of a neighbour that has left.
+        for open in searches.iter_mut().filter(|open| !open.searches_all) {
+            let mut neighbors = open.may_have_left(departure).iter();
+            if !neighbors.all(|found| open.keeps(found, &points, space)) {
+                open.search_all();
+            }
+        }
         let searches_all = searches.iter().any(|open| open.searches_all);
         let answerable = Answerable {
-            points: points.collect(),
+            points,
             later: searches_all.then(later).unwrap_or_default(),
-            departure: self.departure,
+            departure,
             snapshot: searches_all.then(snapshot),
             searches,
         };
@@ -276,8 +292,7 @@ impl Answerable {
 
     /// The points that arrived after the search's own, within its bound, and the older ones that its insert did not answer.
     fn unseen(&self, open: &OpenSearch, space: &Space) -> Vec<Neighbor> {
-        let filter = open.filter;
-        let passes = |tag: u64| tag & filter.tag_mask == filter.tag_value;
+        let passes = |tag: u64| open.passes(tag);
         let points = self.points.iter();
         let contents = points
             .filter_map(|(id, (changes, versions))| Some((changes, *id, open.content(versions)?)));
@@ -305,18 +320,13 @@ impl Answerable {
             (Neighbor { distance, id }, place)
         });
         // An older point that was moved is among the arrivals.
-        let stays = |old: &&Neighbor| {
-            let known = self.points.get(&old.id);
-            let content = known.and_then(|(_, versions)| open.content(versions));
-            content.is_some_and(|(tag, row)| {
-                passes(*tag) && space.distance(&open.row, row) == old.distance
-            })
-        };
-        let older = open.unanswered().iter().filter(stays);
+        let older = open.unanswered().iter();
+        let older = older.filter(|old| open.keeps(old, &self.points, space));
         let neighbors = neighbors.chain(older.map(|old| (*old, WHOLE_PLACE)));
-        let bound = match self.departure > open.change {
-            true => open.radius_at_place(space.dimension()),
-            false => open.bound(space.dimension()),
+        // If the copy has no later points, the neighbours that the insert found have stayed: `superset` answers otherwise.
+        let bound = match open.is_newest() || self.departure <= open.change {
+            true => open.bound(space.dimension()),
+            false => open.radius_at_place(space.dimension()),
         };
         let near = neighbors.filter(|(neighbor, _)| neighbor.distance <= bound);
         let mut neighbors: Vec<_> = near.collect();
@@ -340,10 +350,8 @@ impl Answerable {
             return Vec::new();
         };
         let stays = |found: &Neighbor| {
-            points.get(found.id).is_some_and(|point| {
-                point.tag & open.filter.tag_mask == open.filter.tag_value
-                    && space.distance(&open.row, &point.row) == found.distance
-            })
+            let point = points.get(found.id);
+            point.is_some_and(|point| open.finds_again(found, point.tag, &point.row, space))
         };
         let bound = open.bound(space.dimension());
         let is_bounded = bound.is_finite() && !open.is_short();

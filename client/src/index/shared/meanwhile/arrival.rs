@@ -2,10 +2,7 @@
 
 use wayfold_index::ForestSnapshot;
 
-use super::{
-    MAX_ARRIVALS,
-    open_search::{AFTER_ALL, OpenSearch},
-};
+use super::{MAX_ARRIVALS, open_search::OpenSearch};
 use crate::index::shared::rebased::Difference;
 
 /// The parts of one of the `k` places of an answer.
@@ -33,7 +30,7 @@ impl Arrival {
         let may_be_before = match self.revision {
             Some(stored) => open.revision.is_none_or(|own| stored <= own),
             // The feed brings points that are newer than the copy.
-            None => open.revision == Some(AFTER_ALL) || self.change < open.last_reload,
+            None => open.is_newest() || self.change < open.last_reload,
         };
         self.change > open.change && may_be_before && !self.is_hidden(open)
     }
@@ -48,7 +45,7 @@ impl Arrival {
     pub(super) fn place(&self, open: &OpenSearch) -> usize {
         let is_new = self.is_new(open);
         match self.revision {
-            _ if open.revision == Some(AFTER_ALL) => WHOLE_PLACE,
+            _ if open.is_newest() => WHOLE_PLACE,
             None if self.change < open.first_reload => WHOLE_PLACE,
             Some(1..) if open.revision.is_some() && is_new => match open.filter.tag_mask {
                 0 => WHOLE_PLACE,

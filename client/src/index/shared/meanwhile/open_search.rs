@@ -1,12 +1,12 @@
 //! The search of an insert: in the copy, and until the server has stored the point.
 
-use wayfold_index::{Filter, Neighbor, ScaledSearch, Scaling, Search};
+use wayfold_index::{Filter, Neighbor, ScaledSearch, Scaling, Search, Space};
 
-use super::MAX_SUPERSET;
+use super::{KnownPoints, MAX_SUPERSET};
 use crate::index::shared::rebased::Content;
 
 /// The insert came after the copy was read the last time.
-pub(super) const AFTER_ALL: u64 = u64::MAX;
+const AFTER_ALL: u64 = u64::MAX;
 
 /// A search with a scaled number finds as many neighbours as twice the copy's points and this many more would give it. The
 /// factor 2e makes that 45 more in an empty copy, and at most five more from 10,000 points on.
@@ -165,6 +165,43 @@ impl OpenSearch {
         content.as_ref()
     }
 
+    /// True if the search is for points with this tag.
+    pub(super) fn passes(&self, tag: u64) -> bool {
+        tag & self.filter.tag_mask == self.filter.tag_value
+    }
+
+    /// True if a neighbour that the insert found is one still with this tag and row.
+    pub(super) fn finds_again(
+        &self,
+        found: &Neighbor,
+        tag: u64,
+        row: &[f64],
+        space: &Space,
+    ) -> bool {
+        self.passes(tag) && space.distance(&self.row, row) == found.distance
+    }
+
+    /// True if a neighbour that the insert found is one at its place too.
+    pub(super) fn keeps(&self, found: &Neighbor, points: &KnownPoints, space: &Space) -> bool {
+        let known = points.get(&found.id);
+        let content = known.and_then(|(_, versions)| self.content(versions));
+        content.is_some_and(|(tag, row)| self.finds_again(found, *tag, row, space))
+    }
+
+    /// True if every published point of the copy comes before it.
+    pub(super) fn is_newest(&self) -> bool {
+        self.revision == Some(AFTER_ALL)
+    }
+
+    /// The neighbours that may have left before its place. Change number `departure` is the last by which a point left; if
+    /// the copy has later points too, the neighbours may have left after its place.
+    pub(super) fn may_have_left(&self, departure: u64) -> &[Neighbor] {
+        match self.is_newest() && departure > self.change {
+            true => self.nearest(),
+            false => &[],
+        }
+    }
+
     /// The number of neighbours that the search asks for at its place in the order.
     pub(super) fn k_at_place(&self) -> usize {
         let k = self.scaling.k(self.points_before).unwrap_or(self.k);
@@ -209,12 +246,18 @@ impl OpenSearch {
         self.found.len() >= self.reserve_k && self.k_at_place() > self.reserve_k
     }
 
+    /// True if the radius is greater at its place than the one of its insert, and bounds the neighbours: others have removed
+    /// points.
+    pub(super) fn is_wider(&self, dimension: usize) -> bool {
+        self.nearest().is_empty() && self.radius_at_place(dimension) > self.radius
+    }
+
     /// The most neighbours of a superset that no distance bounds, if own writes have stored at most `later` points after it.
     pub(super) fn max_superset(&self, later: usize) -> usize {
-        match self.first_reload {
-            u64::MAX => self.k_at_place().saturating_add(later).min(MAX_SUPERSET),
+        match self.is_newest() {
+            true => self.k_at_place().saturating_add(later).min(MAX_SUPERSET),
             // Others may have stored any number after it.
-            _ => MAX_SUPERSET,
+            false => MAX_SUPERSET,
         }
     }
 }

@@ -13,6 +13,8 @@ fn superset(
     let mut open = OpenSearch::new((0, 0), &[0.0], &(*search).into(), found, 1);
     open.reload(1);
     open.search_all();
+    // Others may have stored points after it.
+    open.revision = None;
     let answerable = Answerable {
         searches: vec![open],
         points: HashMap::new(),
@@ -104,6 +106,7 @@ fn scaled(
     }
     let content = |id: u64| vec![(usize::MAX, Some((0, vec![places[id as usize - 1]])))];
     let answerable = searches.answerable(
+        &space(),
         vec![open],
         || [0].into(),
         None,

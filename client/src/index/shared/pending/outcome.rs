@@ -149,10 +149,10 @@ impl PendingWrites {
             versions.push((usize::MAX, last));
             versions
         };
-        let snapshot = || points.forest.snapshot();
+        let (space, snapshot) = (points.forest.space(), || points.forest.snapshot());
         Ok(self
             .open_searches
-            .answerable(searches, later, oldest, published, snapshot))
+            .answerable(space, searches, later, oldest, published, snapshot))
     }
 
     /// Another writer has removed and stored points, as one record.
