@@ -1,6 +1,6 @@
 //! The newest changes of an index in this process.
 
-use std::collections::{HashSet, VecDeque};
+use std::collections::VecDeque;
 
 use wayfold_index::ReadRevision;
 
@@ -39,21 +39,14 @@ impl History {
         self.forgotten = change;
     }
 
-    /// The ids that changed after the revision `since`, each once, the newest change first. None if some of them are
-    /// forgotten.
+    /// The ids of the changes after the revision `since`, the newest first. None if some of them are forgotten.
     pub(super) fn after(&self, since: ReadRevision) -> Option<Vec<u64>> {
         if since.0 < self.forgotten {
             return None;
         }
         let newer = self.changes.iter().rev();
         let newer = newer.take_while(|change| change.number > since.0);
-        let mut known = HashSet::new();
-        Some(
-            newer
-                .map(|change| change.id)
-                .filter(|&id| known.insert(id))
-                .collect(),
-        )
+        Some(newer.map(|change| change.id).collect())
     }
 }
 
@@ -62,12 +55,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_id_that_changed_twice_is_named_once() {
+    fn the_ids_of_newer_changes_are_named() {
         let mut history = History::default();
         for (change, id) in [(1, 7), (2, 8), (3, 7)] {
             history.push(change, id);
         }
-        assert_eq!(history.after(ReadRevision(0)), Some(vec![7, 8]));
+        assert_eq!(history.after(ReadRevision(0)), Some(vec![7, 8, 7]));
         assert_eq!(history.after(ReadRevision(2)), Some(vec![7]));
         assert_eq!(history.after(ReadRevision(3)), Some(vec![]));
     }

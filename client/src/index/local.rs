@@ -1,6 +1,6 @@
 //! The points that an index holds in this process.
 
-use std::ops::Deref;
+use std::{collections::HashSet, ops::Deref};
 
 use wayfold_index::{
     Changes, Forest, ForestOptions, Merge, Neighbor, NewPoint, Point, PointRef, Points,
@@ -15,6 +15,9 @@ const MERGE_INTERVAL: usize = 64;
 
 /// Searches for more neighbours than this read a snapshot, so that writers do not wait for them.
 const MAX_LOCKED_K: usize = 256;
+
+/// More changed points than this are copied from a snapshot, so that writers do not wait for it.
+const MAX_LOCKED_CHANGES: usize = 256;
 
 /// A forest, and the order in which its changes became visible here. The forest's revisions are those changes.
 #[derive(Debug)]
@@ -176,22 +179,6 @@ impl LocalPoints {
     pub(super) fn get(&self, id: u64) -> Option<Point> {
         self.forest.get(id)
     }
-
-    /// The points that changed after the revision `since`, as they are now.
-    pub(super) fn changes(&self, since: ReadRevision) -> Option<Changes> {
-        let mut changes = Changes {
-            stored: Points::new(self.forest.space().coordinates()),
-            removed: Vec::new(),
-            read_revision: self.read_revision(),
-        };
-        for id in self.history.after(since)? {
-            match self.forest.get(id) {
-                Some(point) => changes.stored.push_point(point.by_ref()),
-                None => changes.removed.push(id),
-            }
-        }
-        Some(changes)
-    }
 }
 
 /// One row to store.
@@ -241,6 +228,37 @@ pub(super) fn search_many(
         .collect()
 }
 
+/// The points that changed after the revision `since`, as they are now; None if the index no longer knows.
+pub(super) fn changes(
+    points: impl Deref<Target = LocalPoints>,
+    since: ReadRevision,
+) -> Option<Changes> {
+    let ids = points.history.after(since)?;
+    let changes = Changes {
+        stored: Points::new(points.forest.space().coordinates()),
+        removed: Vec::new(),
+        read_revision: points.read_revision(),
+    };
+    if ids.len() <= MAX_LOCKED_CHANGES {
+        return Some(with_points(changes, ids, |id| points.forest.get(id)));
+    }
+    let snapshot = points.forest.snapshot();
+    drop(points);
+    Some(with_points(changes, ids, |id| snapshot.get(id)))
+}
+
+/// Adds the points with these ids, each once.
+fn with_points(mut changes: Changes, ids: Vec<u64>, get: impl Fn(u64) -> Option<Point>) -> Changes {
+    let mut known = HashSet::new();
+    for id in ids.into_iter().filter(|&id| known.insert(id)) {
+        match get(id) {
+            Some(point) => changes.stored.push_point(point.by_ref()),
+            None => changes.removed.push(id),
+        }
+    }
+    changes
+}
+
 /// Refuses an id that no index takes.
 pub(super) fn check_id(point: &NewPoint<'_>) -> Result<(), Error> {
     match point.id {
@@ -254,3 +272,28 @@ pub(super) fn check_id(point: &NewPoint<'_>) -> Result<(), Error> {
 
 /// The greatest id.
 pub(super) const MAX_ID: u64 = (1 << 63) - 1;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A few points are copied under the lock, and many from a snapshot.
+    #[test]
+    fn a_point_that_changed_twice_is_told_once_as_it_is_now() {
+        for count in [2, 2 * MAX_LOCKED_CHANGES as u64] {
+            let mut points = LocalPoints::new(&"R1".parse().unwrap());
+            for id in 0..count {
+                points.store(id, 0, &[id as f64]).unwrap();
+            }
+            points.set_tag(0, 7).unwrap();
+            points.remove(1).unwrap();
+            let changes = changes(&points, ReadRevision(0)).unwrap();
+            assert_eq!(changes.read_revision, points.read_revision());
+            assert_eq!(changes.removed, [1]);
+            let mut told: Vec<_> = changes.stored.iter().map(|it| (it.id, it.tag)).collect();
+            told.sort_unstable();
+            let others = (2..count).map(|id| (id, 0));
+            assert!(told.into_iter().eq([(0, 7)].into_iter().chain(others)));
+        }
+    }
+}

@@ -244,7 +244,8 @@ impl NearestNeighbors for Memory {
     }
 
     fn changes(&self, since: ReadRevision) -> Result<Option<Changes>, Error> {
-        Ok(self.read()?.points.changes(since))
+        let points = RwLockReadGuard::map(self.read()?, |state| &state.points);
+        Ok(local::changes(points, since))
     }
 
     fn clear(&self) -> Result<(), Error> {

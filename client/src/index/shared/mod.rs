@@ -299,7 +299,7 @@ impl NearestNeighbors for SharedIndex {
 
     fn changes(&self, since: ReadRevision) -> Result<Option<Changes>, Error> {
         self.core.check_readable()?;
-        Ok(self.core.points.read().changes(since))
+        Ok(local::changes(self.core.points.read(), since))
     }
 
     fn clear(&self) -> Result<(), Error> {
