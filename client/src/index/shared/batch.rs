@@ -176,15 +176,28 @@ impl Batch {
         self.assigned = Some((first.min(id), last.max(id)));
     }
 
-    /// True if the batch has a step on this id, and the id is among those that the index assigned in it.
+    /// True if the index assigned this id in the batch.
     pub(super) fn has_assigned(&self, id: u64) -> bool {
-        self.may_have_assigned(id) && self.ids.contains(&id)
+        self.may_have_assigned(id) && self.put_ids().any(|put| put == id)
     }
 
-    /// True if the id is in the range of those that the index assigned in the batch.
+    /// The ids that the index assigned in the batch.
+    pub(super) fn assigned_ids(&self) -> impl Iterator<Item = u64> {
+        self.put_ids().filter(move |id| self.may_have_assigned(*id))
+    }
+
+    /// True if the id is in the range of those that the index assigned in the batch. They may come from two blocks: between
+    /// these are ids of others and of the caller.
     pub(super) fn may_have_assigned(&self, id: u64) -> bool {
         let is_near = |(first, last): (u64, u64)| (first..=last).contains(&id);
-        self.assigned.is_some_and(is_near)
+        self.assigned.is_some_and(is_near) && !self.chosen_ids.contains(&id)
+    }
+
+    /// The ids of its puts.
+    fn put_ids(&self) -> impl Iterator<Item = u64> {
+        let steps = self.ids.iter().zip(&self.kinds);
+        let puts = steps.filter(|(_, kind)| **kind == StepKind::Put as i32);
+        puts.map(|(id, _)| *id)
     }
 
     fn push_row(&mut self, row: &[f64], payload: &[u8]) {

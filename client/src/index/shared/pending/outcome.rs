@@ -243,16 +243,19 @@ impl PendingWrites {
         changes: &Reloaded,
         points: &mut LocalPoints,
     ) -> Result<Vec<Answerable>, Error> {
-        self.compare_rebased(revision, points);
+        let change = points.read_revision().0;
+        if self.open_searches.are_open() {
+            let missing = self.may_be_missing(revision);
+            self.compare_rebased(&missing, points);
+            let mut departed = changes.departed.iter();
+            if departed.any(|id| missing.binary_search(id).is_err()) {
+                self.open_searches.depart(change);
+            }
+        }
         self.rebased.clear();
         self.published_points = points.forest.len();
-        let change = points.read_revision().0;
         for open in self.queue.iter_mut().flat_map(|batch| &mut batch.searches) {
             open.reload(change);
-        }
-        let mut departed = changes.departed.iter();
-        if departed.any(|id| !self.may_be_missing(*id, revision)) {
-            self.open_searches.depart(change);
         }
         self.open_searches.reload(change, changes);
         self.limit_arrivals();
@@ -265,11 +268,8 @@ impl PendingWrites {
     }
 
     /// Notes each point with pending writes that the new copy lacks or has in another form: a search before such a write
-    /// may have seen a point that the old copy showed no more.
-    fn compare_rebased(&mut self, revision: u64, points: &LocalPoints) {
-        if !self.open_searches.are_open() {
-            return;
-        }
+    /// may have seen a point that the old copy showed no more. The copy may lack the points `missing`.
+    fn compare_rebased(&mut self, missing: &[u64], points: &LocalPoints) {
         let change = points.read_revision().0;
         for (&id, rebased) in &self.rebased {
             match points.get(id) {
@@ -278,7 +278,7 @@ impl PendingWrites {
                     self.open_searches.push_unplaced(change, id);
                 }
                 // The old copy did not show it.
-                None if rebased.shown().is_none() && !self.may_be_missing(id, revision) => {
+                None if rebased.shown().is_none() && missing.binary_search(&id).is_err() => {
                     self.open_searches.depart(change);
                 }
                 _ => {}
@@ -286,12 +286,14 @@ impl PendingWrites {
         }
     }
 
-    /// True if the copy of this revision may lack the point because it was read before the own insert. If the answer to the
-    /// insert is missing, the confirmation of its batch tells.
-    fn may_be_missing(&self, id: u64, revision: u64) -> bool {
+    /// The ids of the points, in ascending order, that the copy of this revision may lack because it was read before the own
+    /// inserts. If the answer to an insert is missing, the confirmation of its batch tells.
+    fn may_be_missing(&self, revision: u64) -> Vec<u64> {
         let is_later = |batch: &&Batch| batch.revision.is_none_or(|own| own > revision);
-        let mut later = self.queue.iter().filter(is_later);
-        later.any(|batch| batch.has_assigned(id))
+        let later = self.queue.iter().filter(is_later);
+        let mut ids: Vec<u64> = later.flat_map(|batch| batch.assigned_ids()).collect();
+        ids.sort_unstable();
+        ids
     }
 
     /// The server refused the oldest batch that it has not taken, for good: takes all writes from there on out of the

@@ -153,6 +153,27 @@ fn after_a_reload_an_own_acknowledged_point_that_others_removed_has_left() {
     assert_eq!(told(&answers), [[7]]);
 }
 
+/// The own ids come from two blocks. The neighbour, which got an own tag, has an id between them.
+#[test]
+fn after_a_reload_a_neighbor_with_an_id_between_own_ones_has_left() {
+    let (mut writes, mut points) = (PendingWrites::new(1), LocalPoints::new(&space()));
+    writes.open(1, block(100, 1));
+    writes.reserve(block(200, 1));
+    foreign(&mut writes, &mut points, 150, 0, 1.0);
+    insert(&mut writes, &mut points, 50.0);
+    change(&mut writes, &mut points, 150, &Step::SetTag(5));
+    ask(
+        &mut writes,
+        &mut points,
+        &Search::nearest_k(1),
+        &[(150, 1.0)],
+    );
+    reload(&mut writes, &mut points, 30, &[(7, 0, 2.0)]);
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 1);
+    assert_eq!(told(&answers), [[7]]);
+}
+
 /// The answer to the batch of the removed point comes after the copy was read again.
 #[test]
 fn an_own_point_that_others_removed_has_left_once_its_batch_is_confirmed() {
