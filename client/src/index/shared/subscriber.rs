@@ -2,6 +2,7 @@
 
 use std::{sync::Arc, time::Duration};
 
+use parking_lot::{MutexGuard, RwLockWriteGuard};
 use tokio::time::{Instant, sleep_until};
 
 use super::{
@@ -158,8 +159,9 @@ impl Subscriber {
         core.progress.notify_all();
         core.after_change(&mut points);
         core.published.lock().1 = self.revision;
-        drop(points);
-        drop(writes);
+        // The next event may take the locks again at once: before it they go to the threads that wait for them.
+        RwLockWriteGuard::unlock_fair(points);
+        MutexGuard::unlock_fair(writes);
         core.answer(answerable);
         applied
     }
