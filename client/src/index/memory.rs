@@ -6,7 +6,7 @@ use std::{
     sync::{Arc, Weak},
 };
 
-use parking_lot::{RwLock, RwLockReadGuard, RwLockWriteGuard};
+use parking_lot::{RwLock, RwLockReadGuard, RwLockUpgradableReadGuard, RwLockWriteGuard};
 use wayfold_index::{
     Changes, NearestNeighbors, Neighbor, NewPoint, Point, ReadRevision, ScaledSearch,
     ScannedPoints, Space,
@@ -143,16 +143,22 @@ impl NearestNeighbors for Memory {
         found: &mut Vec<Neighbor>,
     ) -> Result<(u64, ReadRevision), Error> {
         check_id(point)?;
-        let mut state = self.write()?;
+        found.clear();
+        let mut state = match scaled {
+            None => self.write()?,
+            Some(scaled) => {
+                self.origin.check()?;
+                // Reads go on beside this guard, and only its holder changes the points.
+                let state = self.state.upgradable_read();
+                let search = state.points.among(scaled);
+                *found = state.points.forest.search(point.row, &search)?.neighbors;
+                RwLockUpgradableReadGuard::upgrade(state)
+            }
+        };
         if let Some(id) = point.id
             && state.points.forest.contains(id)
         {
             return Err(Error::IdTaken { id });
-        }
-        found.clear();
-        if let Some(scaled) = scaled {
-            let search = state.points.among(scaled);
-            *found = state.points.forest.search(point.row, &search)?.neighbors;
         }
         let id = match point.id {
             Some(id) => {
