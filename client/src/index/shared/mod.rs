@@ -265,6 +265,8 @@ impl NearestNeighbors for SharedIndex {
             let stored: Vec<(usize, u64)> = stored
                 .filter(|(_, id)| points.forest.contains(*id))
                 .collect();
+            // Searches do not wait for the queue, which is long if the server is away.
+            drop(points);
             let pending = writes.payloads(stored.iter().map(|(_, id)| *id));
             for (position, id) in stored {
                 let payload = pending.get(&id).copied().flatten();
@@ -324,6 +326,8 @@ impl Drop for SharedIndex {
         self.tasks.iter().for_each(AbortHandle::abort);
         let writes = self.core.pending_writes.lock();
         let (pending, unsent) = (writes.written - writes.resolved, writes.unsent.len());
+        // The tasks may wait for this lock, and the logger of the caller may take long.
+        drop(writes);
         if pending > 0 || unsent > 0 {
             let index = self.core.published.lock().0.name.clone();
             tracing::warn!(
