@@ -114,7 +114,8 @@ impl LocalPoints {
         removed: &[u64],
     ) -> Result<(), Error> {
         let change = self.forest.revision() + 1;
-        let mut points = Points::new(self.forest.space().coordinates());
+        let (width, rows) = (self.forest.space().coordinates(), stored.size_hint().0);
+        let mut points = Points::with_capacity(width, rows);
         for NewRow {
             id,
             tag,
