@@ -121,7 +121,7 @@ impl Record {
 
     /// Its stored form: the bytes that the digest covers, then the digest.
     pub(super) fn encode(&self) -> Vec<u8> {
-        let mut bytes = Vec::new();
+        let mut bytes = Vec::with_capacity(stored_bytes(&self.effects));
         encoding::write(self, |part| bytes.extend_from_slice(part));
         bytes.extend_from_slice(&self.digest);
         bytes

@@ -205,7 +205,8 @@ impl Steps {
         stored: &ChangedPoints,
         pace: &mut TimeSlicer,
     ) -> Result<(Effects, u64), Error> {
-        let (mut nets, mut order) = (HashMap::new(), Vec::new());
+        let count = self.steps.len();
+        let (mut nets, mut order) = (HashMap::with_capacity(count), Vec::with_capacity(count));
         let (mut missing, mut row, mut payload) = (0, 0, 0);
         for (at, &(kind, id)) in self.steps.iter().enumerate() {
             pace.step().await?;
@@ -254,8 +255,8 @@ impl Steps {
             match nets.remove(&id) {
                 Some((held_tag, Some(NetEffect::Put { row, tag, payload }))) => {
                     let is_held = held_tag.is_some();
-                    let owner = writer.sessions().owner(id);
-                    if !is_held && owner.is_some_and(|owner| owner != self.session) {
+                    let owner = || writer.sessions().owner(id);
+                    if !is_held && owner().is_some_and(|owner| owner != self.session) {
                         reserved.push(id);
                     }
                     let outcome = match is_held {

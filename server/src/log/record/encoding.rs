@@ -74,8 +74,9 @@ pub(in crate::log) fn stored_bytes(effects: &Effects) -> usize {
     const DIGEST: usize = size_of::<Digest>();
     // The revision, the time, the width of the rows, and the numbers of points, removed ids, operations and batches.
     const HEAD: usize = FORM.len() + 7 * NUMBER + size_of::<RunId>();
-    // The id, the tag, the revision, the outcome, the state, and the length of the payload.
-    let point = 4 * NUMBER + 1 + NUMBER * effects.stored.coordinates();
+    // The id, the tag, the revision, the outcome, and the length of the payload.
+    const POINT: usize = 4 * NUMBER + 1;
+    let coordinates = effects.stored.coordinates() * effects.stored.len();
     let payloads: usize = effects.payloads.iter().map(Bytes::len).sum();
     let operation = effects.operation.as_ref().map_or(0, |operation| {
         2 * NUMBER + DIGEST + operation.id.len() + operation.response.len()
@@ -85,7 +86,8 @@ pub(in crate::log) fn stored_bytes(effects: &Effects) -> usize {
     });
     // The digest of the previous record and the record's own.
     HEAD + 2 * DIGEST
-        + point * effects.stored.len()
+        + POINT * effects.stored.len()
+        + NUMBER * coordinates
         + payloads
         + NUMBER * effects.removed.len()
         + operation

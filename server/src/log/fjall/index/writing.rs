@@ -142,12 +142,13 @@ impl Index {
             }
         }
         for (slot, point) in effects.stored().iter().enumerate() {
+            let payload = effects.payloads.get(slot);
             let form = PointForm {
                 revision: point.revision,
                 modified: record.revision(),
                 tag: point.tag,
                 state: point.row,
-                payload: &effects.payload(slot),
+                payload: payload.map_or(&[][..], |payload| payload),
             };
             let value = form.encode(self.number, point.id);
             sum.add(&value);
