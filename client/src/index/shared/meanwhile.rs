@@ -359,15 +359,18 @@ impl Answerable {
             true => Search::nearest_r(bound),
             false => Search {
                 radius: open.radius_at_place(space.dimension()),
-                ..Search::nearest_k(open.max_superset(self.later.len()))
+                ..Search::nearest_k(open.superset_k())
             },
         };
-        let is_limited = search.k < MAX_SUPERSET;
         search.filter = open.filter;
-        let answer = points.search(&open.row, &search);
-        let mut neighbors = answer.map_or_else(|_| Vec::new(), |answer| answer.neighbors);
-        neighbors.retain(|neighbor| neighbor.id != open.id);
-        if is_limited {
+        loop {
+            let answer = points.search(&open.row, &search);
+            let mut neighbors = answer.map_or_else(|_| Vec::new(), |answer| answer.neighbors);
+            let has_all = neighbors.len() < search.k;
+            neighbors.retain(|neighbor| neighbor.id != open.id);
+            if search.k >= MAX_SUPERSET {
+                return neighbors;
+            }
             // Own writes may have come later, and take no place of the others.
             let mut left = open.k_at_place();
             let within = neighbors.iter().take_while(|neighbor| {
@@ -376,8 +379,12 @@ impl Answerable {
                 has_place
             });
             neighbors.truncate(within.count());
+            if left == 0 || has_all {
+                return neighbors;
+            }
+            // Thousands of them may be pending, and few are near: a search beyond all of them would take long.
+            search.k = search.k.saturating_mul(2).min(MAX_SUPERSET);
         }
-        neighbors
     }
 }
 

@@ -252,10 +252,10 @@ impl OpenSearch {
         self.nearest().is_empty() && self.radius_at_place(dimension) > self.radius
     }
 
-    /// The most neighbours of a superset that no distance bounds, if own writes have stored at most `later` points after it.
-    pub(super) fn max_superset(&self, later: usize) -> usize {
+    /// The number of neighbours that a superset without a bound asks for at first. One of them is the point itself.
+    pub(super) fn superset_k(&self) -> usize {
         match self.is_newest() {
-            true => self.k_at_place().saturating_add(later).min(MAX_SUPERSET),
+            true => self.k_at_place().saturating_add(1).min(MAX_SUPERSET),
             // Others may have stored any number after it.
             false => MAX_SUPERSET,
         }

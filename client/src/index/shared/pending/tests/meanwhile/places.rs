@@ -84,6 +84,24 @@ fn an_older_point_that_takes_the_place_of_a_neighbor_is_told() {
     }
 }
 
+/// The own points come after the search and are nearer than the older point 2.
+#[test]
+fn own_later_points_push_out_no_older_one() {
+    let (mut writes, mut points) = pending_writes();
+    foreign(&mut writes, &mut points, 1, 0, 1.0);
+    foreign(&mut writes, &mut points, 2, 0, 2.0);
+    ask(&mut writes, &mut points, &Search::nearest_k(1), &[(1, 1.0)]);
+    let mut expected: Vec<u64> = (1..=10)
+        .map(|step| insert(&mut writes, &mut points, f64::from(step) / 10.0))
+        .collect();
+    expected.push(2);
+    let removed = writes.apply(std::iter::empty(), &[1], &mut points);
+    removed.expect("a point");
+    writes.next(1, 0).expect("a batch");
+    let answers = confirmed(&mut writes, &mut points, 1);
+    assert_eq!(told(&answers), [expected]);
+}
+
 /// The copy is read again in between, without the neighbour.
 #[test]
 fn after_a_reload_an_older_point_that_takes_the_place_of_a_neighbor_is_told() {
