@@ -1,8 +1,9 @@
 //! The entry of an index that NATS has lost while servers know it.
 
-use std::{slice::from_ref, sync::Arc};
+use std::{slice::from_ref, sync::Arc, time::Duration};
 
 use futures_util::StreamExt;
+use tokio::time::timeout;
 use wayfold_server::log::LogError;
 
 use crate::{
@@ -52,16 +53,21 @@ fn an_entry_that_nats_has_lost_can_still_be_changed() {
 #[test]
 fn an_entry_that_nats_has_lost_is_written_again() {
     let (nats, entry) = (Nats::start(), entry("arm"));
-    let log = nats.connect(Arc::default());
+    let mut log = nats.connect(Arc::default());
     log.catalogue.create(entry.clone()).unwrap();
     log.catalogue.note_contradiction(entry.uid, 3).unwrap();
-    let mut changes = log.catalogue.changes().unwrap();
-    changes.mark_unchanged();
-    nats.runtime.block_on(lose(&nats.server));
-    nats.runtime.block_on(changes.changed()).unwrap();
-    let started = nats.connect(Arc::default()).catalogue;
-    assert_eq!(started.indexes().unwrap(), from_ref(&entry));
-    assert_eq!(started.contradiction("arm", entry.uid), Some(3));
+    // The first server started with an empty bucket, the second one with the entry.
+    for start in ["empty", "filled"] {
+        let mut changes = log.catalogue.changes().unwrap();
+        changes.mark_unchanged();
+        nats.runtime.block_on(lose(&nats.server));
+        let change = async { timeout(Duration::from_secs(60), changes.changed()).await };
+        nats.runtime.block_on(change).expect(start).unwrap();
+        // The new connection takes the place of the old one, which ends.
+        log = nats.connect(Arc::default());
+        assert_eq!(log.catalogue.indexes().unwrap(), from_ref(&entry));
+        assert_eq!(log.catalogue.contradiction("arm", entry.uid), Some(3));
+    }
 }
 
 /// The name was given to another index after the loss: the server that knows the lost one does not take it back.

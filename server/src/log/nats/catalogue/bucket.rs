@@ -20,7 +20,7 @@ use crate::log::{
     LogError,
     nats::{
         NatsError, RETRY_INTERVAL,
-        connection::{Connection, found, patiently, unreachable, within},
+        connection::{Connection, REQUEST_TIMEOUT, found, patiently, unreachable, within},
         settings::check_bucket,
     },
 };
@@ -217,15 +217,28 @@ fn key(name: &str) -> String {
     URL_SAFE_NO_PAD.encode(name)
 }
 
-/// The present content of a bucket.
+/// The present content of a bucket, as far as NATS sends it in time.
 async fn read_all(bucket: &kv::Store) -> Result<CatalogueValues, LogError> {
     let mut known = CatalogueValues::new();
-    if bucket.status().await.map_err(unreachable)?.values() == 0 {
+    // `Store::status` returns the count at the open.
+    let info = bucket.stream.get_info().await.map_err(unreachable)?;
+    if info.state.messages == 0 {
         return Ok(known);
     }
     let entries = bucket.watch_all_from_revision(1).await;
     let mut entries = entries.map_err(unreachable)?;
-    while let Some(entry) = entries.next().await {
+    loop {
+        // A replica never sends an entry that it has lost, and counts it as pending.
+        let Ok(next) = timeout(REQUEST_TIMEOUT, entries.next()).await else {
+            warn!(
+                entries = known.len(),
+                "NATS does not send all entries of the catalogue"
+            );
+            break;
+        };
+        let Some(entry) = next else {
+            break;
+        };
         let entry = entry.map_err(unreachable)?;
         if let Some(named) = read(&entry.value) {
             known.insert(named.name.clone(), (named, entry.revision));
