@@ -3,7 +3,10 @@
 
 mod channels;
 
-use std::{path::Path, time::Instant};
+use std::{
+    path::Path,
+    time::{Duration, Instant},
+};
 
 use bytes::Bytes;
 use futures_util::StreamExt;
@@ -11,7 +14,7 @@ use http::{HeaderMap, HeaderValue, uri::PathAndQuery};
 use tonic::{Request, client::Grpc, metadata::MetadataMap, transport::Channel};
 use tonic_prost::ProstCodec;
 
-use self::channels::{Channels, Raw, refusal};
+use self::channels::{Channels, PAUSE, Raw, refusal};
 use super::calls::{CLIENT, IDENTITY};
 use crate::{
     config::TlsConfig,
@@ -42,7 +45,7 @@ impl MemberClient {
         call: &Call,
         request: Bytes,
     ) -> Result<Bytes, NotForwarded> {
-        let mut channel = self.channels.get(member).await?;
+        let mut channel = self.channels.get(member, PAUSE).await?;
         let metadata = MetadataMap::from_headers(headers(call)?);
         let mut request = Request::from_parts(metadata, Default::default(), request);
         if let Some(deadline) = call.deadline {
@@ -94,9 +97,9 @@ impl MemberClient {
         Ok(parts.map(|part| part.map_err(unanswered)).boxed())
     }
 
-    /// The connection to a member, for a call that only members send.
+    /// The connection to a member, for a call that only members send. There is no pause: no other member has this one's answer.
     async fn channel(&self, member: &str) -> Result<Grpc<Channel>, Unanswered> {
-        let channel = self.channels.get(member).await;
+        let channel = self.channels.get(member, Duration::ZERO).await;
         let mut channel = channel.map_err(|_| Unanswered {
             what: "it cannot be reached".into(),
         })?;

@@ -6,6 +6,8 @@ use std::{
     time::{Duration, SystemTime},
 };
 
+use tracing::debug;
+
 use super::{Hosted, Registry, RegistryError};
 use crate::log::{LogError, RecordPosition, Uid};
 
@@ -44,7 +46,7 @@ impl Registry {
         let hosted = self.hosted().into_iter();
         let stored = hosted.filter_map(|hosted| {
             let revision = requested.get(&hosted.uid())?;
-            Some((hosted.uid(), hosted.stored(*revision).ok()?))
+            Some((hosted.uid(), hosted.stored(*revision)))
         });
         stored.collect()
     }
@@ -58,8 +60,27 @@ impl Registry {
 }
 
 impl Hosted {
-    fn stored(&self, requested: Option<u64>) -> Result<StoredRevision, RegistryError> {
-        let position = self.published().view.position();
+    /// What this server stores. While its store fails that is nothing, but the others still hear what it has applied.
+    fn stored(&self, requested: Option<u64>) -> StoredRevision {
+        let applied = self.published().view.position();
+        let stored = self.read_stored(applied, requested);
+        stored.unwrap_or_else(|error| {
+            debug!(index = self.name(), %error, "cannot read what is stored");
+            StoredRevision {
+                revision: 0,
+                is_durable: false,
+                oldest: None,
+                applied,
+                requested: None,
+            }
+        })
+    }
+
+    fn read_stored(
+        &self,
+        position: RecordPosition,
+        requested: Option<u64>,
+    ) -> Result<StoredRevision, RegistryError> {
         let applied = position.revision;
         let requested = match requested {
             Some(revision) => self
@@ -101,5 +122,35 @@ impl Hosted {
     /// Notes that no record is kept beyond the windows, or that another server counts them.
     pub(crate) fn count_none_held(&self) {
         self.held.store(0, Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        log::Catalogue,
+        registry::RegistryOptions,
+        testing::{recorded, registry},
+    };
+
+    #[tokio::test]
+    async fn a_server_whose_store_fails_tells_what_it_has_applied() {
+        let local = recorded(3);
+        let registry = registry(&local, &local, RegistryOptions::default());
+        let hosted = registry.get("arm").unwrap();
+        let uid = hosted.uid();
+        let asked = || registry.stored(&BTreeMap::from([(uid, Some(2))]))[&uid];
+        let before = asked();
+        assert_eq!(before.applied, hosted.published().view.position());
+        assert!(before.revision == 3 && before.requested.is_some());
+        local.delete(uid).unwrap();
+        let expected = StoredRevision {
+            revision: 0,
+            oldest: None,
+            requested: None,
+            ..before
+        };
+        assert_eq!(asked(), expected);
     }
 }

@@ -29,8 +29,8 @@ use crate::{config::TlsConfig, service::NotForwarded};
 /// The time in which a member accepts a connection.
 const CONNECT_TIME: Duration = Duration::from_millis(500);
 
-/// A member that could not be reached is left alone for this long: every call would wait for it.
-const PAUSE: Duration = Duration::from_secs(2);
+/// A member that could not be reached gets no mutation for this long: each of them would wait for it.
+pub(super) const PAUSE: Duration = Duration::from_secs(2);
 
 /// A connection with calls is probed after this much silence, and is lost without an answer after as long again: a network
 /// may swallow all packets between two members that both reach NATS.
@@ -83,13 +83,17 @@ impl Channels {
         }
     }
 
-    /// The connection to a member.
-    pub(super) async fn get(&self, member: &str) -> Result<Grpc<Channel>, NotForwarded> {
+    /// The connection to a member; none for `pause` after a failure.
+    pub(super) async fn get(
+        &self,
+        member: &str,
+        pause: Duration,
+    ) -> Result<Grpc<Channel>, NotForwarded> {
         let slot = Arc::clone(self.open.lock().entry(member.to_owned()).or_default());
         let mut slot = slot.lock().await;
         match &*slot {
             Some(Connection::Open(open)) => return Ok(open.clone()),
-            Some(Connection::Failed(at)) if at.elapsed() < PAUSE => {
+            Some(Connection::Failed(at)) if at.elapsed() < pause => {
                 return Err(NotForwarded::Unsent);
             }
             Some(Connection::Failed(_)) | None => {}
@@ -201,6 +205,8 @@ impl Decoder for Raw {
 
 #[cfg(test)]
 mod tests {
+    use std::net::TcpListener;
+
     use super::*;
     use crate::{config::Config, service, status};
 
@@ -231,9 +237,20 @@ mod tests {
         assert!(channels.open.lock().is_empty());
         channels.note("a:1", &cut, false);
         assert!(matches!(
-            channels.get("a:1").await,
+            channels.get("a:1", PAUSE).await,
             Err(NotForwarded::Unsent)
         ));
+    }
+
+    #[tokio::test]
+    async fn a_member_that_is_left_alone_is_asked_what_it_alone_knows() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let member = listener.local_addr().unwrap().to_string();
+        let channels = Channels::new(None, &Config::default().tls);
+        let lost = refusal(&member, &Status::unavailable("broken pipe"));
+        channels.note(&member, &lost, false);
+        assert!(channels.get(&member, PAUSE).await.is_err());
+        channels.get(&member, Duration::ZERO).await.unwrap();
     }
 
     #[test]
