@@ -379,7 +379,8 @@ impl Registry {
         if other.is_some() {
             return Err(RegistryError::OtherUid { found });
         }
-        self.host.log.catalogue.delete(found)?;
+        let deleted = self.host.log.catalogue.delete(found);
+        deleted.map_err(|why| RegistryError::from(why).of_copy(self.is_shared()))?;
         self.change(|indexes| indexes.remove(name));
         if let Some(IndexState::Hosted(hosted)) = state {
             hosted.close(RegistryError::Deleted);

@@ -13,6 +13,14 @@ pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
     match replay(host, entry) {
         Ok(hosted) => IndexState::Hosted(hosted),
         Err(error) => {
+            let error = match error {
+                // The catalogue has the index, and this server's store could not create it.
+                RegistryError::Deleted if host.log.journal.is_shared() => {
+                    let what = "its store does not have it".into();
+                    RegistryError::Log(LogError::CopyUnreadable { what })
+                }
+                error => error,
+            };
             // A stop during the start closes the log.
             if !matches!(error, RegistryError::Log(LogError::Closed)) {
                 error!(index = entry.name, uid = %entry.uid, %error, "cannot replay an index");

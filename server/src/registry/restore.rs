@@ -71,7 +71,8 @@ impl Registry {
             space,
             payload_encoding,
         };
-        let restore = Restore::begin(&self.host, entry, origin, false)?;
+        let restore = Restore::begin(&self.host, entry, origin, false);
+        let restore = restore.map_err(|why| why.of_copy(self.is_shared()))?;
         Ok(Restore { counted, ..restore })
     }
 

@@ -1,8 +1,11 @@
 //! A journal that ends before the records that a server has applied.
 
-use std::sync::{
-    OnceLock, Weak,
-    atomic::{AtomicU64, Ordering::SeqCst},
+use std::{
+    fs,
+    sync::{
+        OnceLock, Weak,
+        atomic::{AtomicU64, Ordering::SeqCst},
+    },
 };
 
 use bytes::Bytes;
@@ -12,11 +15,11 @@ use wayfold_index::PointRef;
 use super::*;
 use crate::{
     log::{
-        Catalogue, Effects, Journal, Log, MemoryLog, Origin, Outcome, PointStore, Record,
-        RecordPosition, RecordStream, Sessions, Uid,
+        Catalogue, Durability, Effects, FjallLog, Journal, Log, MemoryLog, Origin, Outcome,
+        PointStore, Record, RecordPosition, RecordStream, Sessions, Uid,
     },
     registry::{CommitOutcome, RegistryOptions, in_flight::Decision},
-    testing::{self, forward_journal, recorded},
+    testing::{self, arm, forward_journal, recorded},
 };
 
 const APPLIED: u64 = 3;
@@ -62,6 +65,18 @@ impl Journal for SetBack {
                 member: "another server".into(),
             },
             false => LogError::trimmed(uid, head, APPLIED),
+        })
+    }
+}
+
+impl SetBack {
+    /// A journal that has all records of `local`, and other servers.
+    fn whole(local: &Arc<MemoryLog>) -> Arc<dyn Journal> {
+        Arc::new(Self {
+            local: Arc::clone(local),
+            is_other: false,
+            head: AtomicU64::new(APPLIED),
+            follows: AtomicU64::new(0),
         })
     }
 }
@@ -190,6 +205,46 @@ async fn an_index_whose_points_cannot_be_read_may_take_a_copy() {
     assert!(registry.has_damage());
     let stopped = registry.stopped().pop().unwrap();
     assert_eq!((stopped.uid, stopped.min_revision), (uid, APPLIED));
+}
+
+fn is_of_copy(why: &RegistryError) -> bool {
+    matches!(why, RegistryError::Log(LogError::CopyUnreadable { .. }))
+}
+
+/// A store that has failed cannot create the index of another server.
+#[tokio::test]
+async fn an_index_that_the_store_lacks_is_not_deleted() {
+    let named = recorded(APPLIED);
+    let log = Log {
+        journal: SetBack::whole(&named),
+        points: Arc::new(MemoryLog::new()),
+        catalogue: named,
+    };
+    let registry = Registry::new(log, RegistryOptions::default());
+    registry.replay().unwrap();
+    let why = registry.get("arm").err().unwrap();
+    assert!(is_of_copy(&why), "{why}");
+}
+
+#[tokio::test]
+async fn a_server_without_its_store_sends_restores_and_deletes_to_another() {
+    let [directory, elsewhere] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let open = || FjallLog::open(directory.path(), Durability::Fsync).unwrap();
+    open().create(arm()).unwrap();
+    let store = directory.path().join("store");
+    fs::rename(store, elsewhere.path().join("store")).unwrap();
+    let log = Log {
+        journal: SetBack::whole(&Arc::new(MemoryLog::new())),
+        ..Log::from(Arc::new(open()))
+    };
+    let registry = Registry::new(log, RegistryOptions::default());
+    registry.replay().unwrap();
+    let what = ("R1".parse().unwrap(), Default::default());
+    let restored = registry.restore("leg", what, Vec::new(), Origin::START);
+    for why in [restored.err(), registry.delete("arm", None).err()] {
+        let why = why.unwrap();
+        assert!(is_of_copy(&why), "{why}");
+    }
 }
 
 /// A catalogue whose registry adopts a claim before the claim is answered.
