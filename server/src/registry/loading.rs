@@ -31,7 +31,12 @@ fn loaded_bytes(space: &Space, points: usize) -> u64 {
 impl Registry {
     /// Loads the indices that were not loaded, as far as there is memory for them now. Blocks.
     pub fn load_rest(&self) {
-        let Ok(entries) = self.host.log.catalogue.indexes() else {
+        let entries = {
+            // A shared catalogue creates and deletes indices of the point store while it is read.
+            let _change = self.change_lock.lock();
+            self.host.log.catalogue.indexes()
+        };
+        let Ok(entries) = entries else {
             return;
         };
         for entry in &entries {

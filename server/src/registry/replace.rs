@@ -200,6 +200,7 @@ mod tests {
         assert_eq!(hosted.reached(6).await.unwrap().snapshot.len(), 6);
         let refused = copying(compared).await.unwrap().err();
         assert_eq!(refused, Some(RegistryError::Follows));
+        registry.load_rest();
         assert!(!catalogue.is_unlocked.load(Relaxed));
     }
 }
