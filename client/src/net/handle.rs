@@ -1,5 +1,7 @@
 //! One index of a server: its requests, and the last revision that an answer named.
 
+mod waits;
+
 use std::{sync::Arc, time::Duration};
 
 use tokio::time::Instant;
@@ -295,23 +297,6 @@ impl IndexHandle {
         answer.await.map(|(answer, _)| answer)
     }
 
-    /// Waits until the server has the newest revision that the handle has seen, if there are several servers.
-    async fn catch_up(
-        &self,
-        connection: &Connection,
-        remaining: Duration,
-        patience: Duration,
-    ) -> Result<(), tonic::Status> {
-        let newest = &self.shared.newest;
-        if !self.client().connections().are_several() || newest.is_reached_in(connection.turn()) {
-            return Ok(());
-        }
-        self.wait_for_newest(connection, remaining, patience)
-            .await?;
-        newest.set_reached_in(connection.turn());
-        Ok(())
-    }
-
     /// Opens a scan, a snapshot or a verification, without a deadline, which would bound the whole stream. A server lets
     /// such a read wait for 5 s only, so the client waits for the newest revision, and for `since`, before; if there are
     /// several servers, it goes to another one after a while.
@@ -345,52 +330,5 @@ impl IndexHandle {
             }
         };
         self.client().call(call, self.timeout, attempt).await
-    }
-
-    /// Waits until the server has the newest revision that the handle has seen.
-    pub(crate) async fn wait_for_newest(
-        &self,
-        connection: &Connection,
-        remaining: Duration,
-        patience: Duration,
-    ) -> Result<(), tonic::Status> {
-        let newest = self.shared.newest.number();
-        self.wait_for(newest, connection, remaining, patience).await
-    }
-
-    /// Waits until the server has this revision. A wait that `patience` ends before `remaining` is over fails with
-    /// `UNAVAILABLE`, so that the next attempt asks another server.
-    async fn wait_for(
-        &self,
-        revision: u64,
-        connection: &Connection,
-        remaining: Duration,
-        patience: Duration,
-    ) -> Result<(), tonic::Status> {
-        if revision == 0 {
-            return Ok(());
-        }
-        let request = v1::GetRequest {
-            index_name: self.name().to_owned(),
-            min_revision: Some(self.revision_at(revision).to_message()),
-            ..Default::default()
-        };
-        let wait = remaining.min(patience);
-        let waited = connection.points().get(within(wait, request)).await;
-        let Err(status) = waited else {
-            return Ok(());
-        };
-        Err(match status.code() {
-            // The transport may give up before the server does, and calls that a cancellation.
-            tonic::Code::DeadlineExceeded | tonic::Code::Cancelled if wait < remaining => {
-                let mut lagging = tonic::Status::unavailable(
-                    "the server lacks the newest revision that this client has seen",
-                );
-                // No answer to the call: an earlier attempt may have taken effect.
-                lagging.set_source(std::sync::Arc::new(status));
-                lagging
-            }
-            _ => status,
-        })
     }
 }
