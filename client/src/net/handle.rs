@@ -272,8 +272,8 @@ impl IndexHandle {
     /// timeout begins now.
     ///
     /// With several servers, the first call at a server waits there for the newest revision that the handle has seen: a
-    /// server that lags may refuse an update of points that it lacks. Only this wait has a bound below the call's
-    /// timeout: a long search is not a sign that the server lags.
+    /// server that lags may refuse an update of points that it lacks. While a later call is slow, the client waits for that
+    /// revision too. Only these waits have a bound below the call's timeout: a long search is not a sign that the server lags.
     pub(crate) async fn call<C: Call>(
         &self,
         deadline: Option<Instant>,
@@ -289,7 +289,11 @@ impl IndexHandle {
                 self.catch_up(&connection, remaining, patience).await?;
                 // The wait has taken a part of the time.
                 let remaining = deadline.saturating_duration_since(Instant::now());
-                C::send(connection, within(remaining, message())).await
+                let sent = C::send(connection.clone(), within(remaining, message()));
+                tokio::select! {
+                    answered = sent => answered,
+                    lagging = self.lagging(&connection, remaining, patience) => Err(lagging),
+                }
             }
         };
         let client = self.client();

@@ -85,6 +85,27 @@ async fn a_read_goes_on_at_the_next_server() {
     assert_eq!((servers.second.calls(), servers.third.calls()), (1, 3));
 }
 
+/// The server had the newest revision of the client at its first call.
+#[tokio::test]
+async fn a_read_leaves_a_server_that_begins_to_lag() {
+    let fakes = [
+        Fake::start().await,
+        Fake::start().await,
+        Fake::start().await,
+    ];
+    let client = connect([&fakes[0].uri, &fakes[1].uri, &fakes[2].uri]).await;
+    let index = client.index("line").await.unwrap();
+    for fake in &fakes {
+        fake.tell([NEWEST]);
+    }
+    index.insert([[0.0]]).await.unwrap();
+    fakes[0].fall_silent();
+    let index = index.with_timeout(Duration::from_secs(4));
+    index.knn([[0.0]]).await.unwrap();
+    let reads = fakes.each_ref().map(|fake| fake.knn_requests().len());
+    assert_eq!(reads, [1, 1, 0]);
+}
+
 #[tokio::test]
 async fn a_mutation_goes_on_at_the_next_server() {
     let servers = Servers::start(0).await;

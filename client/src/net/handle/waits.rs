@@ -1,11 +1,15 @@
 //! The waits for a server that lacks the newest revision that the handle has seen.
 
-use std::time::Duration;
+use std::{future::pending, time::Duration};
 
+use tokio::time::sleep;
 use wayfold_proto::v1;
 
 use super::IndexHandle;
 use crate::net::{client::within, connections::Connection};
+
+/// A server without an answer to a call after this time is asked whether it lags. Most calls take less.
+const SLOW_TIME: Duration = Duration::from_secs(1);
 
 impl IndexHandle {
     /// Waits until the server has the newest revision that the handle has seen, if there are several servers.
@@ -23,6 +27,28 @@ impl IndexHandle {
             .await?;
         newest.set_reached_in(connection.turn());
         Ok(())
+    }
+
+    /// Returns the failure of a slow call whose server turns out to lag, if there are several servers. The server may have begun
+    /// to lag after [`IndexHandle::catch_up`].
+    pub(super) async fn lagging(
+        &self,
+        connection: &Connection,
+        remaining: Duration,
+        patience: Duration,
+    ) -> tonic::Status {
+        if self.client().connections().are_several() {
+            sleep(SLOW_TIME).await;
+            let remaining = remaining.saturating_sub(SLOW_TIME);
+            let waited = self.wait_for_newest(connection, remaining, patience).await;
+            // Any other failure says nothing about the call.
+            if let Err(status) = waited
+                && status.code() == tonic::Code::Unavailable
+            {
+                return status;
+            }
+        }
+        pending().await
     }
 
     /// Waits until the server has the newest revision that the handle has seen.
