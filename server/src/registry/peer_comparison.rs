@@ -7,9 +7,11 @@ use tokio::{sync::Mutex, time::Instant};
 /// The comparison that a server makes before its first record of an index, and again after each change of the members.
 #[derive(Default)]
 pub(crate) struct PeerComparison {
-    /// The count of changes at the last comparison; 0 before it and once the index has resumed. Live servers and the
-    /// connection to NATS change.
+    /// The count of changes when the last comparison began; 0 before it. The live servers and the connection to NATS change, and
+    /// each resumption of the index counts as a change.
     pub(crate) compared: AtomicU64,
+    /// The number of times that the index has resumed.
+    pub(crate) resumptions: AtomicU64,
     /// Held while they are compared. It has the last failure.
     pub(crate) turn: Mutex<Option<ComparisonFailure>>,
 }

@@ -77,9 +77,15 @@ impl Service {
         let cluster = self.inner.owners.get().zip(self.inner.peers.get());
         cluster.is_none_or(|(owners, _)| {
             let compared = hosted.peer_comparison.compared.load(Relaxed);
-            compared == owners.changes() && hosted.contradiction().is_none()
+            compared == changes(&**owners, hosted) && hosted.contradiction().is_none()
         })
     }
+}
+
+/// The number of changes after which the records have to be compared. Both parts only grow, so that the sum is the same only if
+/// both are.
+fn changes(owners: &dyn Owners, hosted: &Hosted) -> u64 {
+    owners.changes() + hosted.peer_comparison.resumptions.load(Relaxed)
 }
 
 /// Compares the records of an index with those of the members, unless another call has meanwhile.
@@ -93,7 +99,7 @@ async fn compare_in_turn(
     let mut turn = peer_comparison.turn.lock().await;
     peers.wait_for_members().await;
     // Read before the members are: one that joins meanwhile is asked by the next mutation.
-    let changes = owners.changes();
+    let changes = changes(&*owners, &hosted);
     if peer_comparison.compared.load(Relaxed) == changes {
         return Ok(());
     }

@@ -69,7 +69,7 @@ impl Hosted {
             return false;
         }
         // NATS may have lost records that another server still has.
-        self.peer_comparison.compared.store(0, Relaxed);
+        self.peer_comparison.resumptions.fetch_add(1, Relaxed);
         let next = apply_loop.number + 1;
         *apply_loop = ApplyLoop::start(next, hosted, &self.host, self.uid, stored);
         self.state.send_modify(|state| state.closed = None);

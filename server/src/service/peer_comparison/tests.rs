@@ -1,3 +1,5 @@
+mod resumed;
+
 use std::{
     future::ready,
     sync::atomic::{AtomicU64, AtomicUsize, Ordering::SeqCst},
@@ -32,6 +34,8 @@ struct OtherMembers {
     members: Mutex<Vec<Option<Arc<MemoryLog>>>>,
     /// False while the members are not known yet.
     are_heard: watch::Sender<bool>,
+    /// False while they do not answer.
+    are_answering: watch::Sender<bool>,
 }
 
 impl Owners for OtherMembers {
@@ -84,7 +88,9 @@ impl Peers for OtherMembers {
             let what = "it is busy".into();
             return ready(Err(Unanswered { what })).boxed();
         };
+        let mut are_answering = self.are_answering.subscribe();
         async move {
+            drop(are_answering.wait_for(|it| *it).await);
             let uid: Uid = request.uids[0].parse().unwrap();
             let position = PointStore::view(&*points, uid).unwrap().position();
             let kept = points.retained(uid, request.revisions[0]).unwrap();
@@ -177,6 +183,7 @@ impl Server {
             requests: AtomicUsize::new(0),
             members: Mutex::default(),
             are_heard: watch::Sender::new(true),
+            are_answering: watch::Sender::new(true),
         });
         service.set_owners(Arc::clone(&others) as Arc<dyn Owners>);
         service.set_peers(Arc::clone(&others) as Arc<dyn Peers>);
@@ -307,29 +314,6 @@ async fn a_mutation_waits_for_the_records_of_a_member_that_is_ahead() {
     };
     let (inserted, ()) = tokio::join!(server.insert(), repaired);
     assert_eq!(inserted.unwrap(), RECORDS + 2);
-}
-
-/// The member may have records that NATS has lost, and this server has none of them.
-#[tokio::test(start_paused = true)]
-async fn an_index_that_resumes_after_a_loss_is_compared_again() {
-    let (entry, records) = (arm(), more(&[], 1, RECORDS));
-    let server = Server::new(&entry, &records);
-    let written = server.insert().await.unwrap();
-    let registry = Arc::clone(server.service.registry().unwrap());
-    let hosted = registry.get("arm").unwrap();
-    server.is_set_back.notify_one();
-    assert!(hosted.reached(written + 1).await.is_err());
-    let recovering = tokio::task::spawn_blocking(move || registry.recover());
-    recovering.await.unwrap().unwrap();
-    assert!(!hosted.is_closed());
-
-    // The members do not change.
-    let own = server.own.read(entry.uid, None, usize::MAX).unwrap();
-    let ahead = log_with(&entry, &more(&own, 1, 1));
-    *server.others.members.lock() = vec![Some(ahead)];
-    let refused = server.insert().await.unwrap_err();
-    assert_eq!(refused.code(), Code::Unavailable, "{refused}");
-    assert_eq!(server.own.newest(entry.uid), Ok(written));
 }
 
 /// Its points are in no journal. The member does not answer, and is not live in the end.
