@@ -1,9 +1,9 @@
-//! The name of an index that NATS gives after the server that claimed it has given up.
+//! The names of indices that a server claims: NATS answers late, or another server has claimed them meanwhile.
 
 use std::{slice::from_ref, sync::Arc};
 
 use wayfold_server::log::{
-    Catalogue, Entry, LogError, MemoryLog, NatsOptions, Record, RecordPosition,
+    Catalogue, Entry, Log, LogError, MemoryLog, NatsOptions, Record, RecordPosition,
 };
 
 use crate::{
@@ -18,17 +18,34 @@ authorization { users: [
     { user: blind, password: any, permissions: { subscribe: { deny: \"_INBOX.*\" } } },
 ] }";
 
-#[ignore = "needs nats-server"]
-#[test]
-fn a_repeated_claim_leaves_an_index_whose_claim_was_taken_late() {
+/// A log that learns of changes late, and another one.
+fn blind_and_other() -> (Nats, [Log; 2]) {
     let nats = Nats::of(NatsServer::start_with(BLIND));
-    let [first, second] = [(), ()].map(|()| entry("arm"));
     let options = nats.server.options();
     let blind = NatsOptions {
         servers: options.servers.replace("nats://", "nats://blind:any@"),
         ..options.clone()
     };
-    let [log, other] = [blind, options].map(|options| nats.connect_with(&options, Arc::default()));
+    let logs = [blind, options].map(|options| nats.connect_with(&options, Arc::default()));
+    (nats, logs)
+}
+
+#[ignore = "needs nats-server"]
+#[test]
+fn a_name_that_another_server_has_given_and_taken_back_is_free() {
+    let (nats, [log, other]) = blind_and_other();
+    let [first, second] = [(), ()].map(|()| entry("arm"));
+    other.catalogue.create(first.clone()).unwrap();
+    other.catalogue.delete(first.uid).unwrap();
+    log.catalogue.create(second.clone()).unwrap();
+    nats.until(&other, |it| it.indexes().unwrap() == from_ref(&second));
+}
+
+#[ignore = "needs nats-server"]
+#[test]
+fn a_repeated_claim_leaves_an_index_whose_claim_was_taken_late() {
+    let (nats, [log, other]) = blind_and_other();
+    let [first, second] = [(), ()].map(|()| entry("arm"));
 
     nats.server.signal("STOP");
     let unanswered = log.catalogue.create(first.clone()).unwrap_err();

@@ -87,16 +87,15 @@ impl NatsCatalogue {
         known.values().find(|(named, _)| named.is(uid)).cloned()
     }
 
-    /// Changes the entry of an index, again as long as other changes come first and it is still there.
+    /// Changes an entry, again as long as other changes come first and it may still be changed.
     fn until_unchanged(
         &self,
-        uid: Option<Uid>,
+        may_change: impl Fn() -> bool,
         change: impl Fn() -> Result<(), LogError>,
     ) -> Result<(), LogError> {
-        let is_there = || uid.is_some_and(|uid| self.named(uid).is_some());
         for _ in 1..MAX_ATTEMPTS {
             match change() {
-                Err(LogError::NameTaken { .. }) if is_there() => {}
+                Err(LogError::NameTaken { .. }) if may_change() => {}
                 changed => return changed,
             }
         }
@@ -107,9 +106,7 @@ impl NatsCatalogue {
         let before = self.bucket.known().get(&entry.name).cloned();
         let (mut deleted, revision) = match before {
             // The index that has the name may be newer than the one that is to be replaced.
-            Some((named, _))
-                if named.index.is_some() && !replaced.is_some_and(|it| named.is(it)) =>
-            {
+            Some((named, _)) if !named.is_free(replaced) => {
                 return Err(LogError::NameTaken { name: named.name });
             }
             Some((mut named, revision)) => {
@@ -256,7 +253,12 @@ impl Catalogue for NatsCatalogue {
     }
 
     fn claim(&self, entry: &Entry, replaced: Option<Uid>) -> Result<(), LogError> {
-        self.until_unchanged(replaced, || self.claim_once(entry, replaced))
+        let is_free = || {
+            let known = self.bucket.known();
+            let named = known.get(&entry.name);
+            named.is_none_or(|(named, _)| named.is_free(replaced))
+        };
+        self.until_unchanged(is_free, || self.claim_once(entry, replaced))
     }
 
     fn delete(&self, uid: Uid) -> Result<(), LogError> {
@@ -269,9 +271,10 @@ impl Catalogue for NatsCatalogue {
             named.deleted = newest(named.deleted);
             self.runtime.block_on(self.bucket.set(named, revision))
         };
-        if let Err(error) = self.until_unchanged(Some(uid), forget)
+        let is_there = || self.named(uid).is_some();
+        if let Err(error) = self.until_unchanged(is_there, forget)
             // Otherwise another server has deleted it.
-            && self.named(uid).is_some()
+            && is_there()
         {
             return Err(error);
         }
@@ -290,7 +293,7 @@ impl Catalogue for NatsCatalogue {
             }
             _ => Ok(()),
         };
-        self.until_unchanged(Some(uid), note)
+        self.until_unchanged(|| self.named(uid).is_some(), note)
     }
 
     fn contradiction(&self, name: &str, uid: Uid) -> Option<u64> {

@@ -29,6 +29,11 @@ impl CatalogueValue {
         index.is_some_and(|(own, _)| *own == uid.to_string())
     }
 
+    /// True if another index may get the name, in the place of `replaced` if that has it.
+    pub(super) fn is_free(&self, replaced: Option<Uid>) -> bool {
+        self.index.is_none() || replaced.is_some_and(|it| self.is(it))
+    }
+
     /// True if an index had the name before `hosted`, which a server has under it; false if it has it now or had it later.
     /// None if this does not tell.
     pub(super) fn is_past(&self, uid: Uid, hosted: Option<Uid>) -> Option<bool> {
