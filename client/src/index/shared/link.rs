@@ -21,6 +21,7 @@ use crate::{
     ServerInfo, Watch,
     net::{
         call::Call,
+        connections::Connection,
         limits::{READ_ROWS, read_in_parts},
     },
 };
@@ -129,10 +130,24 @@ impl Link {
         has_others && error.code() == Code::NotFound
     }
 
-    /// Makes the next calls at another server, if there is one.
-    pub(super) fn leave(&self) {
+    /// The connection that the next call uses, for [`Link::leave`]; none over Zenoh.
+    pub(super) fn connection(&self) -> Option<Connection> {
         match &self.transport {
-            Transport::Grpc(client) => client.connections().leave(&client.connection()),
+            Transport::Grpc(client) => Some(client.connection()),
+            #[cfg(feature = "zenoh")]
+            Transport::Zenoh(_) => None,
+        }
+    }
+
+    /// Makes the next calls at another server than that of a connection, if there is one. The other task of the index may have
+    /// left that server already.
+    pub(super) fn leave(&self, asked: Option<&Connection>) {
+        match &self.transport {
+            Transport::Grpc(client) => {
+                if let Some(asked) = asked {
+                    client.connections().leave(asked);
+                }
+            }
             #[cfg(feature = "zenoh")]
             Transport::Zenoh(_) => {}
         }

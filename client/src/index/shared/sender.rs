@@ -34,6 +34,7 @@ pub(super) async fn run(core: Arc<Core>) {
     loop {
         let index = core.published.lock().0.clone();
         let began = Instant::now();
+        let asked = core.link.connection();
         let sent = match next(&core, &index) {
             Next::Nothing => {
                 // Nothing is left to send: the feed may have confirmed the batch whose answer was lost.
@@ -79,7 +80,7 @@ pub(super) async fn run(core: Arc<Core>) {
             continue;
         };
         if core.link.may_lag(&error) {
-            core.link.leave();
+            core.link.leave(asked.as_ref());
         }
         failures += 1;
         let pause = core.link.pause(failures, Some(&error));

@@ -13,6 +13,7 @@ use super::{
 use crate::{
     Code, Error, IndexInfo, Mutation, Reset, ResetReason, Watch, WatchEvent,
     index::local::{LocalPoints, NewRow},
+    net::connections::Connection,
 };
 
 /// The time for which the name may be missing before the index counts as deleted: it may be created again at once.
@@ -76,6 +77,7 @@ impl Subscriber {
     /// Follows until the index is gone.
     pub(super) async fn run(mut self) {
         loop {
+            let asked = self.core.link.connection();
             let Err(stop) = self.follow().await;
             let failed = match stop {
                 Stop::Failed(error) => Err(error),
@@ -88,7 +90,7 @@ impl Subscriber {
             };
             let recovered = match failed {
                 Ok(()) => Ok(()),
-                Err(error) => self.recover(error).await,
+                Err(error) => self.recover(asked.as_ref(), error).await,
             };
             if let Err(why) = recovered {
                 return self.core.end(why);
@@ -234,9 +236,9 @@ impl Subscriber {
     }
 
     /// Waits before the next attempt, or returns the reason to make none.
-    async fn recover(&mut self, error: Error) -> Result<(), Error> {
+    async fn recover(&mut self, asked: Option<&Connection>, error: Error) -> Result<(), Error> {
         if self.core.link.may_lag(&error) {
-            self.core.link.leave();
+            self.core.link.leave(asked);
         }
         match error.code() {
             Code::NotFound => {
