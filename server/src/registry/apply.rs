@@ -246,6 +246,15 @@ impl Hosted {
         Ok(())
     }
 
+    /// Remembers the uses of sessions that `old` saw, whose place this index takes.
+    pub(super) fn take_session_uses(&self, old: &Self) {
+        let mut uses = self.session_uses.lock();
+        for (session, used) in old.session_uses.lock().iter() {
+            // This index may have applied a newer batch already.
+            uses.entry(*session).or_insert(*used);
+        }
+    }
+
     /// True if this process has applied a batch of a session within this time, by its own clock.
     pub(crate) fn is_session_used_within(&self, session: u64, time: Duration) -> bool {
         let used = self.session_uses.lock().get(&session).copied();

@@ -75,6 +75,9 @@ impl Registry {
             }
         };
         let hosted = Hosted::new(&host, &entry, loaded, view, operations);
+        if let Some(IndexState::Hosted(old)) = &state {
+            hosted.take_session_uses(old);
+        }
         let (revision, index) = (origin.revision, &entry.name);
         info!(index, uid = %entry.uid, revision, points, "replaced an index by a copy of another server");
         put(IndexState::Hosted(Arc::clone(&hosted)));
@@ -84,9 +87,12 @@ impl Registry {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::{
-        OnceLock, Weak,
-        atomic::{AtomicBool, Ordering::Relaxed},
+    use std::{
+        sync::{
+            OnceLock, Weak,
+            atomic::{AtomicBool, Ordering::Relaxed},
+        },
+        time::{Duration, Instant},
     };
 
     use super::*;
@@ -174,6 +180,7 @@ mod tests {
             tokio::task::spawn_blocking(move || copy(&registry, &peer, uid, compared))
         };
         let compared = old.published().view.position();
+        old.session_uses.lock().insert(7, Instant::now());
         // It has other records than those that were compared.
         let other = peer.view(uid).unwrap().position();
         let refused = copying(other).await.unwrap().err();
@@ -186,6 +193,7 @@ mod tests {
             assert!(hosted.operations.lock().recall(&id).is_some(), "{id}");
         }
         assert!(Arc::ptr_eq(&registry.get("arm").unwrap(), &hosted));
+        assert!(hosted.is_session_used_within(7, Duration::from_secs(60)));
         // A holder of the old index reads on, and neither waits nor writes.
         assert_eq!(old.published().revision, 0);
         assert!(old.write().await.is_err());
