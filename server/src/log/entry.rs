@@ -3,7 +3,7 @@
 use wayfold_index::Space;
 use wayfold_proto::v1::PayloadEncoding;
 
-use super::{Digest, LogError, Record, Uid};
+use super::{Digest, LogError, Record, RecordPosition, Uid};
 
 /// The longest name of an index.
 pub(crate) const MAX_NAME_BYTES: usize = 63;
@@ -74,6 +74,14 @@ impl Origin {
         next_id: 0,
         digest: Record::NO_PREVIOUS,
     };
+
+    /// The record before its first one.
+    pub(crate) fn position(&self) -> RecordPosition {
+        RecordPosition {
+            revision: self.revision,
+            digest: self.digest,
+        }
+    }
 
     /// Fails if there are more operations than revisions that may have made them.
     pub(super) fn has_room_for(&self, uid: Uid, operations: usize) -> Result<(), LogError> {

@@ -222,11 +222,11 @@ pub trait PointStore: Journal {
     /// Starts an index as a copy of another: at a revision, with points and without records. It appears once the
     /// copy is finished, whole or not at all.
     ///
-    /// A copy that `replaces` takes the place of the index with its uid, at a later revision; `origin` has the digest of the
-    /// record of that revision. Until the copy is finished, the index stays as it is; then it has all of the copy, and a crash
+    /// A copy that `replaces` takes the place of the index with its uid, at the same record or a later one; `origin` has the
+    /// digest of that record. Until the copy is finished, the index stays as it is; then it has all of the copy, and a crash
     /// leaves the one or the other. Earlier views stay valid. [`PointWriter::finish`] fails with [`LogError::UnknownIndex`] if
-    /// the index was deleted meanwhile, and with [`LogError::Fenced`] if it can be read and its newest revision is not below
-    /// the copy's.
+    /// the index was deleted meanwhile, and with [`LogError::Fenced`] if it can be read and its newest record is neither that
+    /// of the copy nor an earlier one.
     fn restore(
         &self,
         entry: Entry,

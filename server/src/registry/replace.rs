@@ -11,8 +11,8 @@ use super::{
 use crate::log::{Operation, Origin, RecordPosition, Sessions, Uid};
 
 impl Registry {
-    /// Begins to replace an index by the points of another server at a later revision. `origin` has the digest of the record
-    /// of that revision. Readers keep the old points until [`Registry::host_replaced`]. [`RegistryError::Follows`] if the
+    /// Begins to replace an index by the points of another server at its newest record or a later one. `origin` has the digest
+    /// of that record. Readers keep the old points until [`Registry::host_replaced`]. [`RegistryError::Follows`] if the
     /// index is not closed. Blocks on the log.
     pub fn replace(&self, uid: Uid, origin: Origin) -> Result<Restore, RegistryError> {
         // A shared catalogue creates and deletes indices of the point store while it is read.

@@ -9,8 +9,7 @@ use wayfold_proto::v1::PayloadEncoding;
 
 use super::{Host, Hosted, IndexLimit, IndexState, Registry, RegistryError, loading::Loader};
 use crate::log::{
-    Effects, Entry, Log, LogError, Origin, PointWriter, Record, RecordPosition, RunId, Sessions,
-    StoredPoint, Uid,
+    Effects, Entry, Log, LogError, Origin, PointWriter, Record, RunId, Sessions, StoredPoint, Uid,
 };
 
 /// An index that is being restored. If it is dropped before [`Registry::host`], nothing is left behind.
@@ -158,11 +157,11 @@ pub(crate) fn publish(
     replaced: Option<Uid>,
     origin: Origin,
 ) -> Result<(), LogError> {
-    let position = RecordPosition {
-        revision: origin.revision,
-        digest: origin.digest,
-    };
-    let fence = Record::made_by(run, position, Effects::new(entry.space.coordinates()));
+    let fence = Record::made_by(
+        run,
+        origin.position(),
+        Effects::new(entry.space.coordinates()),
+    );
     let published = log.journal.begin(entry.uid, Arc::new(fence));
     let is_begun = published.is_ok();
     let claimed = published.and_then(|()| log.catalogue.claim(entry, replaced));

@@ -17,7 +17,7 @@ pub(crate) struct Stopped {
     pub(crate) uid: Uid,
     /// The newest record that this server has applied; None if its points cannot be read.
     pub(crate) position: Option<RecordPosition>,
-    /// A revision that its readers may have seen: no older copy may take its place.
+    /// The least revision of a copy that may take its place: no reader goes backwards.
     pub(crate) min_revision: u64,
     /// True if it may go on by itself: NATS may have answered with stale data, or gets back what it has lost.
     pub(crate) may_pass: bool,
@@ -45,6 +45,11 @@ fn contradiction(uid: Uid, revision: u64, member: &str) -> RegistryError {
     })
 }
 
+/// True if a part of its points cannot be read.
+fn is_unreadable(why: &RegistryError) -> bool {
+    matches!(why, RegistryError::Log(LogError::CopyUnreadable { .. }))
+}
+
 /// A revision that the points of an index had, by the error that forbids to read them; None if a copy cannot mend them.
 fn revision_before(why: &RegistryError) -> Option<u64> {
     let RegistryError::Log(why) = why else {
@@ -66,7 +71,7 @@ impl Registry {
             let (uid, name) = (state.uid(), name.clone());
             Some(match state {
                 IndexState::Hosted(hosted) => {
-                    hosted.damage()?;
+                    let why = hosted.damage()?;
                     let position = hosted.published().view.position();
                     // The records of a server that has some may be the ones that the operator chooses.
                     let is_noted = position.revision > 0 && hosted.contradiction().is_some();
@@ -77,7 +82,8 @@ impl Registry {
                         name,
                         uid,
                         position: Some(position),
-                        min_revision: position.revision,
+                        // A copy of the same record mends points that cannot be read, and nothing else.
+                        min_revision: position.revision + u64::from(!is_unreadable(&why)),
                         may_pass: hosted.is_ahead(),
                     }
                 }

@@ -81,7 +81,7 @@ impl Service {
         {
             return Ok(CopyOutcome::None(CopyKind::Contradicts(applied.revision)));
         }
-        let needed = applied.map_or(0, |applied| applied.revision.saturating_add(1));
+        let needed = applied.map_or(0, |applied| applied.revision);
         let needed = needed.max(request.min_revision);
         if published.revision < needed {
             let revision = published.revision;

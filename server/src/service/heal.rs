@@ -240,8 +240,7 @@ async fn copy_from(
     };
     let position = start.position.as_ref().and_then(|place| place.position());
     let position = position.ok_or_else(out_of_order)?;
-    let needed = index.position.map_or(0, |position| position.revision + 1);
-    if position.revision < needed.max(request.min_revision) {
+    if position.revision < request.min_revision {
         let revision = position.revision;
         return Err(Failure::Other(format!(
             "its copy is of revision {revision}"

@@ -1,6 +1,6 @@
 //! An index is replaced by a copy at a later revision, under its uid.
 
-use std::{fs, slice, sync::Arc};
+use std::{collections::BTreeMap, fs, slice, sync::Arc};
 
 use bytes::Bytes;
 use wayfold_server::log::{
@@ -138,6 +138,35 @@ fn a_replaced_index_is_the_copy_and_goes_on_from_it() {
         drop(view);
         kept.reopen();
         assert_eq!(kept.log().view(arm.uid).unwrap().revision(), 91);
+    }
+}
+
+/// A part of its points could not be read, and nothing was written meanwhile.
+#[test]
+fn a_copy_of_the_same_record_takes_the_place_of_an_index() {
+    for mut kept in three_kinds() {
+        let (arm, log) = (entry("arm"), kept.log());
+        log.create(arm.clone()).unwrap();
+        submit(log, arm.uid, 0, effects(1, &[1], &[])).unwrap();
+        let position = log.view(arm.uid).unwrap().position();
+        let origin = Origin {
+            revision: position.revision,
+            digest: position.digest,
+            ..ORIGIN
+        };
+        let mut copy = log.restore(arm.clone(), origin, true).unwrap();
+        let whole = StoredPoint {
+            revision: 1,
+            modified: 1,
+            ..point(2)
+        };
+        copy.add(slice::from_ref(&whole)).unwrap();
+        copy.finish(Sessions::default(), vec![]).unwrap();
+        kept.reopen();
+        let view = kept.log().view(arm.uid).unwrap();
+        assert_eq!(view.position(), position);
+        let expected = BTreeMap::from([(2, Arc::new(whole))]);
+        assert_eq!(all_points(&*view), expected);
     }
 }
 

@@ -24,7 +24,9 @@ use super::{
     syncer::Syncer,
     unclean_marker,
 };
-use crate::log::{Entry, LogError, LostIndex, Origin, Receipt, Record, RecordStream, Uid, View};
+use crate::log::{
+    Entry, LogError, LostIndex, Origin, Receipt, Record, RecordPosition, RecordStream, Uid, View,
+};
 
 /// The time between two syncs of a store whose records another journal has. Three servers of a cluster that synced each
 /// batch would take more of one machine's disk and processors than their journal.
@@ -211,12 +213,12 @@ impl Engine {
         FjallPointWriter::begin(self, number, entry, origin, replaces)
     }
 
-    /// Puts a copy at the revision `copied` in the place of the index with its uid. `write` completes the copy and marks the
+    /// Puts a copy at the record `copied` in the place of the index with its uid. `write` completes the copy and marks the
     /// index as deleted, in one batch. If that fails, the next start decides.
     pub(super) fn swap_in(
         &self,
         uid: Uid,
-        copied: u64,
+        copied: RecordPosition,
         write: impl FnOnce(&Index) -> Result<Arc<Index>, LogError>,
     ) -> Result<(), LogError> {
         let _alone = self.next.lock();

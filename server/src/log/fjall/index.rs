@@ -18,7 +18,7 @@ use super::{
     view::PointsView,
 };
 use crate::log::{
-    Entry, LogError, Operation, Origin, Record, Retention, Sessions, Window,
+    Entry, LogError, Operation, Origin, Record, RecordPosition, Retention, Sessions, Window,
     record::time_ms,
     retention::{BoundedQueue, arrival_ms},
     unapplied::UnappliedQueue,
@@ -160,12 +160,14 @@ impl Index {
         self.close_locked(&mut self.state.lock(), why)
     }
 
-    /// Closes the index, because a copy at the revision `copied` takes its place, and returns the mark of its head. Refused
-    /// if the index can be read and the copy is not newer.
-    pub(super) fn supersede(&self, copied: u64) -> Result<Mark, LogError> {
+    /// Closes the index, because a copy at the record `copied` takes its place, and returns the mark of its head. Refused
+    /// if the index can be read, unless that is its newest record or a later one.
+    pub(super) fn supersede(&self, copied: RecordPosition) -> Result<Mark, LogError> {
         let mut state = self.state.lock();
-        let head = state.head.revision;
-        if self.durable().is_ok() && copied <= head {
+        let head = state.head.position();
+        let is_older = copied != head && copied.revision <= head.revision;
+        if self.durable().is_ok() && is_older {
+            let (copied, head) = (copied.revision, head.revision);
             return Err(LogError::fenced(self.entry.uid, copied, head));
         }
         Ok(self.close_locked(&mut state, LogError::Closed))

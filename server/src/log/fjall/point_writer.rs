@@ -161,7 +161,7 @@ impl PointWriter for FjallPointWriter {
         let engine = Arc::clone(&self.engine);
         if self.replaces {
             let uid = self.entry.uid;
-            return engine.swap_in(uid, origin.revision, |old| {
+            return engine.swap_in(uid, origin.position(), |old| {
                 self.complete(sessions, &operations, Some(old))
             });
         }

@@ -184,7 +184,7 @@ impl PointWriter for MemoryPointWriter {
         let Some(hosted) = indexes.get_mut(&uid) else {
             return Err(LogError::UnknownIndex { uid });
         };
-        hosted.store.supersede(origin.revision)?;
+        hosted.store.supersede(origin.position())?;
         hosted.store = Arc::new(store);
         Ok(())
     }

@@ -62,10 +62,7 @@ impl Store {
             uid,
             state: Mutex::new(State {
                 head: Head {
-                    position: RecordPosition {
-                        revision: origin.revision,
-                        digest: origin.digest,
-                    },
+                    position: origin.position(),
                     next_id: origin.next_id,
                     sessions,
                     points,
@@ -147,12 +144,13 @@ impl Store {
         }
     }
 
-    /// Takes no record any more, because a copy at the revision `copied` takes its place. Refused unless the copy is
-    /// newer.
-    pub(super) fn supersede(&self, copied: u64) -> Result<(), LogError> {
+    /// Takes no record any more, because a copy at the record `copied` takes its place. Refused unless that is its newest
+    /// record or a later one.
+    pub(super) fn supersede(&self, copied: RecordPosition) -> Result<(), LogError> {
         let mut state = self.state.lock();
-        if copied <= state.head.position.revision {
-            return Err(self.fenced(copied, &state));
+        let head = state.head.position;
+        if copied != head && copied.revision <= head.revision {
+            return Err(self.fenced(copied.revision, &state));
         }
         state.is_replaced = true;
         drop(state);

@@ -9,13 +9,13 @@ use futures_util::{FutureExt, future::BoxFuture, stream};
 
 use super::*;
 use crate::{
-    log::{Entry, Journal, MemoryLog, PointStore},
+    log::{Entry, Journal, MemoryLog, PointStore, RecordStream},
     registry::{Hosted, RegistryError},
     service::{
         CopyOutcome,
         member::{CopyPart, StoredRequest, StoredResponse, Unanswered},
     },
-    testing::{arm, log_with, server, submit, trim_all, unreadable},
+    testing::{arm, forward_journal, log_with, server, submit, trim_all, unreadable},
 };
 
 const RECORDS: u64 = 20;
@@ -268,4 +268,39 @@ async fn points_that_cannot_be_read_are_replaced() {
     let peer = Peer::new(server(&journal, &journal));
     heal(&service, &peer, &index).await.unwrap();
     assert_eq!(hosted(&service).published().snapshot.len() as u64, RECORDS);
+}
+
+/// A journal that other servers share, and that stops an index because a part of its points cannot be read.
+struct Stopping {
+    local: Arc<MemoryLog>,
+}
+
+impl Journal for Stopping {
+    forward_journal!(local);
+
+    fn follow(&self, uid: Uid, _: u64) -> RecordStream {
+        let what = "a block has another checksum".into();
+        stream::once(ready(Err(LogError::Unreadable { uid, what }))).boxed()
+    }
+
+    fn newest(&self, uid: Uid) -> Result<u64, LogError> {
+        self.local.newest(uid)
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_part_that_cannot_be_read_is_replaced_at_the_same_revision() {
+    let entry = arm();
+    let local = engine(&entry, RECORDS);
+    let records = local.read(entry.uid, None, usize::MAX).unwrap();
+    let peer = Peer::new(server(&local, &local));
+    let journal = Arc::new(Stopping { local });
+    let service = server(&journal, &log_with(&entry, &records));
+    let stopped = hosted(&service);
+    assert!(stopped.reached(RECORDS + 1).await.is_err());
+    let index = service.registry().unwrap().stopped().pop().unwrap();
+    heal(&service, &peer, &index).await.unwrap();
+    let healed = hosted(&service);
+    assert!(!Arc::ptr_eq(&healed, &stopped));
+    assert_eq!(healed.published().snapshot.len() as u64, RECORDS);
 }
