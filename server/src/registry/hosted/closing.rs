@@ -7,7 +7,7 @@ use tracing::error;
 use super::{ApplyLoop, Hosted, Published};
 use crate::{
     log::{LogError, Record, View},
-    registry::{RegistryError, in_flight::notify, operations::Operations},
+    registry::{RegistryError, in_flight::notify, operations::Operations, stopped::is_damage},
 };
 
 /// The bytes of records that are read at once.
@@ -49,6 +49,11 @@ impl Hosted {
             Ok(operations) => operations,
             Err(error) => {
                 error!(index = self.name(), %error, "cannot read the remembered operations");
+                let why = RegistryError::from(error).of_copy(self.is_shared());
+                // A copy of another server mends this; another attempt does not.
+                if is_damage(&why) {
+                    self.close(why);
+                }
                 return false;
             }
         };
