@@ -65,7 +65,7 @@ pub(crate) fn rows(
     }
     Ok(Rows {
         shape: shape.to_vec(),
-        numbers: copy(&array.try_readonly()?)?,
+        numbers: copy(&array.try_readonly()?),
     })
 }
 
@@ -95,9 +95,10 @@ pub(crate) fn one_state(
 }
 
 /// The numbers in the order of their indices, whatever their order in memory.
-fn copy(array: &PyReadonlyArrayDyn<'_, f64>) -> PyResult<Vec<f64>> {
-    Ok(match array.as_slice() {
-        Ok(numbers) => numbers.to_vec(),
-        Err(_) => array.as_array().iter().copied().collect(),
-    })
+fn copy(array: &PyReadonlyArrayDyn<'_, f64>) -> Vec<f64> {
+    match array.as_slice() {
+        // The crate also makes slices of arrays in Fortran's order.
+        Ok(numbers) if array.is_c_contiguous() => numbers.to_vec(),
+        _ => array.as_array().iter().copied().collect(),
+    }
 }

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import pickle
 import threading
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +29,24 @@ SPACES = {
     "OMPL": spaces.OMPL_SE3(),
     "torus": spaces.torus(2),
 }
+
+
+def strided(states: Floats) -> Floats:
+    """The states with gaps between their numbers."""
+    wide = np.full((*states.shape[:-1], 2 * states.shape[-1]), math.nan)
+    wide[..., ::2] = states
+    return wide[..., ::2]
+
+
+# The same numbers in other orders of memory.
+LAYOUTS: dict[str, Callable[[Floats], Floats]] = {
+    "C": lambda states: np.ascontiguousarray(states),
+    "Fortran": lambda states: np.asfortranarray(states),
+    "transposed": lambda states: np.moveaxis(np.ascontiguousarray(np.moveaxis(states, -1, 0)), 0, -1),
+    "strided": strided,
+    "backwards": lambda states: np.ascontiguousarray(states[..., ::-1])[..., ::-1],
+}
+layouts = st.sampled_from(sorted(LAYOUTS))
 
 
 def random_states(rng: np.random.Generator, name: str, n: int) -> Floats:
@@ -68,10 +89,16 @@ def brute_force(name: str, state: Floats, points: Floats) -> Floats:
 
 @pytest.mark.parametrize("name", SPACES)
 @settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 300), k=st.integers(1, 20), removed=st.integers(0, 50))
-def test_query_equals_brute_force(name: str, seed: int, n: int, k: int, removed: int) -> None:
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n=st.integers(1, 300),
+    k=st.integers(1, 20),
+    removed=st.integers(0, 50),
+    layout=layouts,
+)
+def test_query_equals_brute_force(name: str, seed: int, n: int, k: int, removed: int, layout: str) -> None:
     rng = np.random.default_rng(seed)
-    points, queries = random_states(rng, name, n), random_states(rng, name, 4)
+    points, queries = (LAYOUTS[layout](random_states(rng, name, count)) for count in (n, 4))
     index = wayfold.Index(SPACES[name], inline=bool(seed % 2))
     ids = index.insert_many(points)
     gone = set(rng.integers(0, n, removed).tolist())
@@ -102,12 +129,13 @@ def test_query_equals_brute_force(name: str, seed: int, n: int, k: int, removed:
     bound=st.sampled_from([math.inf, 0.5, 0.1, 0.0]),
     shape=st.sampled_from([(), (1,), (5,), (2, 3), (0,)]),
     workers=st.sampled_from([1, 2, -1]),
+    layout=layouts,
 )
 def test_query_equals_scipy_in_r3(
-    seed: int, n: int, k: Any, bound: float, shape: tuple[int, ...], workers: int
+    seed: int, n: int, k: Any, bound: float, shape: tuple[int, ...], workers: int, layout: str
 ) -> None:
     rng = np.random.default_rng(seed)
-    points, queries = rng.uniform(-1, 1, (n, 3)), rng.uniform(-1, 1, (*shape, 3))
+    points, queries = (LAYOUTS[layout](rng.uniform(-1, 1, (*rows, 3))) for rows in ((n,), shape))
     tree, index = cKDTree(points), wayfold.Index("R3")
     index.insert_many(points)
     expected, expected_ids = tree.query(queries, k, distance_upper_bound=bound)
@@ -182,6 +210,30 @@ def test_an_answer_that_no_memory_holds_is_a_memory_error() -> None:
     assert distances.tolist() == [1.0, math.inf] and ids.tolist() == [0, -1]
 
 
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_numbers_are_read_in_the_order_of_their_indices(layout: str, tmp_path: Path) -> None:
+    rows = np.arange(12.0).reshape(4, 3)
+    states, grid, radii = map(LAYOUTS[layout], (rows, rows.reshape(2, 2, 3), np.array([[0.0, 6.0], [0.0, 0.0]])))
+    index = wayfold.Index("R3")
+    assert index.insert_many(states).tolist() == [0, 1, 2, 3]
+    np.testing.assert_array_equal(index.scan().columns()[2], rows)
+    assert index.query(states)[0].tolist() == [0.0] * 4 and index.query(states)[1].tolist() == [0, 1, 2, 3]
+    assert index.query(grid)[1].tolist() == index.query(grid, 2)[1][..., 0].tolist() == [[0, 1], [2, 3]]
+    assert index.query_ball_point(states, 0.0).tolist() == [[0], [1], [2], [3]]
+    # Neighbouring rows are √27 apart.
+    assert index.query_ball_point(grid, radii).tolist() == [[[0], [0, 1, 2]], [[2], [3]]]
+    many = index.search_many(states, wayfold.Search(1))
+    each = index.search_each(states, [wayfold.Search(1)] * 4)
+    assert [found.ids.tolist() for found in many] == [found.ids.tolist() for found in each] == [[0], [1], [2], [3]]
+    path = tmp_path / "saved"
+    index.save(path)
+    content = {**np.load(path), "states": states}
+    with open(path, "wb") as file:
+        np.savez(file, **content)
+    for copy in (wayfold.Index.load(path), pickle.loads(pickle.dumps(index))):
+        np.testing.assert_array_equal(copy.scan().columns()[2], rows)
+
+
 def test_types_are_scipys() -> None:
     index = wayfold.Index("R3")
     index.insert_many(np.eye(3))
@@ -189,7 +241,6 @@ def test_types_are_scipys() -> None:
     assert distances.dtype == np.float64 and ids.dtype == np.int64
     assert index.query([1, 0, 0]) == (0.0, 0)
     assert index.query(np.eye(3, dtype=np.float32)[0]) == (0.0, 0)
-    assert index.query(np.asfortranarray(np.eye(3)))[1].tolist() == [0, 1, 2]
     assert index.query(np.eye(3)[:, ::-1][::-1])[1].tolist() == [0, 1, 2]
     assert index.query(np.arange(6.0)[::2] * [0, 0, 0.25])[1] == 2
     # One state with gaps between its numbers, or backwards in memory.
