@@ -167,11 +167,12 @@ impl Ranks {
     fn of(k: &Bound<'_, PyAny>) -> PyResult<Ranks> {
         let py = k.py();
         let one = |k: &Bound<'_, PyAny>| k_of(k).map(|k| k as usize);
-        match one(k) {
-            Err(error) if error.is_instance_of::<PyTypeError>(py) => {}
+        let error = match one(k) {
+            Err(error) if error.is_instance_of::<PyTypeError>(py) => error,
             one => return one.map(Ranks::First),
-        }
-        let ranks = k.try_iter()?.map(|k| one(&k?));
+        };
+        let ranks = k.try_iter().map_err(|_| error)?;
+        let ranks = ranks.map(|k| one(&k?));
         let ranks = ranks.collect::<PyResult<Vec<_>>>()?;
         match ranks.is_empty() {
             true => Err(invalid(py, "k: an empty list")),

@@ -2,7 +2,11 @@
 
 use std::time::Duration;
 
-use pyo3::{conversion::FromPyObjectOwned, exceptions::PyOverflowError, prelude::*};
+use pyo3::{
+    conversion::FromPyObjectOwned,
+    exceptions::{PyOverflowError, PyTypeError},
+    prelude::*,
+};
 
 use crate::error::invalid;
 
@@ -134,7 +138,11 @@ impl Scaling {
 
 /// A number of neighbours.
 pub(crate) fn k_of(k: &Bound<'_, PyAny>) -> PyResult<u32> {
-    let number = saturated(k)?;
+    let py = k.py();
+    let number = saturated(k).map_err(|error| match error.is_instance_of::<PyTypeError>(py) {
+        true => PyTypeError::new_err(format!("k: {}", error.value(py))),
+        false => error,
+    })?;
     match u32::try_from(number) {
         Ok(k) if k > 0 => Ok(k),
         _ if number > 0 => Err(invalid(

@@ -280,6 +280,14 @@ def test_a_wrong_argument_is_named(arguments: dict[str, Any], problem: str) -> N
         index.query(np.zeros((1, 2)), **arguments)
 
 
+@pytest.mark.parametrize("k", [2.0, [1.0, 2.0], np.array([1.0]), "2", [None]])
+def test_a_k_that_is_no_whole_number_is_named(k: Any) -> None:
+    with pytest.raises(TypeError, match="^k: .*integer"):
+        wayfold.Index("R2").query([0.0, 0.0], k)
+    with pytest.raises(TypeError, match="^k: .*integer"):
+        wayfold.Search(k)
+
+
 @pytest.mark.parametrize("workers", [1, 2, 3])
 def test_an_error_names_row_and_coordinate(workers: int) -> None:
     index = wayfold.Index("R3*SO3:0.15")
