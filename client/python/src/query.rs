@@ -20,6 +20,9 @@ use crate::{
     search::{k_of, saturated},
 };
 
+/// The rows whose neighbours are held at once where only their numbers are returned. A remote index sends as many at once.
+const BLOCK_ROWS: usize = 1_000;
+
 /// The arguments of `query` besides the states and `k`.
 pub(crate) struct Nearest {
     pub(crate) eps: f64,
@@ -107,45 +110,52 @@ pub(crate) fn ball<'py>(
     }
     let is_sorted = is_sorted.unwrap_or(!shape.is_empty());
     let is_remote = index.form == Form::Remote;
-    let ids = index.call(py, |index| {
+    let width = index.index.space().coordinates();
+    let answer = |index: &wayfold::Index, part: Range<usize>, rows: &[f64]| {
         let within = |radius: f64| Search::within(radius).epsilon(eps);
-        let found = match radii[..] {
-            [radius] => search_many(index, &numbers, &within(radius), workers)?,
-            [] => Vec::new(),
+        let rows = rows.chunks_exact(width);
+        match radii[..] {
+            [radius] => index.search_many(rows, &within(radius)),
+            [] => Ok(Vec::new()),
             _ if is_remote => {
                 // It takes one search a call: that of the greatest radius.
-                let greatest = radii.iter().copied().fold(0.0, f64::max);
-                let mut found = search_many(index, &numbers, &within(greatest), workers)?;
-                for (found, &radius) in found.iter_mut().zip(&radii) {
+                let greatest = radii[part.clone()].iter().copied().fold(0.0, f64::max);
+                let mut found = index.search_many(rows, &within(greatest));
+                for (found, &radius) in found.iter_mut().flatten().zip(&radii[part]) {
                     let neighbors = &mut found.neighbors;
                     neighbors.truncate(neighbors.partition_point(|near| near.distance <= radius));
                 }
                 found
             }
             _ => {
-                let searches: Vec<Search> = radii.iter().map(|&radius| within(radius)).collect();
-                by_workers(index, &numbers, workers, |index, part, rows| {
-                    let width = index.space().coordinates();
-                    index.search_each(rows.chunks_exact(width), &searches[part])
-                })?
+                let searches: Vec<Search> = radii[part].iter().map(|&it| within(it)).collect();
+                index.search_each(rows, &searches)
             }
-        };
-        let ids = found.into_iter().map(|found| {
-            let mut ids: Vec<u64> = found.ids().collect();
-            if is_sorted {
-                ids.sort_unstable();
-            }
-            ids
-        });
-        Ok(ids.collect::<Vec<_>>())
-    })?;
+        }
+    };
     if is_length {
-        let lengths: Vec<i64> = ids.iter().map(|ids| ids.len() as i64).collect();
+        let lengths = index.call(py, |index| {
+            by_workers(index, &numbers, workers, |index, part, rows| {
+                lengths(index, part, rows, &answer)
+            })
+        })?;
         return match lengths[..] {
             [length] if shape.is_empty() => length.into_bound_py_any(py),
             _ => Ok(array(py, &shape, lengths)?.into_any()),
         };
     }
+    let ids: Vec<Vec<u64>> = index.call(py, |index| {
+        by_workers(index, &numbers, workers, |index, part, rows| {
+            let found = answer(index, part, rows)?.into_iter().map(|found| {
+                let mut ids: Vec<u64> = found.ids().collect();
+                if is_sorted {
+                    ids.sort_unstable();
+                }
+                ids
+            });
+            Ok(found.collect())
+        })
+    })?;
     let mut lists = ids.into_iter();
     if shape.is_empty() {
         return lists.next().unwrap_or_default().into_bound_py_any(py);
@@ -153,6 +163,24 @@ pub(crate) fn ball<'py>(
     static LISTS: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
     let array_of_lists = LISTS.import(py, "wayfold._states", "array_of_lists")?;
     array_of_lists.call1((PyList::new(py, lists)?, shape))
+}
+
+/// The numbers of the neighbours of rows. The neighbours of all rows at once may be more than memory can hold.
+fn lengths(
+    index: &wayfold::Index,
+    part: Range<usize>,
+    rows: &[f64],
+    answer: impl Fn(&wayfold::Index, Range<usize>, &[f64]) -> Result<Vec<SearchResult>, Error>,
+) -> Result<Vec<i64>, Error> {
+    let width = index.space().coordinates();
+    let mut lengths = Vec::with_capacity(part.len());
+    for rows in rows.chunks(BLOCK_ROWS * width) {
+        let first = part.start + lengths.len();
+        let found = answer(index, first..first + rows.len() / width, rows);
+        let found = found.map_err(|error| later_row(error, lengths.len()))?;
+        lengths.extend(found.iter().map(|found| found.neighbors.len() as i64));
+    }
+    Ok(lengths)
 }
 
 /// The ranks of the neighbours that a query returns.
@@ -300,14 +328,13 @@ fn search_many(
     })
 }
 
-/// Several threads answer many rows. Each thread sees one state of the index. `answer` gets the numbers of the rows
-/// of a thread, and the rows.
-fn by_workers(
+/// Several threads answer many rows. `answer` gets the numbers of the rows of a thread, and the rows.
+fn by_workers<T: Send>(
     index: &wayfold::Index,
     rows: &[f64],
     workers: usize,
-    answer: impl Fn(&wayfold::Index, Range<usize>, &[f64]) -> Result<Vec<SearchResult>, Error> + Sync,
-) -> Result<Vec<SearchResult>, Error> {
+    answer: impl Fn(&wayfold::Index, Range<usize>, &[f64]) -> Result<Vec<T>, Error> + Sync,
+) -> Result<Vec<T>, Error> {
     let width = index.space().coordinates();
     let count = rows.len() / width;
     if workers.min(count) <= 1 {

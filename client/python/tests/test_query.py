@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import resource
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -197,6 +198,24 @@ def test_many_radii_see_one_state_of_the_index() -> None:
     finally:
         is_over.set()
         writer.join()
+
+
+def test_lengths_are_counted_in_blocks_of_states() -> None:
+    rng = np.random.default_rng(11)
+    index = wayfold.Index("R3")
+    index.insert_many(rng.uniform(size=(4_000, 3)))
+    queries, radii = rng.uniform(size=(8_000, 3)), rng.uniform(0, 0.3, 8_000)
+    # All neighbours would be 512 MB, and those of a block are 64 MB.
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert set(index.query_ball_point(queries, 2.0, return_length=True).tolist()) == {4_000}
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 256_000
+    expected = [len(ids) for ids in index.query_ball_point(queries, radii)]
+    queries[7_400, 1] = math.nan
+    for workers in (1, 2):
+        lengths = index.query_ball_point(queries[:7_400], radii[:7_400], return_length=True, workers=workers)
+        assert lengths.tolist() == expected[:7_400]
+        with pytest.raises(ValueError, match=r"states\[7400\]\.coords\[1\]: NaN"):
+            index.query_ball_point(queries, radii, return_length=True, workers=workers)
 
 
 def test_an_answer_that_no_memory_holds_is_a_memory_error() -> None:
