@@ -132,6 +132,11 @@ pub enum Error {
         "this process was forked after an index was opened: fork before that, or start a process anew"
     )]
     Forked,
+    /// The program has interrupted a call that waited: see [`set_interrupt_check`](crate::set_interrupt_check). The effect of
+    /// a mutation of a remote index is unknown. A write of a shared index has stored nothing, or only the rows that
+    /// [`Error::Partial`] counts.
+    #[error("the wait was interrupted")]
+    Interrupted,
     /// The thread that talks to servers could not be started.
     #[error("no thread to talk to servers: {source}")]
     Thread {
@@ -209,6 +214,7 @@ impl Error {
             Error::IdTaken { .. } => Code::AlreadyExists,
             Error::WritesRefused { why } => why.code(),
             Error::Closed | Error::Forked | Error::OtherSpace { .. } => Code::FailedPrecondition,
+            Error::Interrupted => Code::Cancelled,
             Error::Thread { .. } => Code::Unavailable,
             Error::SearchTimeout => Code::DeadlineExceeded,
             Error::Connection { .. } | Error::Handshake { .. } => Code::Unavailable,

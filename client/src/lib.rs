@@ -74,6 +74,7 @@ pub use index::{
 #[cfg(feature = "net")]
 pub use index::{
     ConnectionStatus, Meanwhile, MeanwhileAnswers, OpenRemote, OpenShared, UnsentWrite,
+    set_interrupt_check,
 };
 pub use layout::{Coordinate, coordinate_names};
 #[cfg(feature = "net")]

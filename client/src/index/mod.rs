@@ -20,6 +20,8 @@ mod search;
 mod server_methods;
 #[cfg(feature = "net")]
 mod shared;
+#[cfg(feature = "net")]
+mod wait;
 
 pub use point::{Changes, InsertOptions, InsertedPoint, SearchResult, StoredPoint, StoredPoints};
 #[cfg(feature = "net")]
@@ -27,6 +29,8 @@ pub use remote::OpenRemote;
 pub use search::Search;
 #[cfg(feature = "net")]
 pub use shared::{ConnectionStatus, Meanwhile, MeanwhileAnswers, OpenShared, UnsentWrite};
+#[cfg(feature = "net")]
+pub use wait::set_interrupt_check;
 
 use std::sync::Arc;
 

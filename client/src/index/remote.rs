@@ -15,6 +15,7 @@ use wayfold_index::{
 use super::{
     local::check_id,
     runtime::{check_process, spawn, wait_for},
+    wait,
 };
 use crate::{
     Code, Error, Filter, Include, IndexHandle, NeighborSpec, Neighbors, Outcome, Radius,
@@ -310,15 +311,15 @@ impl NearestNeighbors for Remote {
                 if let Err(error) = check_process() {
                     return Some(Err(error));
                 }
-                match receive.recv() {
-                    Ok(Ok(points)) => part.extend(points.iter().map(|point| Point {
+                match wait::receive(&receive) {
+                    Ok(Some(Ok(points))) => part.extend(points.iter().map(|point| Point {
                         id: point.id,
                         tag: point.tag,
                         revision: point.revision,
                         row: point.state.to_vec(),
                     })),
-                    Ok(Err(error)) => return Some(Err(error)),
-                    Err(mpsc::RecvError) => return None,
+                    Ok(Some(Err(error))) | Err(error) => return Some(Err(error)),
+                    Ok(None) => return None,
                 }
             }
             part.pop_front().map(Ok)

@@ -7,7 +7,7 @@ use tokio::{
     task::JoinHandle,
 };
 
-use super::origin::Origin;
+use super::{origin::Origin, wait::receive};
 use crate::{Error, net::in_same_trace};
 
 struct Owned {
@@ -64,13 +64,13 @@ pub(super) fn check_process() -> Result<(), Error> {
 pub(super) fn wait_for<T: Send + 'static>(
     call: impl Future<Output = Result<T, Error>> + Send + 'static,
 ) -> Result<T, Error> {
-    let (send, receive) = mpsc::sync_channel(1);
+    let (send, answer) = mpsc::sync_channel(1);
     spawn(async move {
-        // The caller waits as long as the call runs.
+        // The caller waits as long as the call runs, unless it is interrupted.
         let _ = send.send(call.await);
     })?;
-    let lost = |_| Error::Thread {
+    let lost = || Error::Thread {
         source: Arc::new(std::io::Error::other("a call ended without an answer")),
     };
-    receive.recv().map_err(lost)?
+    receive(&answer)?.ok_or_else(lost)?
 }

@@ -23,8 +23,8 @@ use crate::{
         local::LocalPoints,
         merger::{self, MergeOwner},
         origin::Origin,
+        wait::{deadline, wait_until},
     },
-    net::request::MAX_WAIT,
 };
 
 /// The order of locks: `pending_writes`, `points`, `published`, `connection`.
@@ -141,7 +141,7 @@ impl Core {
             self.wake(&mut writes);
             self.urgent.notify_one();
             let until = *until.get_or_insert_with(|| deadline(self.settings.timeout));
-            if self.progress.wait_until(&mut writes, until).timed_out() {
+            if !wait_until(&self.progress, &mut writes, until)? {
                 return Err(Error::timeout("write", self.settings.timeout));
             }
         }
@@ -225,7 +225,7 @@ impl Core {
         while writes.resolved < written {
             self.wake(&mut writes);
             self.urgent.notify_one();
-            if self.progress.wait_until(&mut writes, until).timed_out() {
+            if !wait_until(&self.progress, &mut writes, until)? {
                 return Err(Error::timeout("flush", timeout));
             }
             if writes.refusals > refusals {
@@ -278,8 +278,11 @@ impl Core {
         while writes.open_searches.are_awaited() && !self.has_ended() {
             self.wake(&mut writes);
             self.urgent.notify_one();
-            if self.progress.wait_until(&mut writes, until).timed_out() {
-                break;
+            match wait_until(&self.progress, &mut writes, until) {
+                Ok(true) => {}
+                Ok(false) => break,
+                // The answers stay for the next call.
+                Err(_) => return MeanwhileAnswers::default(),
             }
         }
         writes.open_searches.take()
@@ -304,8 +307,11 @@ impl Core {
         self.progress.notify_all();
         let flushed = self.flush(timeout);
         let mut writes = self.pending_writes.lock();
-        if flushed.is_err() && writes.resolved < writes.written {
-            self.refuse(&mut writes, Error::Closed);
+        match flushed {
+            // The writes stay pending, and the next call waits for them.
+            Err(Error::Interrupted) => return Vec::new(),
+            Err(_) if writes.resolved < writes.written => self.refuse(&mut writes, Error::Closed),
+            _ => {}
         }
         writes.take_unsent()
     }
@@ -376,11 +382,6 @@ impl Core {
             },
         }
     }
-}
-
-/// The end of a wait; of a very long one in some decades.
-fn deadline(timeout: Duration) -> Instant {
-    Instant::now() + timeout.min(MAX_WAIT)
 }
 
 impl fmt::Debug for Core {

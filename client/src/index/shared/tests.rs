@@ -1,8 +1,9 @@
 //! Pending writes without a server: their payloads, the room that they take, and refusals.
 
 use std::{
+    cell::Cell,
     collections::{BTreeMap, VecDeque},
-    thread,
+    future, thread,
     time::Duration,
 };
 
@@ -14,6 +15,7 @@ use super::{open::tests::core, *};
 use crate::{
     Code, Index, InsertOptions, Refusal, Search,
     index::{local::NewRow, runtime::spawn},
+    set_interrupt_check,
 };
 
 /// An index that no task serves: a call that waits fails at once. It has the id 7 and these ones to give.
@@ -167,6 +169,36 @@ fn the_end_of_an_index_leaves_no_search_open() {
     assert_eq!(index.meanwhile().open, 1);
     core.end(quota_exceeded());
     assert_eq!(index.meanwhile(), Default::default());
+}
+
+#[test]
+fn an_interrupted_wait_takes_no_writes_and_no_answers() {
+    const LONG: Duration = Duration::from_secs(3_600);
+    // Other threads of this process run other tests.
+    thread_local! { static IS_INTERRUPTED: Cell<bool> = const { Cell::new(false) } }
+    set_interrupt_check(|| IS_INTERRUPTED.get());
+    let task = spawn(async {}).unwrap().abort_handle();
+    let index = Index::of_shared(SharedIndex {
+        core: core(LONG, 1 << 20),
+        tasks: [task.clone(), task],
+    });
+    let options = InsertOptions::new().neighbors(Search::k(1));
+    index.insert_with([0.0], options).unwrap();
+    IS_INTERRUPTED.set(true);
+    assert_eq!(index.wait_meanwhile(LONG), Default::default());
+    let interrupted = [
+        // No id is left for it.
+        index.insert([1.0]).map(drop),
+        index.flush(),
+        wait_for(future::pending::<Result<(), Error>>()),
+    ];
+    for waited in interrupted {
+        assert!(matches!(waited, Err(Error::Interrupted)), "{waited:?}");
+    }
+    assert!(index.close(LONG).is_empty());
+    IS_INTERRUPTED.set(false);
+    assert_eq!((index.pending(), index.meanwhile().open), (1, 1));
+    assert_eq!(index.close(Duration::ZERO).len(), 1);
 }
 
 /// To show the point after each of them would apply all writes before it again.
