@@ -332,8 +332,8 @@ impl Index {
     /// Acts like `meanwhile`, but waits for an answer, at most `timeout` seconds, if there is none and one is to come.
     fn wait_meanwhile(&self, py: Python<'_>, timeout: f64) -> PyResult<MeanwhileAnswers> {
         let timeout = seconds(py, "timeout", timeout)?;
-        self.check_process(py)?;
-        MeanwhileAnswers::of(py, py.detach(|| self.index.wait_meanwhile(timeout)))
+        let answers = self.wait(py, |index| index.wait_meanwhile(timeout))?;
+        MeanwhileAnswers::of(py, answers)
     }
 
     /// Every write from the first one on that the server refused for good, in order.
@@ -348,8 +348,7 @@ impl Index {
     #[pyo3(signature = (timeout=30.0))]
     fn close(&self, py: Python<'_>, timeout: f64) -> PyResult<Vec<UnsentWrite>> {
         let timeout = seconds(py, "timeout", timeout)?;
-        self.check_process(py)?;
-        let unsent = py.detach(|| self.index.close(timeout)).into_iter();
+        let unsent = self.wait(py, |index| index.close(timeout))?.into_iter();
         Ok(unsent.map(|write| UnsentWrite::of(py, write)).collect())
     }
 

@@ -3,7 +3,7 @@
 //! `index` is the class of all three forms, `open` connects the two that have a server, and `query` answers in the
 //! shapes of scipy's `KDTree`. `content` is what pickling keeps. `rows` reads states from arrays, `points` and `search`
 //! hold what goes in and comes out, and `error` raises. Every call of the index releases the interpreter's lock, and
-//! works on copies: another thread of Python may write to an array meanwhile.
+//! works on copies: another thread of Python may write to an array meanwhile. A call that waits runs Python's signal handlers.
 
 #![forbid(unsafe_code)]
 
@@ -35,4 +35,9 @@ mod _wayfold {
         space::Space,
         timing::seconds_in_rust,
     };
+
+    #[pymodule_init]
+    fn init() {
+        wayfold::set_interrupt_check(crate::error::is_interrupted);
+    }
 }

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import faulthandler
+import math
 import os
 import pickle
 import signal
 import threading
 import time
 import warnings
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -165,6 +168,48 @@ def test_a_flush_waits_as_long_as_it_is_told() -> None:
     assert [write.kind for write in index.close(0.0)] == ["put"]
     with pytest.raises(ValueError, match="timeout: -1"):
         index.flush_within(-1.0)
+
+
+def test_a_signal_handler_ends_a_call_that_waits() -> None:
+    def leave() -> None:
+        with index:
+            pass
+
+    with serving({}) as server:
+        url, name = server.url, "interrupted"
+        index = wayfold.shared(url, name, create="R1", timeout=math.inf, max_pending_bytes=16_000)
+        remote = wayfold.remote(url, name, timeout=math.inf)
+        # Few of the rows of the first call have room.
+        waits: list[Callable[[], object]] = [
+            lambda: index.insert_many(np.zeros((1_000, 1))),
+            index.flush,
+            lambda: index.flush_within(math.inf),
+            lambda: index.wait_meanwhile(math.inf),
+            leave,
+            lambda: len(remote),
+            lambda: list(remote.scan()),
+            lambda: wayfold.shared(url, name, timeout=math.inf),
+            lambda: index.close(math.inf),
+        ]
+        # A call that is not interrupted would never end.
+        faulthandler.dump_traceback_later(4 * MAX_WAIT_S, exit=True)
+        handler = signal.signal(signal.SIGALRM, signal.default_int_handler)
+        os.kill(server.pid, signal.SIGSTOP)
+        try:
+            index.insert_with([0.0], wayfold.Search(1))
+            for wait in waits:
+                signal.setitimer(signal.ITIMER_REAL, 0.2)
+                with pytest.raises(KeyboardInterrupt) as caught:
+                    wait()
+                if wait is waits[0]:
+                    partial = caught.value.__cause__
+        finally:
+            os.kill(server.pid, signal.SIGCONT)
+            signal.signal(signal.SIGALRM, handler)
+            faulthandler.cancel_dump_traceback_later()
+        assert isinstance(partial, wayfold.Error) and partial.reason == "PARTIAL" and 0 < partial.done < 1_000
+        # The writes were pending all the time.
+        assert index.close(MAX_WAIT_S) == [] and len(remote) == 1 + partial.done
 
 
 def test_an_insert_that_fails_in_an_outage_tells_its_stored_rows() -> None:

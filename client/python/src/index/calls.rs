@@ -16,7 +16,7 @@ use wayfold::{Error, InsertOptions};
 
 use super::Index;
 use crate::{
-    error::OrRaise,
+    error::{OrRaise, raised},
     open::name_of,
     points::SearchResult,
     rows::{Rows, one_state, rows},
@@ -153,11 +153,12 @@ impl Index {
         // Tells the reason, if the writes cannot be sent. `close` has only the writes.
         let flushed = match has_raised {
             true => Ok(()),
-            false => self.flush(py),
+            // An interrupt ends the block at once.
+            false => self.wait(py, wayfold::Index::flush)?.or_raise(py),
         };
         let lost = match self.close(py, 30.0) {
             Ok(unsent) => unsent.len(),
-            // The process was forked, and the writes are its parent's.
+            // The process was forked, and the writes are its parent's, or the wait was interrupted.
             Err(_) if has_raised => 0,
             Err(error) => return Err(error),
         };
@@ -173,6 +174,20 @@ impl Index {
             warn(py, text);
         }
         flushed
+    }
+
+    /// Runs a call that waits and has no error for an interrupt, without the interpreter's lock.
+    pub(super) fn wait<T: Send>(
+        &self,
+        py: Python<'_>,
+        call: impl FnOnce(&wayfold::Index) -> T + Send,
+    ) -> PyResult<T> {
+        self.check_process(py)?;
+        let answer = py.detach(|| call(&self.index));
+        match raised() {
+            Some(error) => Err(error),
+            None => Ok(answer),
+        }
     }
 
     /// Runs a call without the interpreter's lock.
