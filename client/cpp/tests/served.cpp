@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <fstream>
+#include <functional>
 #include <iterator>
 #include <numeric>
 #include <optional>
@@ -81,6 +82,31 @@ void partial(const std::string &uri, pid_t server) {
     }
 }
 
+// In a forked process each call of a shared index fails, also those that tell of its writes and answers.
+void forked(const wayfold::Index &shared) {
+    const std::vector<std::function<void()>> calls{
+        [&] { shared.size(); },        [&] { shared.flush(); },     [&] { shared.pending(); },
+        [&] { shared.take_unsent(); }, [&] { shared.meanwhile(); }, [&] { shared.meanwhile(1); },
+        [&] { shared.close(0); },      [&] { shared.payload_encoding(); },
+    };
+    const pid_t child = fork();
+    CHECK(child >= 0);
+    if (child == 0) {
+        int failed = 0;
+        for (const auto &call : calls) {
+            try {
+                call();
+            } catch (const wayfold::Error &error) {
+                failed += error.reason() == "FORKED";
+            }
+        }
+        _exit(failed == static_cast<int>(calls.size()) ? 0 : 1);
+    }
+    int status = 1;
+    CHECK(waitpid(child, &status, 0) == child && status == 0);
+    CHECK(shared.status()->name == WAYFOLD_STATUS_FOLLOWING);
+}
+
 } // namespace
 
 int main(int count, char **arguments) {
@@ -116,6 +142,7 @@ int main(int count, char **arguments) {
     same(shared);
     shared.flush();
     CHECK(shared.pending() == 0);
+    forked(shared);
 
     const auto remote = wayfold::Index::remote(uri, "cell", {}, {}, 0, true);
     same(remote);

@@ -2,13 +2,16 @@
 
 use std::{ffi::c_char, ptr, time::Duration};
 
-use client::{ConnectionStatus, UnsentWrite};
+use client::{ConnectionStatus, Error, Index, UnsentWrite};
 
 use super::{
     index::WayfoldIndex,
     pointers::{copy, index_of, put},
 };
-use crate::{code::Code, failure::call};
+use crate::{
+    code::Code,
+    failure::{Failure, call},
+};
 
 /// The state of a shared index's connection to its server.
 #[repr(C)]
@@ -68,6 +71,23 @@ pub struct WayfoldUnsentWrite {
 
 /// Writes that were not sent, or that the server refused.
 pub struct WayfoldUnsent(Vec<UnsentWrite>);
+
+/// The index of a handle. A shared one of a process before a fork is refused: it would answer that it has no writes.
+///
+/// # Safety
+/// `index` is a handle or null.
+pub(super) unsafe fn unforked_index_of<'a>(
+    index: *const WayfoldIndex,
+) -> Result<&'a Index, Failure> {
+    // SAFETY: the caller's promise.
+    let index = unsafe { index_of(index) }?;
+    match index.status() {
+        Some(ConnectionStatus::Ended { why }) if matches!(*why, Error::Forked) => {
+            Err(Failure::from(Error::Forked))
+        }
+        _ => Ok(index),
+    }
+}
 
 /// Writes the state of a shared index's connection. `behind` gets the number of revisions by which the server was ahead
 /// when it last sent something, of `FOLLOWING`. `why` gets the first `capacity` bytes of the error of `DISCONNECTED`,
@@ -130,7 +150,7 @@ pub unsafe extern "C" fn wayfold_index_take_unsent(
     unsent: *mut *mut WayfoldUnsent,
 ) -> Code {
     // SAFETY: the caller's promise.
-    unsafe { give_unsent(index, unsent, client::Index::take_unsent) }
+    unsafe { give_unsent(index, unsent, Index::take_unsent) }
 }
 
 /// Takes no more writes of a shared index, waits for the pending ones, at most for `timeout_ms`, and reads those that the
@@ -156,13 +176,13 @@ pub unsafe extern "C" fn wayfold_index_close(
 unsafe fn give_unsent(
     index: *const WayfoldIndex,
     unsent: *mut *mut WayfoldUnsent,
-    take: impl FnOnce(&client::Index) -> Vec<UnsentWrite>,
+    take: impl FnOnce(&Index) -> Vec<UnsentWrite>,
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise. Null at first: a pointer that cannot be written loses no writes.
         unsafe { put(ptr::null_mut(), unsent, "unsent") }?;
         // SAFETY: the caller's promise.
-        let taken = WayfoldUnsent(take(unsafe { index_of(index) }?));
+        let taken = WayfoldUnsent(take(unsafe { unforked_index_of(index) }?));
         // SAFETY: the caller's promise.
         unsafe { put(Box::into_raw(Box::new(taken)), unsent, "unsent") }
     })

@@ -5,8 +5,9 @@ use std::{ptr, time::Duration};
 use client::MeanwhileAnswers;
 
 use super::{
+    connection::unforked_index_of,
     index::WayfoldIndex,
-    pointers::{copy, index_of, put},
+    pointers::{copy, put},
 };
 use crate::{code::Code, failure::call};
 
@@ -56,7 +57,7 @@ pub unsafe extern "C" fn wayfold_index_meanwhile(
         // SAFETY: the caller's promise. Null at first: a pointer that cannot be written leaks no answers.
         unsafe { put(ptr::null_mut(), answers, "answers") }?;
         // SAFETY: the caller's promise.
-        let index = unsafe { index_of(index) }?;
+        let index = unsafe { unforked_index_of(index) }?;
         let taken = match timeout_ms {
             0 => index.meanwhile(),
             timeout => index.wait_meanwhile(Duration::from_millis(timeout)),

@@ -5,6 +5,7 @@ use std::{ffi::c_char, time::Duration};
 use client::{Credentials, Index, PayloadEncoding};
 
 use super::{
+    connection::unforked_index_of,
     index::WayfoldIndex,
     pointers::{give, index_of, null, parse_space, put, text},
 };
@@ -111,7 +112,7 @@ pub unsafe extern "C" fn wayfold_index_remote(
 
 /// Writes how the payloads of the index hold edges, as `payload_encoding` of the `wayfold_server` that created it: another
 /// program may have created it, and a payload that means something else may look like edges. 0 if the index declares
-/// nothing, in memory, and for a shared index in a forked process.
+/// nothing, and in memory.
 ///
 /// Thread-safe.
 ///
@@ -124,7 +125,7 @@ pub unsafe extern "C" fn wayfold_index_payload_encoding(
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise.
-        let declared = match unsafe { index_of(index) }?.payload_encoding() {
+        let declared = match unsafe { unforked_index_of(index) }?.payload_encoding() {
             PayloadEncoding::Unspecified => 0,
             PayloadEncoding::Edges => 1,
             PayloadEncoding::WeightedEdges => 2,
@@ -180,7 +181,7 @@ pub unsafe extern "C" fn wayfold_index_pending(
 ) -> Code {
     call(|| {
         // SAFETY: the caller's promise.
-        unsafe { put(index_of(index)?.pending(), pending, "pending") }
+        unsafe { put(unforked_index_of(index)?.pending(), pending, "pending") }
     })
 }
 
