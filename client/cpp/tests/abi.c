@@ -183,9 +183,20 @@ int main(void) {
     CHECK(wayfold_index_payload_encoding(index, &encoding) == WAYFOLD_CODE_OK && encoding == 0);
     CHECK(wayfold_index_payload_encoding(index, NULL) == WAYFOLD_CODE_INVALID_ARGUMENT);
     CHECK(strcmp(wayfold_error_field(), "payload_encoding") == 0);
-    // A certificate without its key.
-    wayfold_server server = {.uri = "https://127.0.0.1:1", .name = "cell", .client_certificate = "PEM"};
+    // A server of which only the defaults are known has no address.
+    wayfold_server server = wayfold_server_default();
     wayfold_index *opened = NULL;
+    CHECK(wayfold_index_remote(&server, &opened) == WAYFOLD_CODE_INVALID_ARGUMENT && opened == NULL);
+    CHECK(strcmp(wayfold_error_field(), "uri") == 0 && strcmp(wayfold_error_reason(), "NULL_POINTER") == 0);
+    // Bytes that are no choice.
+    server.uri = "https://127.0.0.1:1";
+    server.name = "cell";
+    server.reads_latest = 2;
+    CHECK(wayfold_index_remote(&server, &opened) == WAYFOLD_CODE_INVALID_ARGUMENT && opened == NULL);
+    CHECK(strcmp(wayfold_error_field(), "reads_latest") == 0);
+    // A certificate without its key.
+    server.reads_latest = 1;
+    server.client_certificate = "PEM";
     CHECK(wayfold_index_shared(&server, &opened) == WAYFOLD_CODE_INVALID_ARGUMENT && opened == NULL);
     CHECK(strcmp(wayfold_error_field(), "client_key") == 0);
     // No server.

@@ -30,7 +30,7 @@ public:
     static Index shared(const std::string &uri, const std::string &name, const NewIndex &create = {},
                         const Credentials &credentials = {}, std::uint64_t timeout_ms = 0,
                         std::uint64_t max_pending_bytes = 0) {
-        wayfold_server server{};
+        wayfold_server server = wayfold_server_default();
         server.max_pending_bytes = max_pending_bytes;
         return open(wayfold_index_shared, server, uri, name, create, credentials, timeout_ms);
     }
@@ -38,8 +38,8 @@ public:
     // acknowledged before; otherwise they see the caller's own writes, and may lag behind those of others.
     static Index remote(const std::string &uri, const std::string &name, const NewIndex &create = {},
                         const Credentials &credentials = {}, std::uint64_t timeout_ms = 0, bool latest = false) {
-        wayfold_server server{};
-        server.reads_latest = latest;
+        wayfold_server server = wayfold_server_default();
+        server.reads_latest = latest ? 1 : 0;
         return open(wayfold_index_remote, server, uri, name, create, credentials, timeout_ms);
     }
 

@@ -1,6 +1,6 @@
 //! The functions of the ABI for indices on a server.
 
-use std::{ffi::c_char, time::Duration};
+use std::{ffi::c_char, ptr, time::Duration};
 
 use client::{Credentials, Index, PayloadEncoding};
 
@@ -14,7 +14,7 @@ use crate::{
     failure::{Failure, call},
 };
 
-/// An index on a server.
+/// An index on a server. Begin with `wayfold_server_default()`, and set `uri` and `name`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct WayfoldServer {
@@ -42,9 +42,30 @@ pub struct WayfoldServer {
     /// The most bytes of writes that a shared index has pending: a write that exceeds them waits. 0 for the client's own,
     /// 16 MiB. The remote form has no pending writes.
     pub max_pending_bytes: u64,
-    /// True: searches, gets and scans of a remote index see all that any server of a cluster acknowledged before. False: they
-    /// see the caller's own writes, and may lag behind those of others. The shared form ignores it.
-    pub reads_latest: bool,
+    /// 1: searches, gets and scans of a remote index see all that any server of a cluster acknowledged before. 0: they see
+    /// the caller's own writes, and may lag behind those of others. The shared form ignores it.
+    // A byte that is no bool would be undefined behaviour in Rust.
+    pub reads_latest: u8,
+}
+
+/// A server without an address and a name, and the client's own choices in all other fields.
+///
+/// Thread-safe.
+#[unsafe(no_mangle)]
+pub extern "C" fn wayfold_server_default() -> WayfoldServer {
+    WayfoldServer {
+        uri: ptr::null(),
+        name: ptr::null(),
+        space: ptr::null(),
+        token: ptr::null(),
+        ca_certificate: ptr::null(),
+        client_certificate: ptr::null(),
+        client_key: ptr::null(),
+        timeout_ms: 0,
+        payload_encoding: 0,
+        max_pending_bytes: 0,
+        reads_latest: 0,
+    }
 }
 
 /// The builder of an index, whose methods both forms have.
@@ -220,7 +241,11 @@ impl<'a> Settings<'a> {
             },
             max_pending_bytes: (server.max_pending_bytes > 0)
                 .then(|| usize::try_from(server.max_pending_bytes).unwrap_or(usize::MAX)),
-            reads_latest: server.reads_latest,
+            reads_latest: match server.reads_latest {
+                0 => false,
+                1 => true,
+                _ => return Err(Failure::argument("reads_latest", "neither 0 nor 1")),
+            },
         };
         if !server.space.is_null() {
             // SAFETY: the caller's promise.
