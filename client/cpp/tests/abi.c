@@ -71,6 +71,29 @@ int main(void) {
     // A search of many states has its revision too.
     CHECK(wayfold_index_search(index, states, 2, 3, &search, 2, near, distances, found, &later) == WAYFOLD_CODE_OK);
     CHECK(revision > 0 && later == revision);
+    // A capacity without a buffer may be any number, and one for which no buffer is large enough is named.
+    const size_t huge_capacity = SIZE_MAX / 8 + 1;
+    CHECK(wayfold_index_search(index, states, 2, 3, &search, huge_capacity, NULL, NULL, found, NULL) == WAYFOLD_CODE_OK);
+    CHECK(found[0] == 10 && found[1] == 11);
+    CHECK(wayfold_index_search(index, states, 2, 3, &search, huge_capacity, near, NULL, found, NULL) ==
+          WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(strcmp(wayfold_error_field(), "capacity") == 0);
+    // The results of many states need no capacity.
+    wayfold_results *results = NULL;
+    const uint64_t *near_ids = NULL;
+    const double *near_distances = NULL;
+    CHECK(wayfold_index_search_many(index, states, 2, 3, &search, &results, &later) == WAYFOLD_CODE_OK);
+    CHECK(results != NULL && later == revision);
+    CHECK(wayfold_results_get(results, 0, &near_ids, &near_distances) == 10);
+    CHECK(near_ids[9] == ids[9] && near_distances[0] == 0 && near_distances[9] > 9);
+    CHECK(wayfold_results_get(results, 1, &near_ids, NULL) == 11 && near_ids[0] == ids[1]);
+    CHECK(wayfold_results_get(results, 2, NULL, NULL) == 0);
+    wayfold_results_free(results);
+    wayfold_results_free(NULL);
+    CHECK(wayfold_index_search_many(index, NULL, 2, 3, &search, &results, NULL) == WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(results == NULL && strcmp(wayfold_error_field(), "states") == 0);
+    CHECK(wayfold_index_search_many(index, states, 2, 3, &search, NULL, NULL) == WAYFOLD_CODE_INVALID_ARGUMENT);
+    CHECK(strcmp(wayfold_error_field(), "results") == 0);
     // A factor of 0 is a factor: the nearest one, and the radius 0. A negative one is none.
     search = wayfold_search_default();
     search.k_factor = 0;

@@ -36,6 +36,7 @@ fn main() -> ExitCode {
         ("WayfoldIndex", "wayfold_index"),
         ("WayfoldPoints", "wayfold_points"),
         ("WayfoldPayloads", "wayfold_payloads"),
+        ("WayfoldResults", "wayfold_results"),
         ("WayfoldAnswer", "wayfold_answer"),
         ("WayfoldAnswers", "wayfold_answers"),
         ("WayfoldSearch", "wayfold_search"),

@@ -34,7 +34,12 @@ pub(super) fn product(count: usize, width: usize) -> Result<usize, Failure> {
     let numbers = count.checked_mul(width);
     numbers
         .filter(|&numbers| fits::<f64>(numbers))
-        .ok_or_else(|| Failure::argument("count", "more numbers than memory can hold"))
+        .ok_or_else(|| too_many("count"))
+}
+
+/// The error of a number of states, or of a capacity, for which no buffer is large enough.
+pub(super) fn too_many(field: &str) -> Failure {
+    Failure::argument(field, "more numbers than memory can hold")
 }
 
 /// A slice has at most `isize::MAX` bytes.
