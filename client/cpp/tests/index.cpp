@@ -85,7 +85,8 @@ int main() {
     for (int at = 0; at < 20; at++) {
         queries.insert(queries.end(), rows[at].begin(), rows[at].end());
     }
-    for (const auto &search : {wayfold::Search::k(3), wayfold::Search::within(1), wayfold::Search::within(0)}) {
+    using wayfold::Search;
+    for (const auto &search : {Search::k(3), Search::k(50), Search::within(1), Search::within(0)}) {
         std::uint64_t seen = 0;
         const auto answers = index.search_many(queries.data(), 20, search, &seen);
         CHECK(answers.size() == 20 && answers[0].front().distance == 0);
@@ -114,6 +115,14 @@ int main() {
     const auto line = wayfold::Index::in_memory("R1");
     CHECK(line.insert({0}) == 0 && line.nearest({0})->distance == 0 && line.nearest_k({0}, 1)[0].id == 0);
     refuses<wayfold::Error>("states[0]: 0 numbers", [&] { line.nearest({}); });
+
+    // The neighbours of one state take no room in the answers of others, which would be 20 GB here.
+    const std::vector<double> crowd(12000, 5.0);
+    line.insert_many(crowd.data(), crowd.size());
+    std::vector<double> apart_from_it(100000, 9.0);
+    apart_from_it[7] = 5.0;
+    const auto uneven = line.search_many(apart_from_it.data(), apart_from_it.size(), wayfold::Search::within(1));
+    CHECK(uneven.size() == 100000 && uneven[6].empty() && uneven[7].size() == 12000 && uneven[8].empty());
 
     // Searches beside inserts, merges on their own thread.
     std::thread inserts([&] {

@@ -300,25 +300,17 @@ public:
         if (count == 0) {
             return {};
         }
-        std::size_t capacity = 16;
-        std::vector<std::uint64_t> ids;
-        std::vector<double> distances;
-        std::vector<std::size_t> found(count);
-        for (;;) {
-            ids.resize(count * capacity);
-            distances.resize(count * capacity);
-            detail::check(wayfold_index_search(raw(), states, count, width_, &search.raw(), capacity, ids.data(),
-                                               distances.data(), found.data(), read_revision));
-            const std::size_t most = *std::max_element(found.begin(), found.end());
-            if (most <= capacity) {
-                break;
-            }
-            capacity = most + most / 2;
-        }
+        wayfold_results *raw_results = nullptr;
+        detail::check(
+            wayfold_index_search_many(raw(), states, count, width_, &search.raw(), &raw_results, read_revision));
+        const std::unique_ptr<wayfold_results, void (*)(wayfold_results *)> read(raw_results, wayfold_results_free);
         std::vector<std::vector<Neighbor>> answers(count);
         for (std::size_t row = 0; row < count; row++) {
-            for (std::size_t at = row * capacity; at < row * capacity + found[row]; at++) {
-                answers[row].push_back({ids[at], distances[at]});
+            const std::uint64_t *ids = nullptr;
+            const double *distances = nullptr;
+            answers[row].resize(wayfold_results_get(raw_results, row, &ids, &distances));
+            for (std::size_t at = 0; at < answers[row].size(); at++) {
+                answers[row][at] = {ids[at], distances[at]};
             }
         }
         return answers;
