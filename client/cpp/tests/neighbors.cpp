@@ -9,7 +9,9 @@
 #include <ompl/base/spaces/SO3StateSpace.h>
 #include <ompl/base/spaces/WrapperStateSpace.h>
 #include <ompl/geometric/planners/prm/PRM.h>
+#include <ompl/geometric/planners/rrt/RRT.h>
 #include <ompl/util/Console.h>
+#include <stdexcept>
 #include <string>
 #include <vector>
 #include <wayfold/ompl.hpp>
@@ -226,6 +228,25 @@ template <class T> void exceptions() {
     CHECK(neighbors.remove(T(11)) && neighbors.size() == 2);
 }
 
+// A planner whose swap fails has the problem that it had, and is as little set up.
+void a_swap_that_fails() {
+    class Failing : public ompl::geometric::RRT {
+    public:
+        using RRT::RRT;
+        void setup() override {
+            RRT::setup();
+            throw std::runtime_error("the planner's own");
+        }
+    };
+    const auto problem = se3();
+    Failing planner(problem.si);
+    for (const auto &definition : {ob::ProblemDefinitionPtr(), problem.definition}) {
+        planner.setProblemDefinition(definition);
+        refuses<std::runtime_error>("the planner's own", [&] { wayfold::use(planner); });
+        CHECK(planner.getProblemDefinition() == definition && !planner.isSetup());
+    }
+}
+
 } // namespace
 
 int main() {
@@ -234,6 +255,7 @@ int main() {
     near_rotations_with_weights();
     near_rotations_in_planners();
     removed_elements();
+    a_swap_that_fails();
     exceptions<Fragile>();
     exceptions<Hashed>();
     std::cout << "neighbors: ok\n";

@@ -129,6 +129,34 @@ private:
     const bool was_setup_;
 };
 
+// Gives a planner without a problem an empty one for the time of a scope: SST and others read an objective when the swap
+// sets them up. At its end, also by an exception, the planner has its own problem, and is set up only if it was before.
+class PlannerSetup {
+public:
+    explicit PlannerSetup(ompl::base::Planner &planner)
+        : planner_(planner), had_problem_(planner.getProblemDefinition() != nullptr), was_setup_(planner.isSetup()) {
+        if (!had_problem_) {
+            const auto &information = planner_.getSpaceInformation();
+            planner_.setProblemDefinition(std::make_shared<ompl::base::ProblemDefinition>(information));
+        }
+    }
+    PlannerSetup(const PlannerSetup &) = delete;
+    PlannerSetup &operator=(const PlannerSetup &) = delete;
+    ~PlannerSetup() {
+        if (!had_problem_) {
+            planner_.setProblemDefinition(ompl::base::ProblemDefinitionPtr());
+        }
+        if (!was_setup_) {
+            SetupFlag::clear(planner_);
+        }
+    }
+
+private:
+    ompl::base::Planner &planner_;
+    const bool had_problem_;
+    const bool was_setup_;
+};
+
 // True if each part of the space has a serialized form or as many reals as dimensions: they set all of a new state.
 inline bool is_settable(const ompl::base::StateSpace *space) {
     namespace ob = ompl::base;
@@ -208,7 +236,6 @@ inline void check_space(const Context &context) {
 template <class P> void use(P &planner, Context context) {
     namespace og = ompl::geometric;
     context.information = planner.getSpaceInformation();
-    const bool was_setup = planner.isSetup();
     const InformationSetup information_setup(*context.information);
     check_space(context);
     if constexpr (std::is_base_of_v<og::PRM, P>) {
@@ -220,21 +247,13 @@ template <class P> void use(P &planner, Context context) {
     }
     const Scope scope(context);
     const unsigned int k = strategy_k(planner);
-    // SST and others read an objective when the swap sets them up.
-    const bool has_problem = planner.getProblemDefinition() != nullptr;
-    if (!has_problem) {
-        planner.setProblemDefinition(std::make_shared<ompl::base::ProblemDefinition>(context.information));
-    }
-    if constexpr (std::is_base_of_v<og::TRRT, P>) {
-        TrrtStructure::set(planner);
-    } else {
-        planner.template setNearestNeighbors<NearestNeighborsWayfold>();
-    }
-    if (!has_problem) {
-        planner.setProblemDefinition(ompl::base::ProblemDefinitionPtr());
-    }
-    if (!was_setup) {
-        SetupFlag::clear(planner);
+    {
+        const PlannerSetup planner_setup(planner);
+        if constexpr (std::is_base_of_v<og::TRRT, P>) {
+            TrrtStructure::set(planner);
+        } else {
+            planner.template setNearestNeighbors<NearestNeighborsWayfold>();
+        }
     }
     if constexpr (std::is_base_of_v<og::LazyPRM, P>) {
         // Its connection strategy has copied the range, which only setup would compute: nothing would be connected.
