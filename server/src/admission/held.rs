@@ -62,7 +62,10 @@ impl HeldBytes {
     #[must_use]
     pub(crate) fn try_take(&self, bytes: usize) -> bool {
         let Flow { all, own, .. } = &*self.flow;
-        if !all.try_take_within(self.flow.most_of_all(0, bytes), bytes) {
+        // A large request arrives in pieces, and those that it holds already do not make its flow greedy.
+        let before = self.held.load(Relaxed);
+        let most = self.flow.most_of_all(before, before.saturating_add(bytes));
+        if !all.try_take_within(most, bytes) {
             return false;
         }
         if !own.try_take(bytes) {
@@ -97,8 +100,7 @@ impl HeldBytes {
     /// counts a refusal. The call does not wait for the bytes that it holds itself.
     #[must_use]
     pub(crate) async fn wait_for(&self, bytes: usize) -> bool {
-        let own = self.held.load(Relaxed);
-        let waited = timeout(MAX_WAIT, self.room_beside(own, bytes)).await;
+        let waited = timeout(MAX_WAIT, self.room(bytes)).await;
         match waited {
             Ok(()) => self.force_take(bytes),
             Err(_) => self.flow.all.refuse(),
@@ -108,13 +110,8 @@ impl HeldBytes {
 
     /// Waits until the flow may hold `bytes` more.
     pub(crate) async fn room(&self, bytes: usize) {
-        self.room_beside(0, bytes).await;
-    }
-
-    /// Like [`HeldBytes::room`], where `before` bytes of the flow do not count.
-    async fn room_beside(&self, before: usize, bytes: usize) {
         let mut pause = MIN_PAUSE;
-        while !self.has_room_beside(before, bytes) {
+        while !self.has_room(bytes) {
             sleep_until(Instant::now() + pause).await;
             pause = (2 * pause).min(MAX_PAUSE);
         }
@@ -153,15 +150,11 @@ impl HeldBytes {
         has_room
     }
 
-    /// True if the flow may begin to hold `bytes` more. The bytes that it and all hold already decide, so no message is too large
-    /// by itself.
+    /// True if the flow may begin to hold `bytes` more. The bytes that it and all hold beside these decide, so no message is too
+    /// large by itself.
     pub(crate) fn has_room(&self, bytes: usize) -> bool {
-        self.has_room_beside(0, bytes)
-    }
-
-    /// Like [`HeldBytes::has_room`], where `before` bytes of the flow do not count.
-    fn has_room_beside(&self, before: usize, bytes: usize) -> bool {
         let Flow { all, own, .. } = &*self.flow;
+        let before = self.held.load(Relaxed);
         let most = self.flow.most_of_all(before, bytes);
         own.held().saturating_sub(before) <= own.max() && all.held().saturating_sub(before) <= most
     }

@@ -17,10 +17,35 @@ fn refusals_of_calls_of_administration_count() {
 #[test]
 fn refusals_for_unread_answers_count() {
     let admission = Admission::new(&Config::default().admission, 1, 0);
-    let held = admission.open().hold();
-    held.force_take(admission.all.max() + 1);
-    assert!(!held.check_room(0));
+    let unread = admission.open().hold();
+    unread.force_take(admission.all.max() + 1);
+    assert!(!admission.open().hold().check_room(0));
     assert_eq!(admission.refused(0)[1], ("TOO_MANY_BYTES", 1));
+}
+
+/// Others hold more than the half of all bytes that a flow with several large requests may take.
+#[test]
+fn the_pieces_of_a_large_request_do_not_make_its_flow_greedy() {
+    const MIB: usize = 1024 * 1024;
+    let config = AdmissionConfig {
+        max_bytes: 64 * MIB,
+        ..Config::default().admission
+    };
+    let admission = Admission::new(&config, 1, 0);
+    let (others, flow) = (admission.open().hold(), admission.open());
+    others.force_take(40 * MIB);
+    let call = flow.hold();
+    for _ in 0..64 {
+        assert!(call.take(MIB / 16));
+    }
+    assert!(call.check_room(0));
+    let second = flow.hold();
+    assert!(!second.take(MIB) && !second.check_room(0));
+    drop(call);
+    assert!(second.take(MIB));
+    // An eighth is for flows that hold little.
+    others.force_take(16 * MIB);
+    assert!(!second.take(MIB));
 }
 
 #[tokio::test]

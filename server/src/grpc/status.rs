@@ -234,7 +234,7 @@ mod tests {
         let flow = Admission::new(&Config::default().admission, 1, 0).open();
         let held = flow.hold();
         held.force_take(flow.max_bytes());
-        assert!(!held.has_room(1));
+        assert!(!held.further().has_room(1));
         assert!(held.wait_for(1).await);
     }
 

@@ -283,7 +283,9 @@ impl Watch {
             }
             message.mutations.push(piece);
         }
-        let has_room = self.ahead.as_ref().is_none_or(|ahead| ahead.has_room(0));
+        // Further bytes of the same call leave out none of those that it has read ahead.
+        let has_room = |ahead: &Arc<HeldBytes>| ahead.further().has_room(0);
+        let has_room = self.ahead.as_ref().is_none_or(has_room);
         if self.is_cached || !has_room || self.next.is_empty() {
             self.forget_read_ahead();
         }

@@ -329,7 +329,7 @@ async fn a_query_that_waits_needs_room_at_its_turn() {
             tokio::task::yield_now().await;
         }
         let unread = admission.open().hold();
-        unread.force_take(admission.bytes().1 as usize);
+        unread.force_take(admission.bytes().1 as usize + 1);
         drop(busy);
         unread
     };

@@ -20,10 +20,14 @@ use crate::{
 
 const MIB: usize = 1024 * 1024;
 const CONNECTIONS: usize = 4;
+/// The looks at the bytes that are held, until a test fails.
+const MAX_LOOKS: usize = 10_000;
 /// The most streams of a connection that last.
 const STREAMS: u32 = 24;
 /// The budget of all bytes. A connection has a quarter of it.
 const MAX_BYTES: usize = 16 * MIB;
+/// The part of it that connections with one large message each may take.
+const LARGEST_OF_ALL: usize = MAX_BYTES / 8 * 7;
 /// The mutations of the index: more than the server keeps in memory.
 const MUTATIONS: usize = 12;
 /// The longest wait of the other client. It is shorter than the time after which the server cuts a connection that takes nothing.
@@ -97,6 +101,13 @@ impl Attack {
     /// The bytes that calls hold.
     fn held(&self) -> usize {
         figures(&self.pages)["wayfold_in_flight_bytes{of=\"held\"}"] as usize
+    }
+
+    fn wait_until_held(&self, bytes: usize) {
+        let mut looks = 0..MAX_LOOKS;
+        while self.held() < bytes {
+            assert!(looks.next().is_some(), "{} of {bytes}", self.held());
+        }
     }
 
     fn watch(&self) -> WatchRequest {
@@ -220,29 +231,32 @@ async fn clients_that_leave_answers_unread_do_not_keep_the_bytes_of_all() {
         include: Some(include()),
         ..Default::default()
     };
-    let begun = attack.begin("/wayfold.v1.PointService/Scan", &scan, 255);
-    insert_beside(attack, begun).await;
+    let scan = scan.encode_to_vec();
+    let sockets = (0..MAX_BYTES / MIB).map(|_| {
+        let mut socket = connection(attack.server.uri(), 255);
+        let path = "/wayfold.v1.PointService/Scan";
+        begin(&mut socket, 1, path, &scan, END_STREAM).unwrap();
+        socket
+    });
+    let sockets = sockets.collect();
+    attack.wait_until_held(LARGEST_OF_ALL);
+    insert_beside(attack, sockets).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn clients_that_send_half_of_their_requests_do_not_keep_the_bytes_of_all() {
-    // With the insert they hold more than half of all bytes.
-    const HALVES: usize = MAX_BYTES / MIB - 1;
-    const MAX_LOOKS: usize = 10_000;
+    // With the insert they would hold more than large messages may.
+    const HALVES: usize = 2 * LARGEST_OF_ALL / MIB - 1;
     let directory = tempfile::tempdir().unwrap();
     let attack = Attack::prepare(directory.path()).await;
-    let mut sockets: Vec<_> = (0..CONNECTIONS)
-        .map(|_| connection(attack.server.uri(), 255))
-        .collect();
-    for half in 0..HALVES {
-        let (socket, number) = (&mut sockets[half % CONNECTIONS], half / CONNECTIONS);
+    let mut sockets = Vec::new();
+    for half in 1..=HALVES {
+        let mut socket = connection(attack.server.uri(), 255);
         let path = "/wayfold.v1.PointService/Insert";
-        begin_half(socket, 2 * number as u32 + 1, path, MIB).unwrap();
-        // Only then it may send the next one.
-        let mut looks = 0..MAX_LOOKS;
-        while attack.held() < (half + 1) * MIB / 2 {
-            assert!(looks.next().is_some(), "{half}: {}", attack.held());
-        }
+        begin_half(&mut socket, 1, path, MIB).unwrap();
+        sockets.push(socket);
+        // Only then the next one comes.
+        attack.wait_until_held(half * MIB / 2);
     }
     insert_beside(attack, sockets).await;
 }
@@ -253,7 +267,6 @@ async fn clients_that_send_half_of_their_requests_do_not_keep_the_bytes_of_all()
 async fn the_parts_of_unread_snapshots_count_before_they_are_made() {
     const SNAPSHOTS: u32 = 10;
     const PART_BYTES: f64 = 256.0 * 1024.0;
-    const MAX_LOOKS: usize = 10_000;
     let mut server = server!("--http", "127.0.0.1:0");
     let pages = server.pages();
     let mut stubs = Stubs::connect(server.uri()).await;

@@ -166,7 +166,7 @@ fn a_session_of_its_own_follows_each_refusal() {
     }
 }
 
-/// The feed of the copy and two foreign ones hold what a server for one message of 20 kB allows. A shared index with 2
+/// The feed of the copy and five foreign ones hold what a server for one message of 20 kB allows. A shared index with 2
 /// MB of pending writes and a client with one call wait until there is room. The environment variable `BUSY_SECONDS` sets
 /// the time without room.
 #[test]
@@ -182,18 +182,24 @@ fn a_busy_server_takes_the_writes_later() {
     let index = Index::shared(&server.uri, "arm").create(&space).open();
     let index = index.unwrap();
     let runtime = tokio::runtime::Runtime::new().unwrap();
-    let (handle, watches) = runtime.block_on(async {
+    let (mut handles, mut watches) = (Vec::new(), Vec::new());
+    runtime.block_on(async {
         let patient = Client::builder().retry(RetryPolicy::until_deadline());
-        let client = patient.timeout(2 * busy + Duration::from_secs(30));
-        let client = client.connect(&server.uri).await.unwrap();
-        let handle = client.index("arm").await.unwrap();
-        let watches = [handle.watch().await.unwrap(), handle.watch().await.unwrap()];
-        (handle, watches)
+        let patient = patient.timeout(2 * busy + Duration::from_secs(30));
+        // A connection has room for two.
+        for count in [2, 2, 1] {
+            let client = patient.clone().connect(&server.uri).await.unwrap();
+            let handle = client.index("arm").await.unwrap();
+            for _ in 0..count {
+                watches.push(handle.watch().await.unwrap());
+            }
+            handles.push(handle);
+        }
     });
     let ids: Vec<u64> = (0..25_000)
         .map(|number| index.insert([f64::from(number); 10]).unwrap())
         .collect();
-    let inserting = runtime.spawn(handle.insert([[0.5; 10]]).into_future());
+    let inserting = runtime.spawn(handles[0].insert([[0.5; 10]]).into_future());
     let refused = loop {
         match index.status() {
             Some(ConnectionStatus::Disconnected { why, .. }) => break why,

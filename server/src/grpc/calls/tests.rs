@@ -229,7 +229,7 @@ async fn a_call_that_waits_needs_room_at_its_turn() {
     let mut answer = std::pin::pin!(call(&shared, &under_way, || Response::new(Body::empty())));
     assert!(futures_util::poll!(answer.as_mut()).is_pending());
     let unread = shared.admission.open().hold();
-    unread.force_take(shared.admission.bytes().1 as usize);
+    unread.force_take(shared.admission.bytes().1 as usize + 1);
     drop(busy);
     let status = Status::from_header_map(answer.await.headers()).unwrap();
     assert_eq!(
