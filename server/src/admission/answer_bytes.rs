@@ -33,6 +33,13 @@ impl AnswerBytes {
         }
     }
 
+    /// The most bytes that it may hold beside a request of any size: the greatest power of two in the share of its flow.
+    pub(crate) fn most(&self) -> usize {
+        let share = self.call.as_ref().map(|call| call.flow().own.max());
+        let bits = share.and_then(usize::checked_ilog2);
+        bits.map_or(usize::MAX, |bits| 1 << bits)
+    }
+
     /// Adds `bytes` to the answer, and holds more if it has outgrown what it holds.
     pub(crate) fn take(&mut self, bytes: usize) -> Result<(), TooManyBytes> {
         self.made = self.made.saturating_add(bytes);
@@ -162,6 +169,17 @@ mod tests {
         assert!((little..=little + 1024).contains(&size), "{size}");
         assert_eq!((flow.held(), refused(&admission)), (0, 1));
         assert_eq!(grow(&mut answer_of(&flow), little), little);
+    }
+
+    #[test]
+    fn an_answer_exceeds_its_room_by_a_message_at_most() {
+        let admission = admission();
+        let flow = admission.open();
+        let mut answer = answer_of(&flow);
+        assert_eq!(answer.most(), 16 * MIB);
+        let size = grow(&mut answer, 64 * MIB);
+        assert!(size <= 16 * MIB + 1024, "{size}");
+        assert_eq!(flow.held(), 16 * MIB);
     }
 
     /// A request may be as large as the share of its flow, and each of these calls would be refused for ever.

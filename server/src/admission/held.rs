@@ -77,17 +77,20 @@ impl HeldBytes {
     }
 
     /// Lets an answer that holds `before` bytes of this call hold `size`; false if there is no room for it, which counts as a
-    /// refusal. As in [`HeldBytes::has_room`], the bytes beside the answer decide, so no answer is too large by itself.
+    /// refusal. As in [`HeldBytes::has_room`], the bytes beside the answer decide, so no answer of the size of a message is too
+    /// large by itself.
     #[must_use]
     pub(crate) fn grow(&self, before: usize, size: usize) -> bool {
-        let Flow { all, own, .. } = &*self.flow;
+        let Flow {
+            all, own, slack, ..
+        } = &*self.flow;
         let most = self.flow.most_of_all(before, size);
-        let more = size.saturating_sub(before);
-        if !all.try_take_within(most.saturating_add(size), more) {
+        let (more, slack) = (size.saturating_sub(before), size.min(*slack));
+        if !all.try_take_within(most.saturating_add(slack), more) {
             all.refuse();
             return false;
         }
-        if !own.try_take_within(own.max().saturating_add(size), more) {
+        if !own.try_take_within(own.max().saturating_add(slack), more) {
             all.release(more);
             all.refuse();
             return false;

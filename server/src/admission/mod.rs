@@ -74,6 +74,9 @@ pub struct AdmissionConfig {
 /// A flow holds little if it holds at most this part of all bytes, or two calls.
 const SMALL_PARTS: usize = 1024;
 
+/// The bytes of an answer that stock clients of gRPC take.
+const STOCK_ANSWER_BYTES: usize = 4 * 1024 * 1024;
+
 /// A call with at most this time makes its flow hurried.
 const SHORT_TIME: Duration = Duration::from_secs(1);
 
@@ -88,6 +91,8 @@ pub(crate) struct Admission {
     of_backlogs: Arc<ByteBudget>,
     /// The most bytes of one flow.
     share: usize,
+    /// The bytes by which an answer may exceed its room.
+    slack: usize,
     others: Arc<OtherRefusals>,
 }
 
@@ -108,6 +113,8 @@ pub(crate) struct Flow {
     number: FlowNumber,
     all: Arc<ByteBudget>,
     own: ByteBudget,
+    /// The bytes by which an answer may exceed its room.
+    slack: usize,
     permits: Arc<ClientPermits>,
     /// The flow of the same client's calls of administration; None if this is it.
     admin: Option<Arc<Flow>>,
@@ -150,6 +157,7 @@ impl Admission {
             of_admin: budget(config.max_bytes / SHARES),
             of_backlogs: Arc::new(ByteBudget::new(share)),
             share,
+            slack: message_bytes.max(STOCK_ANSWER_BYTES),
             others: Arc::default(),
         }
     }
@@ -233,6 +241,7 @@ impl Flow {
             turns: Arc::clone(&admission.turns),
             all: Arc::clone(all),
             own: ByteBudget::new(admission.share),
+            slack: admission.slack,
             permits: Arc::new(ClientPermits::new(*MAX_STORED_READS / 2)),
             admin,
             calls: AtomicU64::new(0),

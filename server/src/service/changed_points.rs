@@ -10,7 +10,8 @@ use crate::{
     registry::{Hosted, Published, Writer},
 };
 
-/// The most bytes of the points that one call changes: a request of a few bytes an id may name points with 64 KiB each.
+/// The most bytes of the points that one call changes, less if its connection may hold less: a request of a few bytes an id may
+/// name points with 64 KiB each.
 const MAX_CHANGED_BYTES: usize = 64 * 1024 * 1024;
 
 const DOING: &str = "while reading the points; nothing was changed";
@@ -82,12 +83,13 @@ impl ChangedPoints {
 
     fn hold(&mut self, more: usize) -> Result<(), Error> {
         self.bytes = self.bytes.saturating_add(more);
-        if self.bytes > MAX_CHANGED_BYTES {
+        let most = MAX_CHANGED_BYTES.min(self.held.most());
+        if self.bytes > most {
             let requested = self.bytes as u64;
             self.forget();
             return Err(Error::LimitExceeded {
                 limit: "changed_point_bytes",
-                value: MAX_CHANGED_BYTES as u64,
+                value: most as u64,
                 requested,
                 advice: "the points count with their payloads: split the ids over several calls",
             });
@@ -233,7 +235,17 @@ mod tests {
         let (hosted, _) = created.unwrap();
         let empty = hosted.published();
         let ids: Vec<u64> = (0..100_000).collect();
-        for (payload_bytes, most) in [(64 * 1024, 1024), (0, ids.len())] {
+        let config = AdmissionConfig {
+            max_bytes: 64 * MIB,
+            ..Config::default().admission
+        };
+        // A connection has a quarter of these bytes.
+        let small = Arc::new(Admission::new(&config, 1, 0).open().hold());
+        for (payload_bytes, held, most) in [
+            (64 * 1024, None, 1024),
+            (64 * 1024, Some(&small), 256),
+            (0, None, ids.len()),
+        ] {
             let heavy = Arc::new(Heavy {
                 inner: Arc::clone(&empty.view),
                 payload: vec![0; payload_bytes].into(),
@@ -245,7 +257,10 @@ mod tests {
                 revision: empty.revision,
                 is_shared: false,
             };
-            let call = Call::default();
+            let call = Call {
+                held: held.cloned(),
+                ..Call::default()
+            };
             let mut points = ChangedPoints::new(&call);
             let read = points.read(&call, &hosted, &published, &ids).await;
             let is_refused = matches!(

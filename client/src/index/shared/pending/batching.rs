@@ -9,7 +9,8 @@ use crate::Limits;
 const MAX_BATCH_STEPS: usize = 4_096;
 
 /// The most steps of a batch that set tags or payloads. The server refuses a batch for good if the points of these steps have more
-/// than 64 MiB, and a point has a payload of up to 64 KiB and a state of up to 2 KiB.
+/// than 64 MiB, and a point has a payload of up to 64 KiB and a state of up to 2 KiB. A server with less than 2 GiB of memory
+/// refuses less.
 pub(super) const MAX_BATCH_UPDATES: usize = 900;
 
 /// The steps of a batch that is worth a call.
