@@ -17,7 +17,7 @@ use tokio_util::task::task_tracker::TaskTrackerToken;
 use tonic::{Code, Status, body::Body};
 
 use super::{
-    connections::{ActiveCall, Activity, Sending},
+    connections::{ActiveCall, Activity, PausedAnswer, Sending},
     refusals,
     status::ending,
 };
@@ -42,6 +42,8 @@ pub(crate) struct CallBody {
     /// The turns in which the frames of a stream are made.
     turns: Option<CallTurns>,
     resources: Option<CallResources>,
+    /// Set from each frame to the next time that the connection asks for one.
+    paused: Option<PausedAnswer>,
 }
 
 /// The resources of a call: its places on its connection and among the calls under way, and bytes.
@@ -123,6 +125,7 @@ impl CallBody {
                 timer: None,
                 turns,
                 resources: Some(resources),
+                paused: None,
             })
         })
     }
@@ -150,6 +153,13 @@ impl CallBody {
             Ok(Poll::Ready(Err(overloaded))) => self.end(status::overloaded(overloaded).into()),
             Err(_panic) => self.end(refusals::panicked(self.record.rpc()).into()),
         }
+    }
+
+    /// Notes that the connection has a frame. It asks for the next once it can send this one.
+    fn pause(&mut self) {
+        let resources = self.resources.as_ref();
+        let activity = resources.and_then(|it| it.activity.as_ref());
+        self.paused = activity.map(Activity::pause_answer);
     }
 
     /// Ends the body with `status` and drops its source, which stops the work.
@@ -190,13 +200,15 @@ impl HttpBody for CallBody {
         let this = &mut *self;
         let span = this.record.span().clone();
         let _entered = span.enter();
+        this.paused = None;
         match this.poll_made(context) {
             Poll::Pending if this.deadline_passed(context) => {
                 this.end(refusals::deadline_exceeded().into())
             }
             Poll::Ready(Some(Ok(frame))) => {
-                if let Some(code) = frame.trailers_ref().and_then(code_in) {
-                    this.ended(code);
+                match frame.trailers_ref().and_then(code_in) {
+                    Some(code) => this.ended(code),
+                    None => this.pause(),
                 }
                 Poll::Ready(Some(Ok(frame)))
             }

@@ -20,6 +20,7 @@ use tokio::{
 };
 use tokio_util::sync::CancellationToken;
 
+pub(super) use cut::PausedAnswer;
 use places::{Place, Places};
 
 use super::{backlog::ConnectionBacklog, read_queue::ReadQueue, tls::Client};
@@ -88,6 +89,8 @@ struct Waits {
     bytes: usize,
     /// The number of frames.
     frames: usize,
+    /// The answers that are [paused](PausedAnswer).
+    paused: usize,
     /// The time since which the first of the frames waits, or the last time that the client read one.
     frames_since: Instant,
     /// The bytes that the client has read or sent.
@@ -172,6 +175,7 @@ impl Connections {
             waits: Mutex::new(Waits {
                 bytes: 0,
                 frames: 0,
+                paused: 0,
                 frames_since: Instant::now(),
                 moved: 0,
                 looked_at: Instant::now(),
@@ -200,34 +204,6 @@ impl State {
     /// The time since the last sign of life.
     fn silence(&self) -> Duration {
         self.active_at.lock().elapsed()
-    }
-}
-
-impl Waits {
-    /// The time for which frames wait and the client reads none.
-    fn standstill(&self) -> Option<Duration> {
-        (self.frames > 0).then(|| self.frames_since.elapsed())
-    }
-
-    /// Looks at the waiting bytes, once in `interval`, and returns those that are late. Late bytes waited from one look to the
-    /// next. At the speed at which the client read and sent between the two they would take longer than `most`. What it
-    /// has read or sent since the second look is no longer late.
-    fn late_bytes(&mut self, interval: Duration, most: Duration) -> usize {
-        let time = self.looked_at.elapsed();
-        if time >= interval {
-            let (stood, moved) = (
-                self.bytes.min(self.bytes_then),
-                self.moved - self.moved_then,
-            );
-            let needed = stood as f64 * time.as_secs_f64() / most.as_secs_f64();
-            self.late_bytes = if (moved as f64) < needed { stood } else { 0 };
-            (self.looked_at, self.bytes_then, self.moved_then) =
-                (Instant::now(), self.bytes, self.moved);
-        }
-        let moved = self.moved - self.moved_then;
-        self.late_bytes
-            .saturating_sub(moved as usize)
-            .min(self.bytes)
     }
 }
 

@@ -1,9 +1,10 @@
 //! Calls that panic or do not arrive, and the bytes of answers.
 
 use bytes::Bytes;
-use futures_util::stream;
+use futures_util::{StreamExt, poll, stream};
 use http_body::{Body as HttpBody, Frame};
-use http_body_util::{Full, StreamBody};
+use http_body_util::{BodyExt, Full, StreamBody};
+use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use tonic::Code;
 use tonic_types::StatusExt;
@@ -194,6 +195,42 @@ async fn an_answer_is_counted_from_the_time_it_is_made() {
     assert!(!has_room());
     drop(answer);
     assert!(has_room());
+}
+
+/// The client takes a small frame of an answer, whose call holds more than is left of all bytes.
+#[tokio::test(start_paused = true)]
+async fn all_bytes_of_a_connection_are_late_while_it_asks_for_no_frame_of_an_answer() {
+    const MOST: Duration = Duration::from_secs(60);
+    for asks in [false, true] {
+        let shared = shared();
+        let connections = Connections::new(1, 1, shared.admission.clone());
+        let cut = CancellationToken::new();
+        let connection = connections.open(None, cut.clone()).await.unwrap();
+        let layer = CallsLayer::new(
+            &Config::default().grpc,
+            shared.clone(),
+            Callers::Clients,
+            TaskTracker::new(),
+        );
+        let mut calls = layer.layer(Answering(|| {
+            let frame = Ok::<_, Status>(Frame::data(Bytes::from_static(b"part")));
+            let parts = stream::iter([frame]).chain(stream::pending());
+            Response::new(Body::new(StreamBody::new(parts)))
+        }));
+        let request = Request::post("/wayfold.v1.PointService/Scan")
+            .extension(connection.activity().clone())
+            .body(Body::empty());
+        let mut body = calls.call(request.unwrap()).await.unwrap().into_body();
+        let held = connection.activity().flow().hold();
+        held.force_take(shared.admission.bytes().1 as usize / 2);
+        let _frame = body.frame().await.unwrap().unwrap();
+        if asks {
+            assert!(poll!(body.frame()).is_pending());
+        }
+        let looking = connections.cut_waiting(MOST);
+        assert!(timeout(MOST / 2, looking).await.is_err());
+        assert_eq!(cut.is_cancelled(), !asks);
+    }
 }
 
 /// The turns of all workers.

@@ -1,11 +1,11 @@
 //! Cuts connections whose clients do not read their answers, or do not send the rest of their requests.
 
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 use tokio::time::{Instant, interval};
 use tracing::debug;
 
-use super::{Activity, Connections};
+use super::{Activity, Connections, State, Waits};
 
 /// A stream stands that has not read for so long, if its client reads no answers meanwhile.
 pub(super) const STANDING_TIME: Duration = Duration::from_secs(1);
@@ -33,9 +33,8 @@ impl Connections {
             let open = self.open.lock();
             for state in open.values().filter(|it| !it.cut.is_cancelled()) {
                 let mut waits = state.waits.lock();
-                // Other budgets have the bytes of administration and reflection.
-                let late_bytes = waits.late_bytes(MAX_STANDING_TIME, most);
-                let late_bytes = late_bytes.min(state.flow.held());
+                let held = state.flow.held();
+                let late_bytes = waits.late_bytes(held, MAX_STANDING_TIME, most);
                 if waits.standstill().is_some_and(|time| time > most) {
                     debug!(peer = ?state.peer, "a client that does not read its answers is cut");
                     state.cut.cancel();
@@ -51,7 +50,52 @@ impl Connections {
     }
 }
 
+/// An answer whose connection has one of its frames and asks for no other, until this is dropped.
+#[derive(Debug)]
+pub(in crate::grpc) struct PausedAnswer(Arc<State>);
+
+impl Drop for PausedAnswer {
+    fn drop(&mut self) {
+        self.0.waits.lock().paused -= 1;
+    }
+}
+
+impl Waits {
+    /// The time for which frames wait and the client reads none.
+    fn standstill(&self) -> Option<Duration> {
+        (self.frames > 0).then(|| self.frames_since.elapsed())
+    }
+
+    /// Looks at the waiting bytes, once in `interval`, and returns those that are late. Late bytes waited from one look to the
+    /// next. At the speed at which the client read and sent between the two they would take longer than `most`. What it
+    /// has read or sent since the second look is no longer late. Calls of the connection hold `held` bytes.
+    fn late_bytes(&mut self, held: usize, interval: Duration, most: Duration) -> usize {
+        let bytes = match self.paused {
+            // Other budgets have the bytes of administration and reflection.
+            0 => self.bytes.min(held),
+            // The call of a paused answer keeps the request, and what its next frames are made of.
+            _ => held,
+        };
+        let time = self.looked_at.elapsed();
+        if time >= interval {
+            let (stood, moved) = (bytes.min(self.bytes_then), self.moved - self.moved_then);
+            let needed = stood as f64 * time.as_secs_f64() / most.as_secs_f64();
+            self.late_bytes = if (moved as f64) < needed { stood } else { 0 };
+            (self.looked_at, self.bytes_then, self.moved_then) =
+                (Instant::now(), bytes, self.moved);
+        }
+        let moved = self.moved - self.moved_then;
+        self.late_bytes.saturating_sub(moved as usize).min(bytes)
+    }
+}
+
 impl Activity {
+    /// Notes that the connection has a frame of an answer, until the result is dropped.
+    pub(in crate::grpc) fn pause_answer(&self) -> PausedAnswer {
+        self.state.waits.lock().paused += 1;
+        PausedAnswer(Arc::clone(&self.state))
+    }
+
     /// Cuts the connection whose streams that stand have the most unread requests, perhaps this one, unless it is on its
     /// way out: the budget of all is spent.
     pub(in crate::grpc) fn cut_longest_backlog(&self) {
