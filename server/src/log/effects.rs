@@ -179,6 +179,13 @@ impl Effects {
         self.batch().is_some_and(|batch| !batch.ended.is_empty())
     }
 
+    /// True if it opens a writer session, or reserves ids and removes no point.
+    pub fn grows_sessions(&self) -> bool {
+        let frees = !self.removed.is_empty();
+        self.batch()
+            .is_some_and(|it| it.number == 0 || !frees && !it.reserved.is_empty())
+    }
+
     /// Its approximate size in bytes.
     pub fn bytes(&self) -> usize {
         let row = 8 * self.stored.coordinates() + 3 * 8 + 1;

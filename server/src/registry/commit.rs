@@ -44,16 +44,20 @@ pub enum CommitOutcome {
 
 impl Hosted {
     /// Commits a mutation that was evaluated under `writer`: submits the `effects`, and returns once they are
-    /// published. Above a watermark a mutation that stores points is refused, and one that remembers more than a small answer.
-    /// From the first poll on the commit completes, even if the caller drops the future.
+    /// published. Above a watermark a mutation that stores points is refused, and so is one that opens a session, reserves ids, or
+    /// remembers more than a small answer. From the first poll on the commit completes, even if the caller drops the future.
     pub async fn commit(
         self: &Arc<Self>,
         writer: WriteGuard,
         effects: Effects,
     ) -> Result<CommitOutcome, RegistryError> {
-        // A record that stores no point may remember a large answer.
+        // A record that stores no point may remember a large answer. Sessions and blocks of ids stay for a week, and a start reads
+        // all of them.
         let operation = effects.operation().map_or(0, |it| it.bytes());
-        if !effects.stored().is_empty() || operation > MAX_SMALL_OPERATION_BYTES {
+        if !effects.stored().is_empty()
+            || effects.grows_sessions()
+            || operation > MAX_SMALL_OPERATION_BYTES
+        {
             self.host
                 .watermarks
                 .admit(STORED_COPIES * effects.bytes() as u64)?;

@@ -1,9 +1,11 @@
 //! Above the watermarks of memory and disk the server takes in nothing that grows it, and goes on with the rest.
 
+mod start;
+
 use std::{
     io,
     sync::{
-        Arc, Mutex, Weak,
+        Arc,
         atomic::{AtomicU64, Ordering::Relaxed},
     },
     time::Duration,
@@ -11,8 +13,8 @@ use std::{
 
 use wayfold_proto::v1;
 use wayfold_server::{
-    log::{Catalogue, Entry, Log, LogError, MemoryLog, Uid},
-    registry::{Registry, RegistryError},
+    log::{Log, MemoryLog},
+    registry::Registry,
     service::{Code, Error, Limits, Service},
     watermark::{Resource, Usage, Watermark, WatermarkExceeded, Watermarks},
 };
@@ -25,8 +27,6 @@ use crate::support::{
 const HIGH: u64 = 85_000_000;
 const LOW: u64 = 80_000_000;
 const LIMIT: u64 = 100_000_000;
-/// A start may use so much memory.
-const START: u64 = HIGH + (LIMIT - HIGH) / 2;
 
 /// The used bytes that a watermark measures.
 #[derive(Clone, Default)]
@@ -236,6 +236,45 @@ async fn a_restore_is_refused_by_the_size_of_its_sessions() {
     restore(&service, "leg", &parts).await.unwrap();
 }
 
+/// A writer could open sessions, or take ids one by one, until a start has no memory for them.
+#[tokio::test]
+async fn above_a_watermark_no_session_opens_and_only_removals_reserve_ids() {
+    let (memory, disk) = (Used::default(), Used::default());
+    let (_registry, service) = over(Arc::new(MemoryLog::new()), watermarks(&memory, &disk));
+    let uid = create(&service, "arm", "R3").await;
+    let insert = insertion(&cube(1, 3), &[]);
+    service.insert(&CALL, insert).await.unwrap();
+    let opening = v1::OpenSessionRequest {
+        index_name: "arm".into(),
+        ..Default::default()
+    };
+    let opened = service.open_session(&CALL, opening.clone()).await;
+    let write = |batch, reserve_count, removed: &[u64]| v1::WriteRequest {
+        index_name: "arm".into(),
+        uid: uid.clone(),
+        session: opened.as_ref().unwrap().session,
+        batch,
+        reserve_count,
+        kinds: vec![v1::StepKind::Remove.into(); removed.len()],
+        ids: removed.into(),
+        ..Default::default()
+    };
+    memory.set(HIGH + 1);
+    full(service.open_session(&CALL, opening.clone()).await);
+    full(service.write(&CALL, write(1, 1, &[])).await);
+    // No point has this id, so nothing is freed.
+    full(service.write(&CALL, write(1, 1, &[77])).await);
+    for (batch, reserve_count) in [(1, 0), (2, 5)] {
+        let removal = write(batch, reserve_count, &[batch]);
+        let written = service.write(&CALL, removal).await.unwrap();
+        let reserved = written.reserved.unwrap().id_count;
+        assert_eq!((written.missing_count, reserved), (0, reserve_count));
+    }
+    memory.set(LOW);
+    service.write(&CALL, write(3, 1, &[])).await.unwrap();
+    service.open_session(&CALL, opening).await.unwrap();
+}
+
 /// Bytes that were taken in since the last measurement count.
 #[test]
 fn bytes_taken_in_count_before_they_are_measured() {
@@ -256,154 +295,4 @@ fn a_resource_that_cannot_be_measured_refuses_nothing() {
     watermark.admit(u64::MAX).unwrap();
     watermark.fits_at_start(u64::MAX).unwrap();
     assert_eq!(watermark.remaining(), None);
-}
-
-#[tokio::test]
-async fn a_start_without_memory_lists_and_deletes_and_loads_the_rest_later() {
-    let log = Arc::new(MemoryLog::new());
-    let before = service_with(Arc::clone(&log), Limits::default());
-    for name in ["arm", "empty", "leg"] {
-        create(&before, name, "R3").await;
-    }
-    for name in ["arm", "leg"] {
-        let insert = v1::InsertRequest {
-            index_name: name.into(),
-            ..insertion(&cube(1, 100), &[])
-        };
-        before.insert(&CALL, insert).await.unwrap();
-    }
-    let answer = before.knn(&CALL, knn(&[[0.5; 3]], 9)).await.unwrap();
-    drop(before);
-
-    let (memory, disk) = (Used::default(), Used::default());
-    memory.set(START - 1000);
-    let (registry, service) = over(log, watermarks(&memory, &disk));
-    let listing = service
-        .list_indexes(&CALL, v1::ListIndexesRequest::default())
-        .await
-        .unwrap();
-    let names: Vec<_> = listing.indexes.iter().map(|index| &index.name).collect();
-    assert_eq!(names, ["empty"]);
-    let unloaded: Vec<_> = listing.damaged.iter().map(|index| &index.name).collect();
-    assert_eq!(unloaded, ["arm", "leg"]);
-    for error in [
-        listing.damaged[0].error.clone(),
-        service.knn(&CALL, knn(&[[0.5; 3]], 9)).await.unwrap_err(),
-        service.remove(&CALL, removal(&[3])).await.unwrap_err(),
-    ] {
-        assert_eq!(
-            (error.code(), error.reason()),
-            (Code::Unavailable, "NOT_LOADED")
-        );
-        assert!(
-            matches!(error, Error::NotLoaded { points: 100, needed, .. } if needed > 2400),
-            "{error}"
-        );
-    }
-    let deletion = v1::DeleteIndexRequest {
-        index_name: "leg".into(),
-        ..Default::default()
-    };
-    service.delete_index(&CALL, deletion).await.unwrap();
-    registry.load_rest();
-    service
-        .knn(&CALL, knn(&[[0.5; 3]], 9))
-        .await
-        .expect_err("there is no memory yet");
-
-    memory.set(LOW / 2);
-    registry.load_rest();
-    assert_eq!(
-        service.knn(&CALL, knn(&[[0.5; 3]], 9)).await.unwrap(),
-        answer
-    );
-    let error = service.get_index(
-        &CALL,
-        v1::GetIndexRequest {
-            index_name: "leg".into(),
-        },
-    );
-    assert_eq!(error.await.unwrap_err().code(), Code::NotFound);
-}
-
-/// A catalogue in which an index is deleted once the indices are listed.
-struct Shrinking {
-    local: Arc<MemoryLog>,
-    /// The registry and the name of the index, for one deletion.
-    deletion: Mutex<Option<(Weak<Registry>, &'static str)>>,
-}
-
-impl Catalogue for Shrinking {
-    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
-        let entries = self.local.indexes();
-        let deletion = self.deletion.lock().unwrap().take();
-        if let Some((registry, name)) = deletion {
-            registry.upgrade().unwrap().delete(name, None).unwrap();
-        }
-        entries
-    }
-
-    fn create(&self, entry: Entry) -> Result<(), LogError> {
-        self.local.create(entry)
-    }
-
-    fn delete(&self, uid: Uid) -> Result<(), LogError> {
-        self.local.delete(uid)
-    }
-}
-
-#[tokio::test]
-async fn an_index_that_is_deleted_while_others_are_loaded_stays_deleted() {
-    let local = Arc::new(MemoryLog::new());
-    let before = service_with(Arc::clone(&local), Limits::default());
-    for name in ["arm", "leg"] {
-        create(&before, name, "R3").await;
-        let insert = v1::InsertRequest {
-            index_name: name.into(),
-            ..insertion(&cube(1, 100), &[])
-        };
-        before.insert(&CALL, insert).await.unwrap();
-    }
-    drop(before);
-
-    let (memory, disk) = (Used::default(), Used::default());
-    memory.set(START - 1000);
-    let catalogue = Arc::new(Shrinking {
-        local: Arc::clone(&local),
-        deletion: Mutex::default(),
-    });
-    let log = Log {
-        catalogue: Arc::clone(&catalogue) as Arc<dyn Catalogue>,
-        ..Log::from(local)
-    };
-    let (registry, service) = over(log, watermarks(&memory, &disk));
-    memory.set(LOW / 2);
-    *catalogue.deletion.lock().unwrap() = Some((Arc::downgrade(&registry), "leg"));
-    registry.load_rest();
-    service.knn(&CALL, knn(&[[0.5; 3]], 9)).await.unwrap();
-    assert!(matches!(registry.get("leg"), Err(RegistryError::Deleted)));
-}
-
-/// Near the watermark the points of an index go into the forest in parts, and nothing is merged that does not fit.
-#[tokio::test]
-async fn an_index_that_just_fits_is_loaded_in_parts() {
-    let log = Arc::new(MemoryLog::new());
-    let before = service_with(Arc::clone(&log), Limits::default());
-    create(&before, "arm", "R3").await;
-    let rows = cube(1, 70_000);
-    before.insert(&CALL, insertion(&rows, &[])).await.unwrap();
-    let ask = knn(&rows[..20], 9);
-    let answer = before.knn(&CALL, ask.clone()).await.unwrap();
-    drop(before);
-
-    let point_bytes = 56;
-    for (free, is_loaded) in [(100_000 * point_bytes, true), (60_000 * point_bytes, false)] {
-        let (memory, disk) = (Used::default(), Used::default());
-        memory.set(START - free);
-        let (_registry, service) = over(Arc::clone(&log), watermarks(&memory, &disk));
-        match service.knn(&CALL, ask.clone()).await {
-            Ok(found) => assert!(is_loaded && found == answer),
-            Err(error) => assert!(!is_loaded && error.reason() == "NOT_LOADED", "{error}"),
-        }
-    }
 }
