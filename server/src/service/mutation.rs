@@ -144,7 +144,7 @@ impl Service {
             reads += 1;
             let mut caught_up = stored.catch_up(hosted, &writer);
             // It is false only if the cached records do not reach back to the read, or some of them were refused since.
-            if caught_up == Ok(false) && reads == MAX_READS_AHEAD {
+            if caught_up == Ok(false) && reads >= MAX_READS_AHEAD {
                 let read = stored.read(call, hosted, &base, ids).await;
                 caught_up = read.and_then(|()| stored.catch_up(hosted, &writer).map(|_| true));
             }
