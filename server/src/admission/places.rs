@@ -19,8 +19,8 @@ use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
 
 use super::Flow;
 
-/// A flow loses a place only to a flow with at least this many fewer calls under way. With a lead of one, two flows would
-/// take a place from each other in turns.
+/// A flow loses a place only to a flow with at least this many fewer calls under way, or to one without any. With a lead of one,
+/// two flows would take a place from each other in turns.
 const MIN_LEAD: usize = 2;
 
 /// See the module.
@@ -118,7 +118,10 @@ impl CallPlaces {
         exits: &Arc<Semaphore>,
     ) -> Option<OwnedSemaphorePermit> {
         let exit = Arc::clone(exits).try_acquire_owned().ok()?;
-        let least = newcomer.under_way().saturating_add(MIN_LEAD);
+        let least = match newcomer.under_way() {
+            0 => 1,
+            under_way => under_way.saturating_add(MIN_LEAD),
+        };
         let mut waiting = self.waiting.lock();
         let counted = waiting.places.iter();
         let counted = counted.map(|(&number, place)| (place.flow.under_way(), number));
@@ -249,7 +252,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn flows_with_as_many_calls_take_no_place_from_each_other() {
+    async fn flows_with_one_call_take_no_place_from_each_other_but_leave_one_to_a_newcomer() {
         let admission = Admission::new(&Config::default().admission, 1, 0);
         let places = CallPlaces::new(2);
         let exits = Arc::new(Semaphore::new(1));
@@ -259,8 +262,13 @@ mod tests {
         let _calls = [first.hold(), second.hold()];
         let _waits = [held.wait(), other.wait()];
         let third = admission.open();
+        let one_call = third.hold();
         let refused = places.take(&third, &exits).err();
-        assert_eq!(refused, Some(NoPlace::OfAll));
+        assert_eq!(refused, Some(NoPlace::OfFlow));
         assert_eq!(exits.available_permits(), 1);
+        drop(one_call);
+        places.take(&third, &exits).unwrap();
+        assert!(poll!(pin!(held.lost())).is_ready());
+        assert!(poll!(pin!(other.lost())).is_pending());
     }
 }
