@@ -25,6 +25,8 @@ pub struct ClientPermits {
     number: u64,
     reads: Arc<Semaphore>,
     changes: Arc<Semaphore>,
+    /// Held by the change that waits in the queue of all.
+    next_change: tokio::sync::Mutex<()>,
     writes: Mutex<HashMap<WriteKey, Weak<Semaphore>>>,
 }
 
@@ -35,6 +37,7 @@ impl ClientPermits {
             number: NEXT.fetch_add(1, Relaxed),
             reads: Arc::new(Semaphore::new(reads)),
             changes: Arc::new(Semaphore::new(MAX_CHANGES / 4)),
+            next_change: tokio::sync::Mutex::new(()),
             writes: Mutex::default(),
         }
     }
@@ -50,10 +53,16 @@ impl ClientPermits {
         Arc::clone(&self.reads).acquire_owned().await.ok()
     }
 
-    /// Waits until the client may create, delete or restore an index: it has a quarter of all permits.
-    pub(crate) async fn change(&self) -> Option<OwnedSemaphorePermit> {
+    /// Waits until the client may create, delete or restore an index, and then for `all` clients: it has a quarter of all
+    /// permits, and one place in their queue.
+    pub(crate) async fn change<T>(
+        &self,
+        all: impl Future<Output = T>,
+    ) -> (Option<OwnedSemaphorePermit>, T) {
         // It is never closed.
-        Arc::clone(&self.changes).acquire_owned().await.ok()
+        let share = Arc::clone(&self.changes).acquire_owned().await.ok();
+        let _next = self.next_change.lock().await;
+        (share, all.await)
     }
 
     /// Waits until no other call of the client waits for the writer of this index. The writer takes calls in the order of
@@ -76,5 +85,34 @@ impl ClientPermits {
             })
         };
         permit.acquire_owned().await.ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::pin::pin;
+
+    use futures_util::poll;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_change_waits_for_at_most_one_of_each_other_client() {
+        let all = Arc::new(Semaphore::new(1));
+        let (many, one) = (ClientPermits::new(1), ClientPermits::new(1));
+        let acquire = || Arc::clone(&all).acquire_owned();
+        let busy = acquire().await.unwrap();
+        let mut first = pin!(many.change(acquire()));
+        let mut second = pin!(many.change(acquire()));
+        let mut last = pin!(one.change(acquire()));
+        assert!(poll!(first.as_mut()).is_pending());
+        assert!(poll!(second.as_mut()).is_pending());
+        assert!(poll!(last.as_mut()).is_pending());
+        drop(busy);
+        drop(first.await);
+        assert!(poll!(second.as_mut()).is_pending());
+        drop(last.await);
+        let (share, permit) = second.await;
+        assert!(share.is_some() && permit.is_ok());
     }
 }

@@ -257,12 +257,12 @@ impl Service {
         change: impl FnOnce(&Service) -> T + Send + 'static,
     ) -> Result<T, Error> {
         let waiting = async {
-            // The changes of a client that has its share wait here, not in the queue of all.
-            let share = match &call.permits {
-                Some(permits) => permits.change().await,
-                None => None,
-            };
-            (share, Arc::clone(&self.inner.changes).acquire_owned().await)
+            let all = Arc::clone(&self.inner.changes).acquire_owned();
+            match &call.permits {
+                // The other changes of a client wait there, not in the queue of all.
+                Some(permits) => permits.change(all).await,
+                None => (None, all.await),
+            }
         };
         let doing = "while waiting for changes of other indices; nothing was changed";
         let permits = call.bound(doing, waiting).await?;
