@@ -74,6 +74,9 @@ mod tests {
         time::{Duration, Instant},
     };
 
+    use futures_util::poll;
+    use tokio::{task::yield_now, time::timeout};
+
     use super::*;
     use crate::{
         admission::Admission,
@@ -112,7 +115,17 @@ mod tests {
         );
         other.release_all();
         call.deadline = None;
-        let answer = service.log(&call, after).await.unwrap();
+        let mut answering = Box::pin(service.log(&call, after));
+        assert!(poll!(answering.as_mut()).is_pending());
+        // The answer is not made before the next poll, and its records are read meanwhile.
+        let counted = async {
+            while flow.held() < 10 * 30_000 {
+                yield_now().await;
+            }
+        };
+        let counted = timeout(Duration::from_secs(10), counted).await;
+        counted.expect("the records do not count");
+        let answer = answering.await.unwrap();
         assert_eq!(answer.mutations.len(), 10);
         assert_eq!(flow.held(), 0);
         // Its records take no further place among the calls of the flow.
