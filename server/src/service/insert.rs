@@ -15,7 +15,7 @@ use super::{
     check::{self, Rows, Violations},
     mutation::{IdempotencyKey, Start, refused},
     neighbor_spec::NeighborSpec,
-    payloads::{Payloads, UnreadPayloads},
+    payloads::{Payloads, UnreadPayloads, hold_column},
     prefetch::Prefetch,
     read_view::revision,
     stored::MAX_READS_AHEAD,
@@ -49,6 +49,7 @@ impl Service {
         request: v1::InsertRequest,
     ) -> Result<v1::InsertResponse, Error> {
         let hosted = self.index(call, Role::Write, &request.index_name, &request.uid)?;
+        let _payloads = hold_column(call, &request.payloads)?;
         if let Some(answer) = self.forward(call, &hosted, &request).await {
             return answer;
         }

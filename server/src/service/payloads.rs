@@ -26,6 +26,13 @@ pub(super) struct Payloads {
     held: AnswerBytes,
 }
 
+/// The bytes that the payloads of a request take beside it, held for the call: an empty one has two bytes there.
+pub(super) fn hold_column(call: &Call, payloads: &[Bytes]) -> Result<AnswerBytes, Error> {
+    let mut held = call.answer_bytes();
+    held.take(size_of_val(payloads))?;
+    Ok(held)
+}
+
 /// Ids of points whose payloads are still to be read.
 #[derive(Default)]
 pub(super) struct UnreadPayloads {

@@ -16,7 +16,7 @@ pub(super) struct Prefetch {
     neighbors: Option<Search<'static>>,
     /// One a row; the last rows may be missing.
     rows: Vec<PrefetchedRow>,
-    /// The bytes of the neighbours.
+    /// The bytes of the rows.
     held: AnswerBytes,
 }
 
@@ -65,7 +65,9 @@ impl Prefetch {
                 nearest: search(nearest)?,
             };
             let count = row_neighbors.neighbors.len();
-            prefetch.held.take(count * size_of::<Neighbor>())?;
+            let neighbors = count + row_neighbors.nearest.len();
+            let bytes = size_of::<PrefetchedRow>() + neighbors * size_of::<Neighbor>();
+            prefetch.held.take(bytes)?;
             found += count;
             prefetch.rows.push(row_neighbors);
             pace.step().await?;
@@ -98,5 +100,66 @@ impl Prefetch {
     /// The neighbours of a row, if it was searched for.
     pub(super) fn row(&self, at: usize) -> Option<&PrefetchedRow> {
         self.rows.get(at)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use bytes::Bytes;
+    use futures_util::poll;
+    use tokio::task::yield_now;
+    use wayfold_proto::v1;
+
+    use super::*;
+    use crate::{
+        admission::Admission,
+        config::Config,
+        log::MemoryLog,
+        registry::{Registry, RegistryOptions},
+        service::{Call, Limits, Service},
+    };
+
+    /// A row has two bytes of its payload in the request, and no point is near it.
+    #[tokio::test]
+    async fn an_insert_that_waits_for_others_holds_what_its_rows_take() {
+        const ROWS: usize = 2_000;
+        let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
+        let space: wayfold_index::Space = "R1".parse().unwrap();
+        let created = registry.create("line", space, Default::default(), &[]);
+        let (hosted, _) = created.unwrap();
+        let service = Service::new(registry, Limits::default());
+        service.set_ready();
+        let flow = Admission::new(&Config::default().admission, 1, 0).open();
+        let call = Call {
+            held: Some(Arc::new(flow.hold())),
+            ..Call::default()
+        };
+        let states = v1::States {
+            row_count: ROWS as u32,
+            coordinates: (0..ROWS).map(|row| row as f64).collect(),
+        };
+        let insert = v1::InsertRequest {
+            index_name: "line".into(),
+            states: Some(states),
+            payloads: vec![Bytes::new(); ROWS],
+            min_separation: 0.5,
+            ..Default::default()
+        };
+        let writer = hosted.write().await.unwrap();
+        let mut inserting = Box::pin(service.insert(&call, insert));
+        let expected = ROWS * (size_of::<PrefetchedRow>() + size_of::<Bytes>());
+        for _ in 0..10_000 {
+            assert!(poll!(inserting.as_mut()).is_pending());
+            if flow.held() >= expected {
+                break;
+            }
+            yield_now().await;
+        }
+        assert!(flow.held() >= expected, "{} of {expected}", flow.held());
+        drop(writer);
+        inserting.await.unwrap();
+        assert_eq!(flow.held(), 0);
     }
 }

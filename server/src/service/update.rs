@@ -10,6 +10,7 @@ use super::{
     changed_points::ChangedPoints,
     check::{self, Violations},
     mutation::{IdempotencyKey, Start},
+    payloads::hold_column,
     read_view::{check_uid, revision, uid_is_named},
 };
 use crate::{
@@ -28,6 +29,7 @@ impl Service {
         request: v1::UpdateRequest,
     ) -> Result<v1::UpdateResponse, Error> {
         let hosted = self.index(call, Role::Write, &request.index_name, &request.uid)?;
+        let _payloads = hold_column(call, &request.payloads)?;
         if let Some(answer) = self.forward(call, &hosted, &request).await {
             return answer;
         }

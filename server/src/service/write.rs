@@ -18,6 +18,7 @@ use super::{
     changed_points::ChangedPoints,
     check::{self, Rows, Violations},
     mutation::{IdempotencyKey, Start},
+    payloads::hold_column,
     read_view::revision,
     session::{block, reserve},
 };
@@ -75,6 +76,7 @@ impl Service {
         mut request: v1::WriteRequest,
     ) -> Result<v1::WriteResponse, Error> {
         let hosted = self.index(call, Role::Write, &request.index_name, &request.uid)?;
+        let _payloads = hold_column(call, &request.payloads)?;
         if let Some(answer) = self.forward(call, &hosted, &request).await {
             return answer;
         }
