@@ -4,6 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use futures_util::future::join_all;
+use prost::Message;
 use tokio::{
     task::JoinError,
     time::{MissedTickBehavior, interval, timeout},
@@ -28,6 +29,9 @@ use crate::{
     log::{Durability, Origin, Record, Sessions, StoredPoint},
     registry::{AwaitedCopy, Hosted, RegistryError, Restore},
 };
+
+/// The most bytes of the first part, which waits for other changes. It has the header alone.
+const MAX_FIRST_PART_BYTES: usize = 1024 * 1024;
 
 /// The first revision that no snapshot may have: an index that is restored needs revisions for its mutations.
 const END_OF_REVISIONS: u64 = 1 << 63;
@@ -143,6 +147,13 @@ impl RestoreCall {
         let mut draft = self.draft.take().ok_or_else(out_of_order)?;
         let caller = self.call.caller.clone();
         let is_first = draft.restore.is_none();
+        let bytes = part.encoded_len();
+        if is_first && bytes > MAX_FIRST_PART_BYTES {
+            let text = format!(
+                "the first part, the header, has {bytes} bytes, more than {MAX_FIRST_PART_BYTES}"
+            );
+            return Err(refused("TOO_LARGE", text));
+        }
         let read = move |service: &Service| {
             draft.read(service, &caller, &name, &part)?;
             Ok::<_, Error>(draft)

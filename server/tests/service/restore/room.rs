@@ -58,3 +58,21 @@ async fn of_restores_that_begin_at_once_those_that_have_room_end() {
         assert_eq!(restored, 2);
     }
 }
+
+/// The first part waits for other changes.
+#[tokio::test]
+async fn a_first_part_is_no_larger_than_any_header() {
+    let service = service();
+    let part = v1::SnapshotPart {
+        number: 1,
+        content: vec![0; 1 << 20].into(),
+        ..Default::default()
+    };
+    let message = v1::RestoreIndexRequest {
+        name: "arm".into(),
+        part: Some(part),
+    };
+    let mut restoring = service.restore_index(&CALL).unwrap();
+    let refused = refusal(restoring.add(message).await);
+    assert_eq!(refused, (Code::InvalidArgument, "TOO_LARGE", "part".into()));
+}
