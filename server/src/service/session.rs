@@ -74,14 +74,27 @@ impl Service {
     }
 }
 
-/// The sessions that have been idle for too long; an error if the others are as many as an index may have.
+/// A session without a batch keeps its place for this long. Otherwise one writer could take all places for a week by opening
+/// sessions.
+const MIN_UNWRITTEN: Duration = Duration::from_secs(600);
+
+/// The sessions that end as another one opens: those that have been idle for too long and, if there are as many as an index may
+/// have, the oldest without a batch. An error if there is no place then.
 fn ended(hosted: &Hosted, writer: &Writer, limits: &Limits) -> Result<Vec<u64>, Error> {
     let idle = Duration::from_secs(limits.max_session_idle_seconds);
-    let since = SystemTime::now().checked_sub(idle);
-    let mut ended = since.map_or_else(Vec::new, |since| writer.sessions().unused_since(since));
-    // Another server's clock may have stamped the records, so this server ends no session that it has seen in use.
-    ended.retain(|session| !hosted.is_session_used_within(*session, idle));
-    let open = writer.sessions().len() - ended.len();
+    let sessions = writer.sessions();
+    let mut ended = unused_for(hosted, writer, idle);
+    let excess = (sessions.len() - ended.len() + 1).saturating_sub(limits.max_sessions);
+    if excess > 0 {
+        let unwritten = |id: &u64| sessions.get(*id).is_some_and(|it| it.batch == 0);
+        let unused = unused_for(hosted, writer, MIN_UNWRITTEN.min(idle)).into_iter();
+        let others: Vec<u64> = unused
+            .filter(|id| unwritten(id) && ended.binary_search(id).is_err())
+            .take(excess)
+            .collect();
+        ended.extend(others);
+    }
+    let open = sessions.len() - ended.len();
     if open >= limits.max_sessions {
         return Err(Error::LimitExceeded {
             limit: "max_sessions",
@@ -91,6 +104,15 @@ fn ended(hosted: &Hosted, writer: &Writer, limits: &Limits) -> Result<Vec<u64>, 
         });
     }
     Ok(ended)
+}
+
+/// The sessions without a batch for this time, by id.
+fn unused_for(hosted: &Hosted, writer: &Writer, time: Duration) -> Vec<u64> {
+    let since = SystemTime::now().checked_sub(time);
+    let mut unused = since.map_or_else(Vec::new, |since| writer.sessions().unused_since(since));
+    // Another server's clock may have stamped the records, so this server ends no session that it has seen in use.
+    unused.retain(|session| !hosted.is_session_used_within(*session, time));
+    unused
 }
 
 /// The most blocks of reserved ids that an index keeps for all sessions. Two sessions that reserve in turns get a block

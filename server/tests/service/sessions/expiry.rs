@@ -126,6 +126,38 @@ async fn a_session_lives_for_the_whole_limit_and_full_places_are_freed() {
     write(&service, batch(&session, 2, &[])).await;
 }
 
+/// A writer could take all places for the idle time otherwise.
+#[tokio::test]
+async fn the_oldest_session_without_a_batch_makes_room_after_ten_minutes() {
+    let limits = Limits {
+        max_sessions: 3,
+        ..idle(100_000)
+    };
+    let log = Arc::new(MemoryLog::new());
+    let service = service_with(Arc::clone(&log), limits.clone());
+    let uid = create(&service, "arm", "R1").await;
+    let (writing, _) = open(&service, &uid, 0).await;
+    write(&service, batch(&writing, 1, &[])).await;
+    let (oldest, _) = open(&service, &uid, 2).await;
+    let (other, _) = open(&service, &uid, 0).await;
+
+    let full = (Code::ResourceExhausted, "LIMIT_EXCEEDED");
+    for (age, places) in [(590, 0), (601, 2)] {
+        let aged = aged(&log, Duration::from_secs(age));
+        let service = restarted_with(aged, options(), limits.clone());
+        for _ in 0..places {
+            open(&service, &uid, 0).await;
+        }
+        let (code, reason, _) = refusal(service.open_session(&CALL, opening(0)).await);
+        assert_eq!((code, reason), full);
+        write(&service, batch(&writing, 2, &[])).await;
+        for (session, place) in [(&oldest, 1), (&other, 2)] {
+            let late = service.write(&CALL, batch(session, 1, &[])).await;
+            assert_eq!(late.is_err(), places >= place, "{late:?}");
+        }
+    }
+}
+
 /// Limits that no clock reaches.
 #[tokio::test]
 async fn sessions_with_an_endless_limit_never_end() {
