@@ -6,13 +6,18 @@
 //!   revision, and a read with `latest` has no lower revision than an operation that returned before it was invoked;
 //! - no client goes backwards;
 //! - each read sees the effects of the mutations up to its revision, each once and no other;
-//! - a mutation that found nothing to change had nothing to change at its revision.
+//! - a mutation that found nothing to change had nothing to change at its revision;
+//! - a compare-and-set took effect only if its point had not changed after the revision that it named, and was refused only if
+//!   the point may have changed after it;
+//! - a follower gets each record once and in order, with the effects of the mutation of its revision and no others.
 
+mod changes;
 mod order;
+mod placed;
 mod replay;
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     hash::{DefaultHasher, Hash, Hasher},
 };
 
@@ -51,6 +56,33 @@ pub enum Call {
         /// The content of the answer.
         seen: ReadPoints,
     },
+    /// A compare-and-set that was refused because its point had changed.
+    Conflict {
+        /// The point.
+        id: u64,
+        /// The revision that it named.
+        if_revision: u64,
+    },
+    /// A record that a follower got: all that the mutation of its revision did.
+    Record {
+        /// Its revision.
+        revision: u64,
+        /// The points that it stored or changed, as they are then.
+        stored: BTreeMap<u64, Point>,
+        /// The points that it removed.
+        removed: BTreeSet<u64>,
+    },
+}
+
+impl Call {
+    /// The points that the answer tells.
+    fn points(&self) -> Option<&BTreeMap<u64, Point>> {
+        match self {
+            Call::Read { seen, .. } => Some(seen.points()),
+            Call::Record { stored, .. } => Some(stored),
+            Call::Mutation { .. } | Call::Conflict { .. } => None,
+        }
+    }
 }
 
 /// The answer to a mutation.
@@ -78,6 +110,26 @@ pub enum Step {
     Remove(u64),
     /// Changes the tag of a point if it is stored.
     SetTag(u64, u64),
+    /// Changes the tag of a point; the mutation is refused if the point changed after a revision.
+    SetTagIf {
+        /// The point.
+        id: u64,
+        /// Its new tag.
+        tag: u64,
+        /// The revision.
+        if_revision: u64,
+    },
+}
+
+impl Step {
+    /// The point that it removes or whose tag it changes, and the new tag.
+    fn target(self) -> Option<(u64, Option<u64>)> {
+        match self {
+            Step::Put { .. } => None,
+            Step::Remove(id) => Some((id, None)),
+            Step::SetTag(id, tag) | Step::SetTagIf { id, tag, .. } => Some((id, Some(tag))),
+        }
+    }
 }
 
 /// The points in the answer to a read.
@@ -175,6 +227,31 @@ pub enum Violation {
         /// The revision that it saw then.
         to: u64,
     },
+    /// A compare-and-set took effect though its point had changed.
+    Overwritten {
+        /// Its revision.
+        revision: u64,
+        /// The point.
+        id: u64,
+        /// The revision that had changed the point, after the one that the compare-and-set named.
+        changed: u64,
+    },
+    /// A compare-and-set was refused though nothing can have changed its point after the revision that it named.
+    Unprovoked {
+        /// The point.
+        id: u64,
+        /// The revision that it named.
+        if_revision: u64,
+    },
+    /// A follower got a record that is not the next one.
+    NotNext {
+        /// The follower.
+        client: u64,
+        /// The revision that it had.
+        after: u64,
+        /// The revision of the record.
+        revision: u64,
+    },
 }
 
 /// The numbers of operations in a history that holds.
@@ -188,6 +265,10 @@ pub struct Checked {
     pub latest: u64,
     /// Other reads.
     pub plain: u64,
+    /// Compare-and-sets that were refused because their points had changed.
+    pub conflicts: u64,
+    /// Records of followers.
+    pub records: u64,
 }
 
 /// Checks a history in any order.
@@ -195,7 +276,7 @@ pub struct Checked {
 /// # Errors
 /// All contradictions of the order; if there is none, those of the contents.
 pub fn check(operations: &[Operation]) -> Result<Checked, Vec<Violation>> {
-    let placed = replay::place(operations)?;
+    let placed = placed::place(operations)?;
     let returned = order::returned(operations, &placed);
     let violations = order::check(operations, &placed, &returned);
     if !violations.is_empty() {
@@ -211,6 +292,8 @@ pub fn check(operations: &[Operation]) -> Result<Checked, Vec<Violation>> {
             Call::Mutation { answer, .. } => checked.acknowledged += u64::from(answer.is_some()),
             Call::Read { latest: true, .. } => checked.latest += 1,
             Call::Read { .. } => checked.plain += 1,
+            Call::Conflict { .. } => checked.conflicts += 1,
+            Call::Record { .. } => checked.records += 1,
         }
     }
     Ok(checked)

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::{Call, Operation, Violation, replay::Placed};
+use super::{Call, Operation, Violation, placed::Placed};
 
 /// The greatest revisions that had returned when an operation was invoked.
 #[derive(Clone, Copy, Default)]
@@ -52,6 +52,16 @@ pub(super) fn check(
         let Returned { newest, own } = *before;
         let is_fresh = match &operation.call {
             Call::Read { latest, .. } => *latest,
+            Call::Record { .. } => {
+                if Some(revision) != own.checked_add(1) {
+                    violations.push(Violation::NotNext {
+                        client: operation.client,
+                        after: own,
+                        revision,
+                    });
+                }
+                false
+            }
             Call::Mutation { .. } if placed.makes_revision(operations, at) => {
                 if revision <= newest {
                     violations.push(Violation::Reordered {
@@ -61,7 +71,7 @@ pub(super) fn check(
                 }
                 false
             }
-            Call::Mutation { .. } => true,
+            Call::Mutation { .. } | Call::Conflict { .. } => true,
         };
         if is_fresh && revision < newest {
             violations.push(Violation::Stale {
@@ -83,11 +93,12 @@ pub(super) fn check(
 /// The revision of an operation, if it is known.
 fn revision(operations: &[Operation], placed: &Placed, at: usize) -> Option<u64> {
     match &operations[at].call {
-        Call::Read { revision, .. } => Some(*revision),
+        Call::Read { revision, .. } | Call::Record { revision, .. } => Some(*revision),
         Call::Mutation {
             answer: Some(answer),
             ..
         } => Some(answer.revision),
         Call::Mutation { answer: None, .. } => placed.revision(at),
+        Call::Conflict { .. } => None,
     }
 }

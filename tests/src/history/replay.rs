@@ -1,74 +1,16 @@
 //! The contents of reads against a replay of the mutations in the order of their revisions.
 
-use std::collections::{BTreeMap, HashMap, hash_map::Entry};
+use std::collections::{BTreeMap, BTreeSet, HashMap, hash_map::Entry};
 
-use super::{Answer, Call, Operation, Point, ReadPoints, Step, Violation, order::Returned};
+use super::{
+    Answer, Call, Operation, Point, ReadPoints, Step, Violation,
+    changes::{Changes, Position},
+    order::Returned,
+    placed::Placed,
+};
 
-/// The mutations without an answer whose effect was seen.
-#[derive(Default)]
-pub(super) struct Placed {
-    /// The revision of each, by its place in the history.
-    revisions: HashMap<usize, u64>,
-    /// The ids of its points, by their payloads.
-    ids: HashMap<u64, u64>,
-}
-
-impl Placed {
-    pub(super) fn revision(&self, at: usize) -> Option<u64> {
-        self.revisions.get(&at).copied()
-    }
-
-    /// True if the mutation is known to have made its revision.
-    pub(super) fn makes_revision(&self, operations: &[Operation], at: usize) -> bool {
-        match operations[at].call {
-            Call::Mutation {
-                answer: Some(answer),
-                ..
-            } => answer.changed,
-            Call::Mutation { answer: None, .. } => self.revisions.contains_key(&at),
-            Call::Read { .. } => false,
-        }
-    }
-}
-
-/// Finds the mutations without an answer by the payloads that only they could have stored.
-pub(super) fn place(operations: &[Operation]) -> Result<Placed, Vec<Violation>> {
-    let mut unknown = HashMap::new();
-    for (at, operation) in operations.iter().enumerate() {
-        if let Call::Mutation {
-            steps,
-            answer: None,
-        } = &operation.call
-        {
-            for step in steps {
-                if let Step::Put { payload, .. } = step {
-                    unknown.insert(*payload, at);
-                }
-            }
-        }
-    }
-    let mut placed = Placed::default();
-    for operation in operations {
-        let Call::Read { seen, .. } = &operation.call else {
-            continue;
-        };
-        for (&id, point) in seen.points() {
-            let Some(&at) = unknown.get(&point.payload) else {
-                continue;
-            };
-            let revision = *placed.revisions.entry(at).or_insert(point.stored);
-            let known = *placed.ids.entry(point.payload).or_insert(id);
-            if (revision, known) != (point.stored, id) {
-                let revision = point.stored;
-                return Err(vec![Violation::Twice { revision, id }]);
-            }
-        }
-    }
-    Ok(placed)
-}
-
-/// Compares all reads, and the answers without effect, with the replay. Returns the number of mutations without an answer that
-/// took effect.
+/// Compares all reads, records and refusals, and the answers without effect, with the replay. Returns the number of mutations
+/// without an answer that took effect.
 pub(super) fn check(
     operations: &[Operation],
     placed: &Placed,
@@ -77,7 +19,9 @@ pub(super) fn check(
     let (mut mutations, mut observations, mut unplaced) = (BTreeMap::new(), Vec::new(), Vec::new());
     for (at, operation) in operations.iter().enumerate() {
         let (steps, revision) = match &operation.call {
+            Call::Conflict { .. } => continue,
             Call::Read { revision, .. }
+            | Call::Record { revision, .. }
             | Call::Mutation {
                 answer:
                     Some(Answer {
@@ -96,7 +40,12 @@ pub(super) fn check(
         };
         match revision {
             Some(revision) => {
-                if mutations.insert(revision, steps).is_some() {
+                let position = Position {
+                    revision,
+                    lowest: revision,
+                    invoked: operation.invoked,
+                };
+                if mutations.insert(revision, (position, steps)).is_some() {
                     return Err(vec![Violation::Divergent { revision }]);
                 }
             }
@@ -108,25 +57,46 @@ pub(super) fn check(
         }
     }
     observations.sort_by_key(|(revision, _)| *revision);
-    let mut replay = Replay::new(placed, unplaced);
+    let mut replay = Replay::new(placed, unplaced, Changes::new(operations));
     let mut mutations = mutations.into_iter().peekable();
     let mut violations = Vec::new();
-    for (read, operation) in observations {
-        while let Some((revision, steps)) = mutations.next_if(|(revision, _)| *revision <= read) {
-            replay.apply(revision, steps);
+    for (revision, operation) in observations {
+        while let Some((_, (position, steps))) = mutations.next_if(|(at, _)| *at <= revision) {
+            replay.apply(position, steps);
         }
+        let answer = Observed {
+            revision,
+            returned: operation.returned,
+            is_record: matches!(operation.call, Call::Record { .. }),
+        };
         let compared = match &operation.call {
-            Call::Read { seen, .. } => replay.compare(read, operation.returned, seen),
-            Call::Mutation { steps, .. } => {
-                replay.compare_unchanged(read, operation.returned, steps)
-            }
+            Call::Read { seen, .. } => replay.compare(answer, seen),
+            Call::Record {
+                stored, removed, ..
+            } => replay.compare_record(answer, stored, removed),
+            Call::Mutation { steps, .. } => replay.compare_unchanged(answer, steps),
+            Call::Conflict { .. } => Ok(()),
         };
         violations.extend(compared.err());
     }
+    for (_, (position, steps)) in mutations {
+        replay.apply(position, steps);
+    }
+    violations.append(&mut replay.changes.violations);
+    violations.extend(operations.iter().filter_map(|it| replay.unprovoked(it)));
     match violations.is_empty() {
         true => Ok(replay.found),
         false => Err(violations),
     }
+}
+
+/// An answer with a revision, as the replay compares it.
+#[derive(Clone, Copy)]
+struct Observed {
+    revision: u64,
+    returned: u64,
+    /// True if it tells what the mutation of its revision did, and not what all up to it did.
+    is_record: bool,
 }
 
 /// The state of the replay at one revision.
@@ -143,6 +113,9 @@ struct Replay<'a> {
     found: u64,
     /// The revision of a mutation with a point that no read told.
     torn: Option<u64>,
+    changes: Changes,
+    /// The newest revision that was applied, and the points that it changed.
+    touched: (u64, BTreeSet<u64>),
 }
 
 /// A mutation without an answer whose payloads were in no answer.
@@ -162,7 +135,7 @@ struct Stored {
 }
 
 impl<'a> Replay<'a> {
-    fn new(placed: &'a Placed, unplaced: Vec<Unplaced<'a>>) -> Self {
+    fn new(placed: &'a Placed, unplaced: Vec<Unplaced<'a>>, changes: Changes) -> Self {
         Self {
             placed,
             points: HashMap::new(),
@@ -170,17 +143,22 @@ impl<'a> Replay<'a> {
             removed: HashMap::new(),
             states: HashMap::new(),
             unplaced,
-            found: placed.revisions.len() as u64,
+            found: placed.count(),
             torn: None,
+            changes,
+            touched: (0, BTreeSet::new()),
         }
     }
 
-    fn apply(&mut self, revision: u64, steps: &[Step]) {
+    fn apply(&mut self, position: Position, steps: &[Step]) {
+        let revision = position.revision;
+        if self.touched.0 != revision {
+            self.touched = (revision, BTreeSet::new());
+        }
         for step in steps {
-            match *step {
+            let changed = match *step {
                 Step::Put { id, tag, payload } => {
-                    let id = id.or_else(|| self.placed.ids.get(&payload).copied());
-                    let Some(id) = id else {
+                    let Some(id) = id.or_else(|| self.placed.id(payload)) else {
                         self.torn = Some(revision);
                         continue;
                     };
@@ -192,19 +170,36 @@ impl<'a> Replay<'a> {
                     self.forget(id);
                     self.points.insert(id, stored);
                     self.payloads.insert(payload, id);
+                    Some(id)
                 }
                 Step::Remove(id) => {
-                    if self.forget(id) {
+                    let is_stored = self.forget(id);
+                    if is_stored {
                         self.removed.insert(id, revision);
                     }
+                    is_stored.then_some(id)
                 }
-                Step::SetTag(id, tag) => {
-                    if let Some(stored) = self.points.get_mut(&id) {
-                        stored.tag = tag;
-                    }
+                Step::SetTag(id, tag) => self.set_tag(id, tag),
+                Step::SetTagIf {
+                    id,
+                    tag,
+                    if_revision,
+                } => {
+                    self.changes.compare(id, if_revision, revision);
+                    self.set_tag(id, tag)
                 }
+            };
+            if let Some(id) = changed {
+                self.changes.note(id, position);
+                self.touched.1.insert(id);
             }
         }
+    }
+
+    /// Returns the point if its tag changes.
+    fn set_tag(&mut self, id: u64, tag: u64) -> Option<u64> {
+        let stored = self.points.get_mut(&id)?;
+        (std::mem::replace(&mut stored.tag, tag) != tag).then_some(id)
     }
 
     fn forget(&mut self, id: u64) -> bool {
@@ -216,12 +211,12 @@ impl<'a> Replay<'a> {
     }
 
     /// Compares one answer with the replay at its revision.
-    fn compare(&mut self, read: u64, returned: u64, seen: &ReadPoints) -> Result<(), Violation> {
+    fn compare(&mut self, answer: Observed, seen: &ReadPoints) -> Result<(), Violation> {
         if let ReadPoints::All(points) = seen {
-            self.find_removals(read, returned, points);
+            self.find_removals(answer, points);
         }
         for (&id, point) in seen.points() {
-            self.compare_point(read, returned, id, *point)?;
+            self.compare_point(answer, id, *point)?;
         }
         let ReadPoints::All(points) = seen else {
             return Ok(());
@@ -234,38 +229,62 @@ impl<'a> Replay<'a> {
         match missing {
             None => Ok(()),
             Some((&id, stored)) => Err(Violation::Lost {
-                read,
+                read: answer.revision,
                 id,
                 revision: stored.stored,
             }),
         }
     }
 
-    /// Compares the steps of a mutation that found nothing to change with the replay at its revision.
-    fn compare_unchanged(
+    /// Compares a record with the effects of the mutation of its revision.
+    fn compare_record(
         &mut self,
-        revision: u64,
-        returned: u64,
-        steps: &[Step],
+        answer: Observed,
+        stored: &BTreeMap<u64, Point>,
+        removed: &BTreeSet<u64>,
     ) -> Result<(), Violation> {
+        for &id in removed {
+            if self.points.contains_key(&id) {
+                self.place(answer, |step| *step == Step::Remove(id));
+            }
+        }
+        for (&id, point) in stored {
+            self.compare_point(answer, id, *point)?;
+        }
+        let revision = answer.revision;
+        let mut told: BTreeSet<u64> = stored.keys().chain(removed).copied().collect();
+        if self.touched.0 == revision {
+            // Empty if both are the same, and if no point is both stored and removed.
+            told = told
+                .symmetric_difference(&self.touched.1)
+                .copied()
+                .collect();
+        }
+        let is_both = stored.keys().any(|id| removed.contains(id));
+        match told.is_empty() && !is_both {
+            true => Ok(()),
+            false => Err(Violation::Divergent { revision }),
+        }
+    }
+
+    /// Compares the steps of a mutation that found nothing to change with the replay at its revision.
+    fn compare_unchanged(&mut self, answer: Observed, steps: &[Step]) -> Result<(), Violation> {
         for step in steps {
-            let (id, tag) = match *step {
-                // Its point is too close, or stored as it is: a read finds any other.
-                Step::Put { .. } => continue,
-                Step::Remove(id) => (id, None),
-                Step::SetTag(id, tag) => (id, Some(tag)),
+            // A point that was to be put is too close, or stored as it is: a read finds any other.
+            let Some((id, tag)) = step.target() else {
+                continue;
             };
             let to_change = |replay: &Self| {
                 let stored = replay.points.get(&id).copied();
                 stored.filter(|stored| Some(stored.tag) != tag)
             };
             if to_change(self).is_some() {
-                let is_before = |it: &Step| it == step || *it == Step::Remove(id);
-                self.place(revision, returned, is_before);
+                let targets = [Some((id, tag)), Some((id, None))];
+                self.place(answer, |it| targets.contains(&it.target()));
             }
             if let Some(stored) = to_change(self) {
                 return Err(Violation::Lost {
-                    read: revision,
+                    read: answer.revision,
                     id,
                     revision: stored.stored,
                 });
@@ -274,37 +293,65 @@ impl<'a> Replay<'a> {
         Ok(())
     }
 
+    /// The contradiction of a refused compare-and-set: nothing may have changed its point.
+    fn unprovoked(&self, operation: &Operation) -> Option<Violation> {
+        let Call::Conflict { id, if_revision } = operation.call else {
+            return None;
+        };
+        let returned = operation.returned;
+        let may_change = |step: &Step| match step.target() {
+            Some((target, _)) => target == id,
+            // Without an answer its id is not known.
+            None => true,
+        };
+        let is_provoked = self.changes.provoke(id, if_revision, returned)
+            || self
+                .unplaced
+                .iter()
+                .any(|it| it.invoked < returned && it.steps.iter().any(may_change));
+        (!is_provoked).then_some(Violation::Unprovoked { id, if_revision })
+    }
+
     /// Places mutations without an answer that remove what an answer lacks.
-    fn find_removals(&mut self, read: u64, returned: u64, points: &BTreeMap<u64, Point>) {
+    fn find_removals(&mut self, answer: Observed, points: &BTreeMap<u64, Point>) {
         if self.unplaced.is_empty() {
             return;
         }
         let stored: Vec<u64> = self.points.keys().copied().collect();
         for id in stored.into_iter().filter(|id| !points.contains_key(id)) {
-            self.place(read, returned, |step| *step == Step::Remove(id));
+            self.place(answer, |step| *step == Step::Remove(id));
         }
     }
 
     /// Applies a mutation without an answer, if one has such a step, was invoked before the answer came and has room for its
     /// revision.
-    fn place(&mut self, read: u64, returned: u64, is_it: impl Fn(&Step) -> bool) {
+    fn place(&mut self, answer: Observed, is_it: impl Fn(&Step) -> bool) {
+        let Observed {
+            revision,
+            returned,
+            is_record,
+        } = answer;
         let at = self.unplaced.iter().position(|it| {
-            it.invoked < returned && it.newest < read && it.steps.iter().any(&is_it)
+            it.invoked < returned && it.newest < revision && it.steps.iter().any(&is_it)
         });
         if let Some(at) = at {
-            let steps = self.unplaced.remove(at).steps;
+            let unplaced = self.unplaced.remove(at);
             self.found += 1;
-            self.apply(read, steps);
+            let position = Position {
+                revision,
+                lowest: if is_record {
+                    revision
+                } else {
+                    unplaced.newest + 1
+                },
+                invoked: unplaced.invoked,
+            };
+            self.apply(position, unplaced.steps);
         }
     }
 
-    fn compare_point(
-        &mut self,
-        read: u64,
-        returned: u64,
-        id: u64,
-        point: Point,
-    ) -> Result<(), Violation> {
+    fn compare_point(&mut self, answer: Observed, id: u64, point: Point) -> Result<(), Violation> {
+        let read = answer.revision;
         let Some(mut stored) = self.points.get(&id).copied() else {
             let is_elsewhere = self.payloads.contains_key(&point.payload);
             return Err(match self.removed.get(&id) {
@@ -314,7 +361,8 @@ impl<'a> Replay<'a> {
             });
         };
         if stored.tag != point.tag {
-            self.place(read, returned, |step| *step == Step::SetTag(id, point.tag));
+            let target = Some((id, Some(point.tag)));
+            self.place(answer, |step| step.target() == target);
             stored = self.points.get(&id).copied().unwrap_or(stored);
         }
         if (stored.tag, stored.payload) != (point.tag, point.payload) {

@@ -1,5 +1,7 @@
 //! The checker of histories: it accepts what a store with one order answers, and rejects each contradiction.
 
+mod compare_and_set;
+mod followers;
 mod store;
 
 use std::collections::BTreeMap;
@@ -100,9 +102,9 @@ fn operations_at_the_same_time_may_have_either_order() {
     ];
     let checked = Checked {
         acknowledged: 2,
-        found: 0,
         latest: 2,
         plain: 1,
+        ..Checked::default()
     };
     assert_eq!(check(&history), Ok(checked));
 }
@@ -346,15 +348,15 @@ proptest! {
     #![proptest_config(cases(512))]
 
     #[test]
-    fn all_that_a_store_with_one_order_answers_is_accepted(requests in requests()) {
-        let (history, unknown) = Store::default().serve(&requests, None);
+    fn all_that_a_store_with_one_order_answers_is_accepted(requests in requests(), is_followed in any::<bool>()) {
+        let (history, unknown) = Store::new(is_followed).serve(&requests, None);
         let checked = check(&history);
         prop_assert!(checked.as_ref().is_ok_and(|it| it.found <= unknown), "{checked:?}");
     }
 
     #[test]
     fn a_store_that_forgets_a_write_is_rejected(requests in requests(), at in 0..20_usize) {
-        let mut store = Store::default();
+        let mut store = Store::new(false);
         let (history, _) = store.serve(&requests, Some((at, Fault::Forget)));
         prop_assume!(store.has_failed);
         prop_assert!(check(&history).is_err());
@@ -362,15 +364,24 @@ proptest! {
 
     #[test]
     fn a_store_that_writes_twice_is_rejected(requests in requests(), at in 0..20_usize) {
-        let mut store = Store::default();
+        let mut store = Store::new(false);
         let (history, _) = store.serve(&requests, Some((at, Fault::Double)));
         prop_assume!(store.has_failed);
         prop_assert!(check(&history).is_err());
     }
 
     #[test]
+    fn a_store_that_overwrites_is_rejected(requests in requests(), at in 0..20_usize) {
+        // Nothing else tells of a change without an answer that was overwritten.
+        let mut store = Store::new(true);
+        let (history, _) = store.serve(&requests, Some((at, Fault::Overwrite)));
+        prop_assume!(store.has_failed);
+        prop_assert!(check(&history).is_err());
+    }
+
+    #[test]
     fn a_store_that_answers_from_the_past_is_rejected(requests in requests(), at in 0..20_usize) {
-        let mut store = Store::default();
+        let mut store = Store::new(false);
         let (history, _) = store.serve(&requests, Some((at, Fault::Past)));
         prop_assume!(store.has_failed);
         prop_assert!(check(&history).is_err());

@@ -1,12 +1,14 @@
 //! A store with one order, for clients whose operations overlap, and its faults.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use proptest::prelude::*;
 use wayfold_tests::history::{Answer, Call, NEVER, Operation, Point, ReadPoints, Step};
 
 /// The nanoseconds between two moments at which operations take effect.
 const BEAT: u64 = 100;
+/// The client that follows the store.
+const FOLLOWER: u64 = 1000;
 
 /// A request of a client to the store.
 #[derive(Clone, Debug)]
@@ -17,6 +19,8 @@ pub(crate) enum Kind {
     Remove(u64),
     /// A tag for such a point.
     SetTag(u64, u64),
+    /// The same if the point has not changed after a revision up to the one that the client knows.
+    SetTagIf(u64, u64, u64),
     /// A read of all points.
     Latest,
     /// A read of all points as of a revision that the client has not passed.
@@ -39,6 +43,8 @@ pub(crate) fn request() -> impl Strategy<Value = Request> {
         4 => Just(Kind::Put),
         2 => any::<u64>().prop_map(Kind::Remove),
         1 => (any::<u64>(), any::<u64>()).prop_map(|(id, tag)| Kind::SetTag(id, tag)),
+        3 => (any::<u64>(), any::<u64>(), 0..16_u64)
+            .prop_map(|(id, tag, age)| Kind::SetTagIf(id, tag, age)),
         2 => Just(Kind::Latest),
         2 => any::<u64>().prop_map(Kind::Plain),
     ];
@@ -61,6 +67,8 @@ pub(crate) enum Fault {
     Double,
     /// A read of the latest is answered from before an answer that had returned.
     Past,
+    /// A compare-and-set takes effect though its point has changed.
+    Overwrite,
 }
 
 type Points = BTreeMap<u64, Point>;
@@ -73,6 +81,10 @@ pub(crate) struct Store {
     next_payload: u64,
     /// The contents by revision.
     past: BTreeMap<u64, Points>,
+    /// The revisions at which points changed last.
+    changed: BTreeMap<u64, u64>,
+    /// True if a client follows all records.
+    is_followed: bool,
     /// The end of each client's last operation, and the revision that it knows.
     clients: Vec<(u64, u64)>,
     /// The points of a fault; clients do not remove them, which would hide it.
@@ -82,6 +94,14 @@ pub(crate) struct Store {
 }
 
 impl Store {
+    /// A store whose records a client may follow.
+    pub(crate) fn new(is_followed: bool) -> Self {
+        Self {
+            is_followed,
+            ..Self::default()
+        }
+    }
+
     /// Answers requests in their order, and a read of all points. Returns the history and the number of mutations without
     /// an answer.
     pub(crate) fn serve(
@@ -96,9 +116,13 @@ impl Store {
             let now = (at as u64 + 10) * BEAT;
             let fault = fault.filter(|(first, _)| *first <= at && !self.has_failed);
             let fault = fault.map(|(_, it)| it);
+            let before = self.revision;
             let operation = self.answer(request, now, fault, &history);
             unknown += u64::from(operation.returned == NEVER);
             history.push(operation);
+            if self.is_followed && self.revision > before {
+                history.push(self.record(now));
+            }
         }
         let last = Request {
             kind: Kind::Latest,
@@ -129,7 +153,7 @@ impl Store {
                 let mut revision = self.revision;
                 if let Some(Fault::Past) = fault {
                     let before = history.iter().filter(|it| it.returned < invoked);
-                    let newest = before.filter_map(answered_revision).max();
+                    let newest = before.filter_map(|it| answered_revision(&it.call)).max();
                     if let Some(past) = newest.and_then(|it| it.checked_sub(1)) {
                         (revision, self.has_failed) = (past, true);
                     }
@@ -143,13 +167,11 @@ impl Store {
             mutation => {
                 answer_is_lost = request.unknown.is_some();
                 let has_effect = request.unknown != Some(false);
-                self.mutate(mutation, has_effect, answer_is_lost, fault)
+                let step = self.step(mutation, known, answer_is_lost);
+                self.mutate(step, has_effect, answer_is_lost, fault)
             }
         };
-        let revision = match &call {
-            Call::Read { revision, .. } => *revision,
-            Call::Mutation { answer, .. } => answer.map_or(known, |it| it.revision),
-        };
+        let revision = answered_revision(&call).unwrap_or(known);
         if answer_is_lost {
             returned = NEVER;
         }
@@ -185,24 +207,43 @@ impl Store {
         }
     }
 
-    fn mutate(
-        &mut self,
-        mutation: &Kind,
-        has_effect: bool,
-        answer_is_lost: bool,
-        fault: Option<Fault>,
-    ) -> Call {
-        let known: Vec<u64> = (0..self.next_id)
+    /// The record of the newest revision.
+    fn record(&self, now: u64) -> Operation {
+        let (before, after) = (&self.past[&(self.revision - 1)], &self.past[&self.revision]);
+        let stored = after.iter();
+        let stored = stored.filter(|&(id, point)| before.get(id) != Some(point));
+        let removed = before.keys().filter(|id| !after.contains_key(*id));
+        let call = Call::Record {
+            revision: self.revision,
+            stored: stored.map(|(id, point)| (*id, *point)).collect(),
+            removed: removed.copied().collect::<BTreeSet<u64>>(),
+        };
+        Operation {
+            client: FOLLOWER,
+            invoked: now,
+            returned: now + 1,
+            call,
+        }
+    }
+
+    /// The step of a mutation of a client that knows a revision.
+    fn step(&mut self, mutation: &Kind, known: u64, answer_is_lost: bool) -> Step {
+        let ids: Vec<u64> = (0..self.next_id)
             .filter(|id| !self.faulty.contains(id))
             .collect();
-        let choose = |at: u64| match known.len() as u64 {
+        let choose = |at: u64| match ids.len() as u64 {
             0 => u64::MAX,
-            count => known[(at % count) as usize],
+            count => ids[(at % count) as usize],
         };
-        let step = match *mutation {
+        match *mutation {
             Kind::Remove(at) => Step::Remove(choose(at)),
             Kind::SetTag(at, tag) => Step::SetTag(choose(at), tag),
-            _ => {
+            Kind::SetTagIf(at, tag, age) => Step::SetTagIf {
+                id: choose(at),
+                tag,
+                if_revision: known.saturating_sub(age),
+            },
+            Kind::Put | Kind::Latest | Kind::Plain(_) => {
                 self.next_payload += 1;
                 Step::Put {
                     id: (!answer_is_lost).then_some(self.next_id),
@@ -210,8 +251,34 @@ impl Store {
                     payload: self.next_payload,
                 }
             }
-        };
-        let changed = has_effect && self.apply(step, fault.filter(|_| !answer_is_lost));
+        }
+    }
+
+    fn mutate(
+        &mut self,
+        step: Step,
+        has_effect: bool,
+        answer_is_lost: bool,
+        fault: Option<Fault>,
+    ) -> Call {
+        let fault = fault.filter(|_| !answer_is_lost);
+        let mut is_refused = false;
+        if let Step::SetTagIf {
+            id,
+            tag,
+            if_revision,
+        } = step
+            && let Some(point) = self.points.get(&id)
+        {
+            is_refused = self.changed[&id] > if_revision;
+            if is_refused && matches!(fault, Some(Fault::Overwrite)) && point.tag != tag {
+                (is_refused, self.has_failed) = (false, true);
+            }
+            if is_refused && !answer_is_lost {
+                return Call::Conflict { id, if_revision };
+            }
+        }
+        let changed = has_effect && !is_refused && self.apply(step, fault);
         let answer = Answer {
             revision: self.revision,
             changed,
@@ -239,6 +306,7 @@ impl Store {
                 };
                 for id in self.next_id..self.next_id + times {
                     self.points.insert(id, point);
+                    self.changed.insert(id, point.stored);
                 }
                 let next_id = self.next_id + times.max(1);
                 if times != 1 {
@@ -249,10 +317,16 @@ impl Store {
                 true
             }
             Step::Remove(id) => self.points.remove(&id).is_some(),
-            Step::SetTag(id, tag) => match self.points.get_mut(&id) {
-                Some(point) => std::mem::replace(&mut point.tag, tag) != tag,
-                None => false,
-            },
+            Step::SetTag(id, tag) | Step::SetTagIf { id, tag, .. } => {
+                match self.points.get_mut(&id) {
+                    Some(point) if point.tag != tag => {
+                        point.tag = tag;
+                        self.changed.insert(id, self.revision + 1);
+                        true
+                    }
+                    _ => false,
+                }
+            }
         };
         if changed {
             self.change();
@@ -261,10 +335,11 @@ impl Store {
     }
 }
 
-/// The revision of an operation with an answer.
-fn answered_revision(operation: &Operation) -> Option<u64> {
-    match &operation.call {
-        Call::Read { revision, .. } => Some(*revision),
+/// The revision of an answer.
+fn answered_revision(call: &Call) -> Option<u64> {
+    match call {
+        Call::Read { revision, .. } | Call::Record { revision, .. } => Some(*revision),
         Call::Mutation { answer, .. } => answer.map(|it| it.revision),
+        Call::Conflict { .. } => None,
     }
 }
