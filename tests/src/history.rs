@@ -10,8 +10,11 @@
 //! - a compare-and-set took effect only if its point had not changed after the revision that it named, and was refused only if
 //!   the point may have changed after it;
 //! - a follower gets each record once and in order, with the effects of the mutation of its revision and no others.
+//!
+//! [`names`] checks the calls for indices that are created and deleted.
 
 mod changes;
+pub mod names;
 mod order;
 mod placed;
 mod replay;

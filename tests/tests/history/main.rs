@@ -2,6 +2,7 @@
 
 mod compare_and_set;
 mod followers;
+mod names;
 mod store;
 
 use std::collections::BTreeMap;
