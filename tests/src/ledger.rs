@@ -8,8 +8,8 @@ use std::{fs, io::Write, path::Path};
 use prost::{DecodeError, Message, bytes::Buf};
 use wayfold_proto::v1::{
     InsertRequest, InsertResponse, KnnRequest, KnnResponse, OpenSessionRequest,
-    OpenSessionResponse, QueryRequest, QueryResponse, RemoveRequest, RemoveResponse, WriteRequest,
-    WriteResponse,
+    OpenSessionResponse, QueryRequest, QueryResponse, RemoveRequest, RemoveResponse, UpdateRequest,
+    UpdateResponse, WriteRequest, WriteResponse,
 };
 
 use crate::number;
@@ -21,6 +21,8 @@ pub enum Entry {
     Insert(InsertRequest, InsertResponse),
     /// A removal.
     Remove(RemoveRequest, RemoveResponse),
+    /// An update of tags.
+    Update(UpdateRequest, UpdateResponse),
     /// The opening of a writer session.
     OpenSession(OpenSessionRequest, OpenSessionResponse),
     /// A batch of a session.
@@ -37,6 +39,7 @@ impl Entry {
         match self {
             Entry::Insert(_, response) => number(&response.revision),
             Entry::Remove(_, response) => number(&response.revision),
+            Entry::Update(_, response) => number(&response.revision),
             Entry::OpenSession(_, response) => number(&response.revision),
             Entry::Write(_, response) => number(&response.revision),
             Entry::Knn(_, response) => number(&response.revision),
@@ -52,6 +55,7 @@ impl Entry {
                 .outcomes()
                 .any(|outcome| matches!(outcome, Inserted | Replaced)),
             Entry::Remove(_, response) => response.removed_count > 0,
+            Entry::Update(_, response) => response.updated_count > 0,
             Entry::OpenSession(..) | Entry::Write(..) => true,
             Entry::Knn(..) | Entry::Query(..) => false,
         }
@@ -65,6 +69,7 @@ impl Entry {
             Entry::Query(a, b) => (3, encoded(a), encoded(b)),
             Entry::OpenSession(a, b) => (4, encoded(a), encoded(b)),
             Entry::Write(a, b) => (5, encoded(a), encoded(b)),
+            Entry::Update(a, b) => (6, encoded(a), encoded(b)),
         };
         [vec![kind], request, response].concat()
     }
@@ -78,6 +83,7 @@ impl Entry {
             3 => Entry::Query(decoded(ledger)?, decoded(ledger)?),
             4 => Entry::OpenSession(decoded(ledger)?, decoded(ledger)?),
             5 => Entry::Write(decoded(ledger)?, decoded(ledger)?),
+            6 => Entry::Update(decoded(ledger)?, decoded(ledger)?),
             other => panic!("an entry of kind {other}"),
         })
     }

@@ -1,6 +1,7 @@
 //! A brute-force model of an index, which checks every answer of a server.
 
 mod messages;
+mod update;
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 
@@ -56,6 +57,7 @@ impl Model {
         match entry {
             Entry::Insert(request, response) => self.insert(request, response),
             Entry::Remove(request, response) => self.remove(request, response),
+            Entry::Update(request, response) => self.update(request, response),
             Entry::OpenSession(_, response) => {
                 self.revision += 1;
                 assert_eq!(response.session, self.revision);

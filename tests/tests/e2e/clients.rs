@@ -21,7 +21,7 @@ use wayfold_tests::{
 use builder::Builder;
 use reader::{Reader, ReaderAnswer};
 pub(crate) use tally::Tally;
-pub(crate) use writer::{Acknowledged, Load, Writer};
+pub(crate) use writer::{Acknowledged, Conflict, Load, Writer};
 
 /// The space of the index that the writers and readers share, `arm`.
 pub(crate) const SPACE: &str = "R3*SO3:0.15";

@@ -1,6 +1,11 @@
 //! Servers that share a journal in NATS, while servers of both kinds fail under their writers: each acknowledged mutation
 //! takes effect once, all servers have the same points, and the history of the clients holds.
 //!
+//! Eight writers make one call after another, at one server after another, and repeat a call without an outcome. Four of them
+//! insert and remove, and tag the points that all change by compare-and-set. The others write batches in sessions, and tag
+//! these points there. After some batches they open another session, and repeat the last batch of the one before. Between their
+//! mutations the writers read, the latest or what the server has.
+//!
 //! A run is a sequence of rounds, each with servers, clients and a seed of its own. After each fault the clients pause, and
 //! `VerifyIndex` compares the servers as they run. In every second round the journal is not trimmed. A round ends if JetStream
 //! has stopped for good, by the logs of its own servers: then reads go on, and the copies have all that was acknowledged. While
@@ -45,6 +50,8 @@ use servers::{Cluster, SERVERS};
 use crate::clients::{Load, SPACE, Writer};
 
 const WRITERS: u64 = 8;
+/// The points that all writers change.
+const CONTESTED: usize = 2;
 const LOAD: Load = Load {
     rows: 20,
     // Such a call takes several messages of NATS.
@@ -91,6 +98,10 @@ impl Run {
             .collect();
         for writer in writers.iter_mut().skip(1).step_by(2) {
             writer.open_session(&mut stubs, &uid).await;
+        }
+        let contested = writers[0].store_contested(&mut stubs, CONTESTED).await;
+        for writer in &mut writers {
+            writer.compete(&contested);
         }
         // NATS that does not sync each record keeps the streams at least.
         cluster.disks.iter().for_each(Disk::sync);
@@ -199,8 +210,9 @@ impl Run {
         self.record.append(&json!({
             "seed": self.seed, "kinds": self.list, "round": round, "faults": suffered, "trims": trims,
             "jetstream_stopped": has_stopped,
-            "ok": is_good, "acknowledged": verdict.acknowledged, "latest": verdict.latest,
-            "plain": verdict.plain, "lost": verdict.lost, "twice": verdict.twice,
+            "ok": is_good, "acknowledged": verdict.acknowledged, "latest": verdict.checked.latest,
+            "plain": verdict.checked.plain, "conflicts": verdict.checked.conflicts,
+            "lost": verdict.lost, "twice": verdict.twice,
             "divergent": verdict.divergent, "data_losses": verdict.data_losses, "violations": verdict.violations,
             "notices": cluster.notices.counts(),
         }));

@@ -64,7 +64,7 @@ impl Tally {
                     }
                 }
             }
-            Entry::OpenSession(..) | Entry::Knn(..) | Entry::Query(..) => {}
+            Entry::Update(..) | Entry::OpenSession(..) | Entry::Knn(..) | Entry::Query(..) => {}
         }
     }
 

@@ -1,17 +1,19 @@
 //! A client that writes and keeps a ledger of the acknowledged mutations.
 
+mod requests;
+
 use std::time::Instant;
 
 use prost::bytes::Bytes;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::sync::watch;
-use tonic::Status;
+use tonic::{Code, Status};
 use wayfold_proto::v1::{
-    IdBlock, InsertRequest, InsertResponse, OpenSessionRequest, RemoveRequest, RemoveResponse,
-    StepKind, WriteRequest, WriteResponse,
+    IdBlock, InsertRequest, InsertResponse, OpenSessionRequest, OpenSessionResponse, RemoveRequest,
+    RemoveResponse, Revision, StepKind, UpdateRequest, UpdateResponse, WriteRequest, WriteResponse,
 };
-use wayfold_tests::{States, Stubs, k_nearest, ledger::Entry, row_states};
+use wayfold_tests::{Refusal, States, Stubs, ledger::Entry, row_states};
 
 use super::{COORDINATES, SPACE};
 
@@ -25,14 +27,6 @@ pub(crate) struct Load {
     /// One call in this many removes points.
     pub(crate) removals: f64,
 }
-
-/// The ids that a session reserves when it opens, and again whenever it has fewer.
-const RESERVED_IDS: u64 = 64;
-
-/// One call in this many finds nothing to change.
-const IDLE_CALLS: u32 = 8;
-/// Any two points are closer.
-const ANY_SEPARATION: f64 = 1e9;
 
 /// The bytes of a large payload, the maximum that is allowed.
 const HEAVY_BYTES: usize = 64 * 1024;
@@ -53,11 +47,17 @@ pub(crate) struct Writer {
     last_insert: Option<InsertRequest>,
     /// The session in which it writes, if it has one.
     session: Option<Session>,
+    /// The newest batch of the session that it has left, and the answer.
+    left: Option<Batch>,
+    /// The points that other writers change too, if there are any.
+    contested: Option<Contested>,
     unknown: Option<(Request, Instant)>,
     /// The refusal of that mutation, if it was refused.
     pub(crate) refusal: Option<Status>,
     /// The acknowledged mutations since they were last taken.
     pub(crate) ledger: Vec<Acknowledged>,
+    /// The compare-and-sets that were refused because their points had changed.
+    pub(crate) conflicts: Vec<Conflict>,
 }
 
 /// An acknowledged mutation.
@@ -69,12 +69,28 @@ pub(crate) struct Acknowledged {
     pub(crate) returned: Instant,
 }
 
+/// A compare-and-set that was refused because its point had changed.
+pub(crate) struct Conflict {
+    pub(crate) request: UpdateRequest,
+    /// The time before its first attempt.
+    pub(crate) invoked: Instant,
+    /// The time after the refusal.
+    pub(crate) returned: Instant,
+}
+
 #[derive(Clone)]
 enum Request {
     Insert(Box<InsertRequest>),
     Remove(RemoveRequest),
+    Update(UpdateRequest),
+    OpenSession(OpenSessionRequest),
     Write(Box<WriteRequest>),
+    /// A batch that was acknowledged: it gets the same answer again.
+    Repeat(Batch),
 }
+
+/// A batch of a session and its answer.
+type Batch = Box<(WriteRequest, WriteResponse)>;
 
 /// A writer session.
 struct Session {
@@ -83,6 +99,8 @@ struct Session {
     batch: u64,
     /// The reserved ids that were not used yet.
     ids: Vec<u64>,
+    /// The newest batch that was acknowledged.
+    newest: Option<Batch>,
 }
 
 impl Session {
@@ -90,6 +108,14 @@ impl Session {
         let IdBlock { first_id, id_count } = block.expect("a block");
         self.ids.extend((0..id_count).map(|at| first_id + at));
     }
+}
+
+/// Points that all writers change and nobody removes.
+struct Contested {
+    uid: String,
+    ids: Vec<u64>,
+    /// The revision at which the writer has read them last, or that stored them.
+    seen: u64,
 }
 
 impl Writer {
@@ -107,31 +133,73 @@ impl Writer {
             heavy: Vec::new(),
             last_insert: None,
             session: None,
+            left: None,
+            contested: None,
             unknown: None,
             refusal: None,
             ledger: Vec::new(),
+            conflicts: Vec::new(),
         }
     }
 
     /// Opens a session, in which it writes from now on.
     pub(crate) async fn open_session(&mut self, stubs: &mut Stubs, uid: &str) {
-        let request = OpenSessionRequest {
+        let request = Request::OpenSession(self.opening(uid));
+        let is_open = self.send(stubs, request, Instant::now()).await;
+        assert!(is_open, "{:?}", self.refusal);
+    }
+
+    /// Stores points that all writers are to change.
+    pub(crate) async fn store_contested(
+        &mut self,
+        stubs: &mut Stubs,
+        count: usize,
+    ) -> InsertResponse {
+        let payloads = (0..count).map(|row| self.payload(&format!("contested/{row}"), 0));
+        let payloads = payloads.collect();
+        let request = InsertRequest {
             index_name: "arm".into(),
-            uid: uid.into(),
-            reserve_count: RESERVED_IDS,
+            states: Some(row_states(&self.states.rows(count), COORDINATES)),
+            tags: vec![self.name; count],
+            payloads,
+            operation_id: "contested".into(),
             ..Default::default()
         };
         let invoked = Instant::now();
-        let opened = stubs.points.open_session(request.clone()).await;
-        let response = opened.unwrap().into_inner();
-        let session = self.session.insert(Session {
-            uid: uid.into(),
-            id: response.session,
-            batch: 0,
-            ids: Vec::new(),
+        let response = stubs.insert(request.clone()).await;
+        self.note(Entry::Insert(request, response.clone()), invoked);
+        response
+    }
+
+    /// From now on it changes these points too, by compare-and-set and in the batches of its session, and leaves each
+    /// session after some batches.
+    pub(crate) fn compete(&mut self, stored: &InsertResponse) {
+        let Revision { uid, number } = stored.revision.clone().expect("a revision");
+        self.contested = Some(Contested {
+            uid,
+            ids: stored.ids.clone(),
+            seen: number,
         });
-        session.take_over(response.reserved);
-        self.note(Entry::OpenSession(request, response), invoked);
+    }
+
+    /// The ids of these points.
+    pub(crate) fn contested_ids(&self) -> &[u64] {
+        match &self.contested {
+            Some(contested) => &contested.ids,
+            None => &[],
+        }
+    }
+
+    /// The revision at which it has read them; 0 if there are none.
+    pub(crate) fn seen(&self) -> u64 {
+        self.contested.as_ref().map_or(0, |it| it.seen)
+    }
+
+    /// It has read these points at this revision, with which its next compare-and-sets compare.
+    pub(crate) fn has_seen(&mut self, revision: u64) {
+        if let Some(contested) = &mut self.contested {
+            contested.seen = revision;
+        }
     }
 
     fn note(&mut self, entry: Entry, invoked: Instant) {
@@ -148,7 +216,10 @@ impl Writer {
         let entry = match request {
             Request::Insert(insert) => Entry::Insert(*insert, InsertResponse::default()),
             Request::Remove(remove) => Entry::Remove(remove, RemoveResponse::default()),
+            Request::Update(update) => Entry::Update(update, UpdateResponse::default()),
+            Request::OpenSession(open) => Entry::OpenSession(open, OpenSessionResponse::default()),
             Request::Write(write) => Entry::Write(*write, WriteResponse::default()),
+            Request::Repeat(_) => return None,
         };
         Some((entry, invoked))
     }
@@ -156,130 +227,6 @@ impl Writer {
     /// The ids of points that it has stored and not removed.
     pub(crate) fn stored_ids(&self) -> &[u64] {
         &self.mine
-    }
-
-    fn next(&mut self) -> Request {
-        self.calls += 1;
-        if self.session.is_some() {
-            return self.next_batch();
-        }
-        let operation_id = format!("{}-{}", self.name, self.calls);
-        if let Some(last) = &self.last_insert
-            && self.random.random_ratio(1, IDLE_CALLS)
-        {
-            return Request::Insert(Box::new(self.idle(last.clone(), operation_id)));
-        }
-        if self.random.random_bool(self.load.removals) {
-            let ids = self.outdated();
-            self.last_insert = None;
-            if !ids.is_empty() {
-                return Request::Remove(RemoveRequest {
-                    index_name: "arm".into(),
-                    ids,
-                    operation_id,
-                    ..Default::default()
-                });
-            }
-        }
-        let payloads = self.payloads();
-        let (rows, heavy) = (payloads.len(), payloads[0].len() == HEAVY_BYTES);
-        Request::Insert(Box::new(InsertRequest {
-            index_name: "arm".into(),
-            states: Some(row_states(&self.states.rows(rows), COORDINATES)),
-            tags: vec![self.name; rows],
-            payloads,
-            neighbor_spec: heavy.then(|| k_nearest(3)),
-            operation_id,
-            ..Default::default()
-        }))
-    }
-
-    /// An insert of points that are stored as they are, or of one that is too close to any other.
-    fn idle(&mut self, last: InsertRequest, operation_id: String) -> InsertRequest {
-        let repeats = self.random.random_bool(0.5);
-        let insert = if repeats {
-            last
-        } else {
-            InsertRequest {
-                states: Some(row_states(&self.states.rows(1), COORDINATES)),
-                tags: vec![self.name],
-                payloads: vec![self.payload(&operation_id, 0)],
-                min_separation: ANY_SEPARATION,
-                ids: Vec::new(),
-                ..last
-            }
-        };
-        InsertRequest {
-            operation_id,
-            neighbor_spec: None,
-            ..insert
-        }
-    }
-
-    /// The next batch of the session: puts, removals and a tag.
-    fn next_batch(&mut self) -> Request {
-        let payloads = self.payloads();
-        let mut removed = Vec::new();
-        if self.random.random_bool(self.load.removals) {
-            removed = self.outdated();
-        }
-        let tagged = self.mine.last().copied();
-        let rows = self.states.rows(payloads.len());
-        let session = self.session.as_mut().expect("a session");
-        session.batch += 1;
-        let puts = session.ids.split_off(session.ids.len() - payloads.len());
-        let steps = [
-            (StepKind::Remove, removed),
-            (StepKind::Put, puts),
-            (StepKind::SetTag, Vec::from_iter(tagged)),
-        ];
-        let steps = steps.into_iter();
-        let steps =
-            steps.flat_map(|(kind, ids)| ids.into_iter().map(move |id| (i32::from(kind), id)));
-        let (kinds, ids): (Vec<i32>, Vec<u64>) = steps.unzip();
-        Request::Write(Box::new(WriteRequest {
-            index_name: "arm".into(),
-            uid: session.uid.clone(),
-            session: session.id,
-            batch: session.batch,
-            states: Some(row_states(&rows, COORDINATES)),
-            tags: vec![self.calls; ids.len()],
-            payloads,
-            reserve_count: match (session.ids.len() as u64) < RESERVED_IDS {
-                true => RESERVED_IDS,
-                false => 0,
-            },
-            kinds,
-            ids,
-        }))
-    }
-
-    /// The payloads of the next rows. One call in some has large ones.
-    fn payloads(&mut self) -> Vec<Bytes> {
-        let heavy = self.random.random_bool(self.load.heavy);
-        let (rows, bytes) = if heavy {
-            (4, HEAVY_BYTES)
-        } else {
-            (self.random.random_range(1..=self.load.rows), 0)
-        };
-        let payload = |row| self.payload(&format!("{}-{}/{row}", self.name, self.calls), bytes);
-        (0..rows).map(payload).collect()
-    }
-
-    /// Removes the large points, so that they do not pile up, or another point.
-    fn outdated(&mut self) -> Vec<u64> {
-        if !self.heavy.is_empty() {
-            return std::mem::take(&mut self.heavy);
-        }
-        let count = self.mine.len();
-        let one = (count > 0).then(|| self.random.random_range(0..count));
-        Vec::from_iter(one.map(|at| self.mine.swap_remove(at)))
-    }
-
-    /// A unique payload of at least `bytes` bytes.
-    fn payload(&self, text: &str, bytes: usize) -> Bytes {
-        let noise = &self.noise[text.len().min(bytes)..bytes];
-        [text.as_bytes(), noise].concat().into()
     }
 
     /// Makes up to `most` calls, and fewer if one is refused or the server ends, beginning with the mutation with the
@@ -317,34 +264,57 @@ impl Writer {
         }
     }
 
-    /// Returns true if the mutation was acknowledged; otherwise its outcome is unknown.
+    /// Returns true if the mutation was acknowledged, or refused because a point had changed; otherwise its outcome is
+    /// unknown.
     async fn send(&mut self, stubs: &mut Stubs, request: Request, invoked: Instant) -> bool {
+        let points = &mut stubs.points;
         let answered = match &request {
             Request::Insert(insert) => {
-                let answered = stubs.points.insert(InsertRequest::clone(insert)).await;
+                let answered = points.insert(InsertRequest::clone(insert)).await;
                 answered.map(|response| {
                     Entry::Insert(InsertRequest::clone(insert), response.into_inner())
                 })
             }
             Request::Remove(remove) => {
-                let answered = stubs.points.remove(remove.clone()).await;
+                let answered = points.remove(remove.clone()).await;
                 answered.map(|response| Entry::Remove(remove.clone(), response.into_inner()))
             }
+            Request::Update(update) => {
+                let answered = points.update(update.clone()).await;
+                answered.map(|response| Entry::Update(update.clone(), response.into_inner()))
+            }
+            Request::OpenSession(open) => {
+                let answered = points.open_session(open.clone()).await;
+                answered.map(|response| Entry::OpenSession(open.clone(), response.into_inner()))
+            }
             Request::Write(write) => {
-                let answered = stubs.points.write(WriteRequest::clone(write)).await;
+                let answered = points.write(WriteRequest::clone(write)).await;
                 answered
                     .map(|response| Entry::Write(WriteRequest::clone(write), response.into_inner()))
             }
-        };
-        let entry = match answered {
-            Ok(entry) => entry,
-            Err(status) => {
-                self.unknown = Some((request, invoked));
-                self.refusal = Some(status);
-                return false;
+            Request::Repeat(batch) => {
+                let (write, acknowledged) = &**batch;
+                match points.write(write.clone()).await {
+                    Ok(response) => {
+                        assert_eq!(response.into_inner(), *acknowledged, "another answer");
+                        self.refusal = None;
+                        return true;
+                    }
+                    Err(status) => Err(status),
+                }
             }
         };
-        self.refusal = None;
+        match answered {
+            Ok(entry) => {
+                self.refusal = None;
+                self.acknowledged(entry, invoked);
+                true
+            }
+            Err(status) => self.refused(request, invoked, status),
+        }
+    }
+
+    fn acknowledged(&mut self, entry: Entry, invoked: Instant) {
         match &entry {
             Entry::Insert(insert, response) if entry.changed() => {
                 self.stored(&insert.payloads, &response.ids);
@@ -353,6 +323,7 @@ impl Writer {
                     ..insert.clone()
                 });
             }
+            Entry::OpenSession(open, response) => self.enter(&open.uid, response),
             Entry::Write(write, response) => {
                 let steps = write.kinds().zip(&write.ids);
                 let puts = steps.filter(|(kind, _)| *kind == StepKind::Put);
@@ -360,12 +331,48 @@ impl Writer {
                 self.stored(&write.payloads, &puts);
                 if let Some(session) = &mut self.session {
                     session.take_over(response.reserved);
+                    session.newest = Some(Box::new((write.clone(), response.clone())));
                 }
             }
             _ => {}
         }
         self.note(entry, invoked);
-        true
+    }
+
+    /// Returns true if the refusal is the outcome.
+    fn refused(&mut self, request: Request, invoked: Instant, status: Status) -> bool {
+        let is_conflict = status.code() == Code::FailedPrecondition
+            && Refusal::of(&status).reason == "REVISION_CONFLICT";
+        match request {
+            Request::Update(request) if is_conflict => {
+                self.refusal = None;
+                self.conflicts.push(Conflict {
+                    request,
+                    invoked,
+                    returned: Instant::now(),
+                });
+                true
+            }
+            request => {
+                self.unknown = Some((request, invoked));
+                self.refusal = Some(status);
+                false
+            }
+        }
+    }
+
+    /// Goes on in a session that was opened.
+    fn enter(&mut self, uid: &str, opened: &OpenSessionResponse) {
+        let mut session = Session {
+            uid: uid.to_owned(),
+            id: opened.session,
+            batch: 0,
+            ids: Vec::new(),
+            newest: None,
+        };
+        session.take_over(opened.reserved);
+        let left = self.session.replace(session);
+        self.left = left.and_then(|left| left.newest);
     }
 
     /// Remembers the ids of points that were stored.

@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rand::{RngExt, SeedableRng, seq::IndexedRandom};
+use rand::{Rng, RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
 use tokio::sync::{RwLock, watch};
 use tonic::{Code, Status, transport::Endpoint};
@@ -38,6 +38,14 @@ pub(super) struct Scene {
     pub(super) calling: Arc<RwLock<()>>,
 }
 
+impl Scene {
+    /// The address of one of the servers.
+    pub(super) fn choose_server(&self, random: &mut impl Rng) -> String {
+        let uris = self.uris.lock().unwrap();
+        uris.choose(random).unwrap().clone()
+    }
+}
+
 /// A writer that reads too.
 pub(super) struct Client {
     pub(super) writer: Writer,
@@ -54,20 +62,17 @@ impl Client {
     pub(super) fn new(writer: Writer) -> Self {
         Self {
             random: ChaCha8Rng::seed_from_u64(writer.name),
+            newest: writer.seen(),
             writer,
             reads: Vec::new(),
             data_losses: 0,
-            newest: 0,
         }
     }
 
     /// Writes and reads until it is over.
     pub(super) async fn work(mut self, scene: Scene) -> Self {
         while !*scene.over.borrow() {
-            let uri = {
-                let uris = scene.uris.lock().unwrap();
-                uris.choose(&mut self.random).unwrap().clone()
-            };
+            let uri = scene.choose_server(&mut self.random);
             let Ok(stubs) = connect(&uri).await else {
                 tokio::task::yield_now().await;
                 continue;
@@ -78,6 +83,7 @@ impl Client {
                 if !self.look(&stubs, &scene).await {
                     break;
                 }
+                self.writer.has_seen(self.newest);
                 let acknowledged = scene.acknowledged.clone();
                 let writing = self.writer.write(stubs.clone(), acknowledged, CALLS_A_TURN);
                 self.writer = writing.await;
@@ -90,7 +96,8 @@ impl Client {
         self
     }
 
-    /// Reads some points or all, the latest or what the server has; false if it is refused.
+    /// Reads all points or some, those among them that all writers change, the latest or what the server has; false if it is
+    /// refused.
     async fn look(&mut self, stubs: &Stubs, scene: &Scene) -> bool {
         let newest = self.writer.ledger.last().map(|it| it.entry.revision());
         self.newest = self.newest.max(newest.unwrap_or_default());
@@ -112,10 +119,8 @@ impl Client {
             content.map(|content| (content.revision, scan(latest, &content)))
         } else {
             let mine = self.writer.stored_ids();
-            let ids: Vec<u64> = mine
-                .sample(&mut self.random, POINTS_A_GET)
-                .copied()
-                .collect();
+            let mine = mine.sample(&mut self.random, POINTS_A_GET);
+            let ids = mine.chain(self.writer.contested_ids()).copied().collect();
             let request = GetRequest {
                 index_name: "arm".into(),
                 ids,
@@ -142,23 +147,27 @@ impl Client {
         }
     }
 
-    /// Only refusals that leave the outcome open are expected, since a point that a client knows is there, and those of a server
-    /// whose disk a fault has filled.
     fn check_refusal(&mut self, refusal: &Status) {
-        let is_full =
-            refusal.code() == Code::ResourceExhausted && Refusal::of(refusal).reason == "DISK_FULL";
-        let is_expected = matches!(
-            refusal.code(),
-            Code::Unavailable
-                | Code::Unknown
-                | Code::Internal
-                | Code::Cancelled
-                | Code::DeadlineExceeded
-                | Code::DataLoss
-        );
-        assert!(is_expected || is_full, "{refusal:?}");
-        self.data_losses += u64::from(refusal.code() == Code::DataLoss);
+        self.data_losses += u64::from(is_data_loss(refusal));
     }
+}
+
+/// True if a refusal says that NATS has lost something. Only refusals that leave the outcome open are expected, since a point
+/// that a client knows is there, and those of a server whose disk a fault has filled.
+pub(super) fn is_data_loss(refusal: &Status) -> bool {
+    let is_full =
+        refusal.code() == Code::ResourceExhausted && Refusal::of(refusal).reason == "DISK_FULL";
+    let is_expected = matches!(
+        refusal.code(),
+        Code::Unavailable
+            | Code::Unknown
+            | Code::Internal
+            | Code::Cancelled
+            | Code::DeadlineExceeded
+            | Code::DataLoss
+    );
+    assert!(is_expected || is_full, "{refusal:?}");
+    refusal.code() == Code::DataLoss
 }
 
 /// Connects as a client that leaves a server which stands still.

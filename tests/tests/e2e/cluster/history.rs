@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, time::Instant};
 
 use prost::bytes::Bytes;
-use wayfold_proto::v1::{GetResponse, StepKind};
+use wayfold_proto::v1::{GetResponse, Points, StepKind};
 use wayfold_tests::{
     Content, bits,
     history::{Answer, Call, NEVER, Operation, Point, ReadPoints, Step, digest},
@@ -11,7 +11,7 @@ use wayfold_tests::{
     number,
 };
 
-use crate::clients::Acknowledged;
+use crate::clients::{Acknowledged, Conflict};
 
 /// The clock of a history.
 #[derive(Clone, Copy)]
@@ -33,16 +33,17 @@ impl History {
         returned: Instant,
         call: Call,
     ) -> Operation {
-        let nanoseconds = |time: Instant| {
-            let nanoseconds = time.saturating_duration_since(self.start).as_nanos();
-            u64::try_from(nanoseconds).expect("less than centuries")
-        };
         Operation {
             client,
-            invoked: nanoseconds(invoked),
-            returned: nanoseconds(returned),
+            invoked: self.nanoseconds(invoked),
+            returned: self.nanoseconds(returned),
             call,
         }
+    }
+
+    fn nanoseconds(&self, time: Instant) -> u64 {
+        let nanoseconds = time.saturating_duration_since(self.start).as_nanos();
+        u64::try_from(nanoseconds).expect("less than centuries")
     }
 
     /// An acknowledged mutation.
@@ -75,10 +76,33 @@ impl History {
             ..operation
         }
     }
+
+    /// A compare-and-set that was refused because its point had changed.
+    pub(super) fn conflict(&self, client: u64, conflict: &Conflict) -> Operation {
+        let Conflict {
+            request,
+            invoked,
+            returned,
+        } = conflict;
+        let call = Call::Conflict {
+            id: request.ids[0],
+            if_revision: number(&request.if_revision),
+        };
+        self.operation(client, *invoked, *returned, call)
+    }
 }
 
 /// A read of all points.
 pub(super) fn scan(latest: bool, content: &Content) -> Call {
+    Call::Read {
+        latest,
+        revision: content.revision,
+        seen: ReadPoints::All(content_points(content)),
+    }
+}
+
+/// The points of an index.
+pub(super) fn content_points(content: &Content) -> BTreeMap<u64, Point> {
     let points = content.points.iter().map(|(&id, stored)| {
         let point = Point {
             tag: stored.tag,
@@ -88,35 +112,34 @@ pub(super) fn scan(latest: bool, content: &Content) -> Call {
         };
         (id, point)
     });
-    Call::Read {
-        latest,
-        revision: content.revision,
-        seen: ReadPoints::All(points.collect()),
-    }
+    points.collect()
 }
 
 /// A read of some points.
 pub(super) fn points(latest: bool, answer: &GetResponse) -> Call {
-    let mut seen = BTreeMap::new();
-    if let Some(points) = &answer.points {
-        let coordinates = points.states.iter().flat_map(|it| &it.coordinates);
-        let coordinates: Vec<f64> = coordinates.copied().collect();
-        let width = coordinates.len() / points.ids.len().max(1);
-        for (at, &id) in points.ids.iter().enumerate() {
-            let point = Point {
-                tag: points.tags[at],
-                payload: digest(&points.payloads[at][..]),
-                state: digest(&bits(&coordinates[at * width..][..width])[..]),
-                stored: points.revisions[at],
-            };
-            seen.insert(id, point);
-        }
-    }
+    let seen = answer.points.as_ref().map(told_points);
     Call::Read {
         latest,
         revision: number(&answer.revision),
-        seen: ReadPoints::These(seen),
+        seen: ReadPoints::These(seen.unwrap_or_default()),
     }
+}
+
+/// Points of an answer with all columns.
+pub(super) fn told_points(points: &Points) -> BTreeMap<u64, Point> {
+    let coordinates = points.states.iter().flat_map(|it| &it.coordinates);
+    let coordinates: Vec<f64> = coordinates.copied().collect();
+    let width = coordinates.len() / points.ids.len().max(1);
+    let points = points.ids.iter().enumerate().map(|(at, &id)| {
+        let point = Point {
+            tag: points.tags[at],
+            payload: digest(&points.payloads[at][..]),
+            state: digest(&bits(&coordinates[at * width..][..width])[..]),
+            stored: points.revisions[at],
+        };
+        (id, point)
+    });
+    points.collect()
 }
 
 /// The steps of a mutation, with the ids of its answer.
@@ -138,6 +161,16 @@ fn steps(entry: &Entry) -> Vec<Step> {
                 .collect()
         }
         Entry::Remove(request, _) => request.ids.iter().map(|&id| Step::Remove(id)).collect(),
+        Entry::Update(request, _) => {
+            let if_revision = number(&request.if_revision);
+            let tagged = request.ids.iter().zip(&request.tags);
+            let step = |(&id, &tag)| Step::SetTagIf {
+                id,
+                tag,
+                if_revision,
+            };
+            tagged.map(step).collect()
+        }
         Entry::Write(request, _) => {
             let mut payloads = request.payloads.iter();
             let steps = request.kinds().zip(&request.ids).zip(&request.tags);

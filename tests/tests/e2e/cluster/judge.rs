@@ -9,7 +9,7 @@ use wayfold_proto::v1::{
 };
 use wayfold_tests::{
     Content, Model, Stubs,
-    history::{Operation, check},
+    history::{Checked, Operation, check},
     ledger::Entry,
     number, revision,
 };
@@ -34,9 +34,8 @@ pub(super) struct Judge {
 #[derive(Debug, Default)]
 pub(super) struct Verdict {
     pub(super) acknowledged: u64,
-    /// The reads that were checked: with `latest`, and others.
-    pub(super) latest: u64,
-    pub(super) plain: u64,
+    /// What the checker of histories counted.
+    pub(super) checked: Checked,
     pub(super) lost: u64,
     pub(super) twice: u64,
     /// The servers whose content is not the first server's, that search other points than they store, or that do not answer:
@@ -55,7 +54,7 @@ impl Verdict {
 
     fn check(&mut self, operations: &[Operation]) {
         match check(operations) {
-            Ok(checked) => (self.latest, self.plain) = (checked.latest, checked.plain),
+            Ok(checked) => self.checked = checked,
             Err(violations) => {
                 let violations = violations.iter().take(10);
                 self.violations = violations.map(|it| format!("{it:?}")).collect();
@@ -79,6 +78,8 @@ impl Judge {
             let settled = timeout(MAX_PAUSE, settled).await;
             assert!(settled.is_ok(), "{:?}", writer.refusal);
             operations.append(&mut client.reads);
+            let conflicts = writer.conflicts.iter();
+            operations.extend(conflicts.map(|it| self.history.conflict(writer.name, it)));
             for acknowledged in writer.ledger.drain(..) {
                 operations.push(self.history.mutation(writer.name, &acknowledged));
                 entries.push(acknowledged.entry);
@@ -116,6 +117,8 @@ impl Judge {
             let writer = &mut client.writer;
             verdict.data_losses += client.data_losses;
             operations.append(&mut client.reads);
+            let conflicts = writer.conflicts.iter();
+            operations.extend(conflicts.map(|it| self.history.conflict(writer.name, it)));
             verdict.acknowledged += writer.ledger.len() as u64;
             let ledger = writer.ledger.iter();
             operations.extend(ledger.map(|it| self.history.mutation(writer.name, it)));
