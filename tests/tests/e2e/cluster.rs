@@ -1,10 +1,13 @@
 //! Servers that share a journal in NATS, while servers of both kinds fail under their writers: each acknowledged mutation
 //! takes effect once, all servers have the same points, and the history of the clients holds.
 //!
-//! Eight writers make one call after another, at one server after another, and repeat a call without an outcome. Four of them
-//! insert and remove, and tag the points that all change by compare-and-set. The others write batches in sessions, and tag
-//! these points there. After some batches they open another session, and repeat the last batch of the one before. Between their
-//! mutations the writers read, the latest or what the server has.
+//! The load:
+//!
+//! - Eight writers make one call after another, at one server after another, and repeat a call without an outcome. Four of them
+//!   insert and remove, and tag the points that all change by compare-and-set. The others write batches in sessions, and tag
+//!   these points there. After some batches they open another session, and repeat the last batch of the one before.
+//! - Between their mutations the writers read, the latest or what the server has.
+//! - A follower gets the record of each mutation by `Watch`, at one server after another.
 //!
 //! A run is a sequence of rounds, each with servers, clients and a seed of its own. After each fault the clients pause, and
 //! `VerifyIndex` compares the servers as they run. In every second round the journal is not trimmed. A round ends if JetStream
@@ -17,6 +20,7 @@ mod clock;
 mod damage;
 mod disk;
 mod fault;
+mod follower;
 mod history;
 mod judge;
 mod network;
@@ -42,8 +46,9 @@ use wayfold_tests::Stubs;
 use client::{Client, Scene};
 use disk::Disk;
 use fault::{Fault, Needs, Stall};
+use follower::Following;
 use history::History;
-use judge::Judge;
+use judge::{Judge, Witnesses};
 use record::Record;
 use servers::{Cluster, SERVERS};
 
@@ -119,6 +124,7 @@ impl Run {
         for writer in writers {
             working.spawn(Client::new(writer).work(scene.clone()));
         }
+        let following = Following::start(&scene, WRITERS + SERVERS as u64, seed);
         let mut at = acknowledged.subscribe();
         let stalled = Cell::new(None);
         // The number of acknowledgements, and the time at which the last one was seen.
@@ -181,7 +187,7 @@ impl Run {
             if stalled.get().is_none() {
                 // The restart at the end of the round would hide a server that has stopped or differs.
                 let _silence = calling.write().await;
-                match judge.compare(&cluster.live_uris()).await {
+                match judge.compare(&cluster.live_uris(), &following).await {
                     Some(differing) => divergent += differing,
                     None => stalled.set(Some(Stall::After)),
                 }
@@ -189,16 +195,19 @@ impl Run {
         }
         over.send_replace(true);
         let has_stopped = stalled.get().is_some() || !cluster.kill_all();
-        let mut verdict = if has_stopped {
+        if has_stopped {
             assert!(
                 cluster.has_jetstream_stopped(last.get().1),
                 "nothing is acknowledged any more, or a server does not start"
             );
-            let clients = working.join_all().await;
-            judge.judge_reads(clients, &cluster.live_uris()).await
-        } else {
-            let clients = working.join_all().await;
-            judge.judge(clients, &cluster.live_uris()).await
+        }
+        let witnesses = Witnesses {
+            clients: working.join_all().await,
+            following,
+        };
+        let mut verdict = match has_stopped {
+            true => judge.judge_reads(witnesses, &cluster.live_uris()).await,
+            false => judge.judge(witnesses, &cluster.live_uris()).await,
         };
         verdict.divergent += divergent;
         for server in 0..SERVERS {
@@ -212,8 +221,10 @@ impl Run {
             "jetstream_stopped": has_stopped,
             "ok": is_good, "acknowledged": verdict.acknowledged, "latest": verdict.checked.latest,
             "plain": verdict.checked.plain, "conflicts": verdict.checked.conflicts,
+            "records": verdict.checked.records, "resets": verdict.resets,
             "lost": verdict.lost, "twice": verdict.twice,
-            "divergent": verdict.divergent, "data_losses": verdict.data_losses, "violations": verdict.violations,
+            "divergent": verdict.divergent, "data_losses": verdict.data_losses,
+            "violations": verdict.violations,
             "notices": cluster.notices.counts(),
         }));
         if !is_good {

@@ -17,6 +17,7 @@ use wayfold_tests::{
 use super::{
     MAX_PAUSE, WRITERS,
     client::Client,
+    follower::{Follower, Following},
     history::{History, scan},
 };
 use crate::{
@@ -36,15 +37,23 @@ pub(super) struct Verdict {
     pub(super) acknowledged: u64,
     /// What the checker of histories counted.
     pub(super) checked: Checked,
+    /// The times that the follower began again, because a server no longer kept its next record.
+    pub(super) resets: u64,
     pub(super) lost: u64,
     pub(super) twice: u64,
-    /// The servers whose content is not the first server's, that search other points than they store, or that do not answer:
-    /// after each fault, and at the end.
+    /// The servers whose content is not the first server's, that search other points than they store, or that do not answer,
+    /// and the follower if it lacks records: after each fault, and at the end.
     pub(super) divergent: u64,
     /// The refusals that said that NATS has lost something.
     pub(super) data_losses: u64,
     /// The contradictions of the history.
     pub(super) violations: Vec<String>,
+}
+
+/// Those who saw the round.
+pub(super) struct Witnesses {
+    pub(super) clients: Vec<Client>,
+    pub(super) following: Following,
 }
 
 impl Verdict {
@@ -61,6 +70,12 @@ impl Verdict {
             }
         }
     }
+
+    fn count(&mut self, follower: &Follower, clients: &[Client]) {
+        self.resets = follower.resets;
+        let of_clients = clients.iter().map(|it| it.data_losses);
+        self.data_losses = follower.data_losses + of_clients.sum::<u64>();
+    }
 }
 
 impl Judge {
@@ -69,14 +84,18 @@ impl Judge {
     }
 
     /// Settles what is unknown, and compares the servers with all that the clients saw.
-    pub(super) async fn judge(&self, mut clients: Vec<Client>, uris: &[String]) -> Verdict {
+    pub(super) async fn judge(&self, witnesses: Witnesses, uris: &[String]) -> Verdict {
+        let Witnesses {
+            mut clients,
+            following,
+        } = witnesses;
         let mut stubs = Stubs::connect(&uris[0]).await;
         let (mut entries, mut operations) = (Vec::new(), Vec::new());
         for client in &mut clients {
             let writer = &mut client.writer;
-            let settled = async { while !writer.ask_again(&mut stubs).await {} };
-            let settled = timeout(MAX_PAUSE, settled).await;
-            assert!(settled.is_ok(), "{:?}", writer.refusal);
+            let asked = async { while !writer.ask_again(&mut stubs).await {} };
+            let asked = timeout(MAX_PAUSE, asked).await;
+            assert!(asked.is_ok(), "{:?}", writer.refusal);
             operations.append(&mut client.reads);
             let conflicts = writer.conflicts.iter();
             operations.extend(conflicts.map(|it| self.history.conflict(writer.name, it)));
@@ -86,13 +105,16 @@ impl Judge {
             }
         }
         entries.sort_by_key(|entry| (entry.revision(), !entry.changed()));
-        let mut verdict = Verdict {
-            data_losses: clients.iter().map(|it| it.data_losses).sum(),
-            ..Verdict::default()
-        };
+        let mut verdict = Verdict::default();
         let contents = self.contents(&mut stubs, uris, &mut operations).await;
         let differ = |content: &&Option<Content>| content.is_none() || **content != contents[0];
         verdict.divergent = contents.iter().filter(differ).count() as u64;
+        let newest = contents.iter().flatten().map(|it| it.revision).max();
+        let reaches = following.reaches(newest.unwrap_or_default()).await;
+        verdict.divergent += u64::from(!reaches);
+        let mut follower = following.end().await;
+        operations.append(&mut follower.seen);
+        verdict.count(&follower, &clients);
         let mut tally = Tally::default();
         for entry in &entries {
             tally.note(entry);
@@ -110,12 +132,18 @@ impl Judge {
     }
 
     /// The same while JetStream has stopped for good: nothing is settled, and servers may be behind the newest of them.
-    pub(super) async fn judge_reads(&self, clients: Vec<Client>, uris: &[String]) -> Verdict {
+    pub(super) async fn judge_reads(&self, witnesses: Witnesses, uris: &[String]) -> Verdict {
+        let Witnesses {
+            mut clients,
+            following,
+        } = witnesses;
         let mut verdict = Verdict::default();
+        let mut follower = following.end().await;
+        verdict.count(&follower, &clients);
         let mut operations = Vec::new();
-        for mut client in clients {
-            let writer = &mut client.writer;
-            verdict.data_losses += client.data_losses;
+        operations.append(&mut follower.seen);
+        for client in &mut clients {
+            let writer = &client.writer;
             operations.append(&mut client.reads);
             let conflicts = writer.conflicts.iter();
             operations.extend(conflicts.map(|it| self.history.conflict(writer.name, it)));
@@ -146,9 +174,9 @@ impl Judge {
         verdict
     }
 
-    /// Counts the servers that differ while nobody calls, as in [`Verdict::divergent`]. None if the first one does not answer
-    /// a read with `latest`.
-    pub(super) async fn compare(&self, uris: &[String]) -> Option<u64> {
+    /// Counts the servers that differ while nobody calls, and the follower if it lacks records, as in [`Verdict::divergent`].
+    /// None if the first server does not answer a read with `latest`.
+    pub(super) async fn compare(&self, uris: &[String], following: &Following) -> Option<u64> {
         let mut first = Stubs::connect(&uris[0]).await;
         loop {
             let latest = async {
@@ -173,7 +201,8 @@ impl Judge {
             let hashes = reports.iter().map(|it| Some(&it.as_ref()?.content_hash));
             let hashes: Vec<_> = hashes.collect();
             let differs = |hash: &&Option<_>| hash.is_none() || **hash != hashes[0];
-            return Some(hashes.iter().filter(differs).count() as u64);
+            let differing = hashes.iter().filter(differs).count() as u64;
+            return Some(differing + u64::from(!following.reaches(newest).await));
         }
     }
 
