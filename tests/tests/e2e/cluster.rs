@@ -1,13 +1,15 @@
 //! Servers that share a journal in NATS, while servers of both kinds fail under their writers: each acknowledged mutation
 //! takes effect once, all servers have the same points, and the history of the clients holds.
 //!
-//! The load:
+//! The load of one index, `arm`:
 //!
 //! - Eight writers make one call after another, at one server after another, and repeat a call without an outcome. Four of them
 //!   insert and remove, and tag the points that all change by compare-and-set. The others write batches in sessions, and tag
 //!   these points there. After some batches they open another session, and repeat the last batch of the one before.
 //! - Between their mutations the writers read, the latest or what the server has.
 //! - A follower gets the record of each mutation by `Watch`, at one server after another.
+//!
+//! Two makers create, fill, read and delete another index, again and again under one name.
 //!
 //! A run is a sequence of rounds, each with servers, clients and a seed of its own. After each fault the clients pause, and
 //! `VerifyIndex` compares the servers as they run. In every second round the journal is not trimmed. A round ends if JetStream
@@ -23,6 +25,8 @@ mod fault;
 mod follower;
 mod history;
 mod judge;
+mod maker;
+mod names;
 mod network;
 mod notices;
 mod record;
@@ -49,6 +53,7 @@ use fault::{Fault, Needs, Stall};
 use follower::Following;
 use history::History;
 use judge::{Judge, Witnesses};
+use maker::Maker;
 use record::Record;
 use servers::{Cluster, SERVERS};
 
@@ -57,6 +62,8 @@ use crate::clients::{Load, SPACE, Writer};
 const WRITERS: u64 = 8;
 /// The points that all writers change.
 const CONTESTED: usize = 2;
+/// The clients of the index that is created and deleted again and again.
+const MAKERS: u64 = 2;
 const LOAD: Load = Load {
     rows: 20,
     // Such a call takes several messages of NATS.
@@ -120,9 +127,12 @@ impl Run {
             calling: Arc::default(),
         };
         let (judge, calling) = (Judge::new(history, uid), Arc::clone(&scene.calling));
-        let mut working = JoinSet::new();
+        let (mut working, mut making) = (JoinSet::new(), JoinSet::new());
         for writer in writers {
             working.spawn(Client::new(writer).work(scene.clone()));
+        }
+        for maker in 0..MAKERS {
+            making.spawn(Maker::new(maker, seed, history).work(scene.clone()));
         }
         let following = Following::start(&scene, WRITERS + SERVERS as u64, seed);
         let mut at = acknowledged.subscribe();
@@ -193,6 +203,11 @@ impl Run {
                 }
             }
         }
+        if stalled.get().is_none() {
+            // The restart would hide a server that has not heard of the last change.
+            let _silence = calling.write().await;
+            divergent += u64::from(names::agreed(&cluster.live_uris()).await.is_none());
+        }
         over.send_replace(true);
         let has_stopped = stalled.get().is_some() || !cluster.kill_all();
         if has_stopped {
@@ -203,6 +218,7 @@ impl Run {
         }
         let witnesses = Witnesses {
             clients: working.join_all().await,
+            makers: making.join_all().await,
             following,
         };
         let mut verdict = match has_stopped {
@@ -213,8 +229,10 @@ impl Run {
         for server in 0..SERVERS {
             cluster.kill(server);
         }
-        // A server that refuses calls because NATS has lost something says so in its log.
-        let is_noticed = verdict.data_losses == 0 || cluster.notices.tell_of_loss();
+        // A server that refuses calls because NATS has lost something says so in its log. Names that NATS has lost may be given
+        // again.
+        let is_noticed = (verdict.data_losses == 0 || cluster.notices.tell_of_loss())
+            && (verdict.name_violations.is_empty() || cluster.notices.tell_of_lost_names());
         let is_good = verdict.is_good() && is_noticed && cluster.notices.panics() == 0;
         self.record.append(&json!({
             "seed": self.seed, "kinds": self.list, "round": round, "faults": suffered, "trims": trims,
@@ -222,9 +240,11 @@ impl Run {
             "ok": is_good, "acknowledged": verdict.acknowledged, "latest": verdict.checked.latest,
             "plain": verdict.checked.plain, "conflicts": verdict.checked.conflicts,
             "records": verdict.checked.records, "resets": verdict.resets,
+            "indexes": verdict.names.indexes, "deleted": verdict.names.deleted,
+            "points_of_names": verdict.names.acknowledged, "reads_of_names": verdict.names.reads,
             "lost": verdict.lost, "twice": verdict.twice,
             "divergent": verdict.divergent, "data_losses": verdict.data_losses,
-            "violations": verdict.violations,
+            "violations": verdict.violations, "name_violations": verdict.name_violations,
             "notices": cluster.notices.counts(),
         }));
         if !is_good {

@@ -6,7 +6,10 @@ use prost::bytes::Bytes;
 use wayfold_proto::v1::{GetResponse, Points, StepKind};
 use wayfold_tests::{
     Content, bits,
-    history::{Answer, Call, NEVER, Operation, Point, ReadPoints, Step, digest},
+    history::{
+        Answer, Call, NEVER, Operation, Point, ReadPoints, Step, digest,
+        names::{NameCall, NameOperation},
+    },
     ledger::Entry,
     number,
 };
@@ -89,6 +92,23 @@ impl History {
             if_revision: number(&request.if_revision),
         };
         self.operation(client, *invoked, *returned, call)
+    }
+
+    /// A call for an index by its name at a server; none returns if it was not answered.
+    pub(super) fn named(
+        &self,
+        (client, server): (u64, u64),
+        invoked: Instant,
+        returned: Option<Instant>,
+        call: NameCall,
+    ) -> NameOperation {
+        NameOperation {
+            server,
+            client,
+            invoked: self.nanoseconds(invoked),
+            returned: returned.map_or(NEVER, |it| self.nanoseconds(it)),
+            call,
+        }
     }
 }
 

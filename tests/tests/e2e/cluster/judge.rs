@@ -1,4 +1,4 @@
-//! Judges a round: by the model, which computes every answer, and by the checker of histories.
+//! Judges a round: by the model, which computes every answer, and by the checkers of histories.
 
 use std::{collections::BTreeSet, time::Instant};
 
@@ -9,7 +9,10 @@ use wayfold_proto::v1::{
 };
 use wayfold_tests::{
     Content, Model, Stubs,
-    history::{Checked, Operation, check},
+    history::{
+        Checked, Operation, check,
+        names::{self, NameOperation, NamesChecked},
+    },
     ledger::Entry,
     number, revision,
 };
@@ -19,6 +22,8 @@ use super::{
     client::Client,
     follower::{Follower, Following},
     history::{History, scan},
+    maker::Maker,
+    names::settled,
 };
 use crate::{
     clients::{SPACE, Tally},
@@ -39,20 +44,26 @@ pub(super) struct Verdict {
     pub(super) checked: Checked,
     /// The times that the follower began again, because a server no longer kept its next record.
     pub(super) resets: u64,
+    /// What the checker of names counted.
+    pub(super) names: NamesChecked,
     pub(super) lost: u64,
     pub(super) twice: u64,
     /// The servers whose content is not the first server's, that search other points than they store, or that do not answer,
-    /// and the follower if it lacks records: after each fault, and at the end.
+    /// and the follower if it lacks records: after each fault, and at the end. All of them together count once more if they do
+    /// not agree on the index of the makers.
     pub(super) divergent: u64,
     /// The refusals that said that NATS has lost something.
     pub(super) data_losses: u64,
     /// The contradictions of the history.
     pub(super) violations: Vec<String>,
+    /// Those of the calls for the index of the makers.
+    pub(super) name_violations: Vec<String>,
 }
 
 /// Those who saw the round.
 pub(super) struct Witnesses {
     pub(super) clients: Vec<Client>,
+    pub(super) makers: Vec<Maker>,
     pub(super) following: Following,
 }
 
@@ -61,21 +72,29 @@ impl Verdict {
         self.lost + self.twice + self.divergent == 0 && self.violations.is_empty()
     }
 
-    fn check(&mut self, operations: &[Operation]) {
+    fn check(&mut self, operations: &[Operation], named: &[NameOperation]) {
         match check(operations) {
             Ok(checked) => self.checked = checked,
-            Err(violations) => {
-                let violations = violations.iter().take(10);
-                self.violations = violations.map(|it| format!("{it:?}")).collect();
-            }
+            Err(violations) => self.violations = first(&violations),
+        }
+        match names::check(named) {
+            Ok(checked) => self.names = checked,
+            Err(violations) => self.name_violations = first(&violations),
         }
     }
 
-    fn count(&mut self, follower: &Follower, clients: &[Client]) {
+    fn count(&mut self, follower: &Follower, makers: &[Maker], clients: &[Client]) {
         self.resets = follower.resets;
+        let of_makers = makers.iter().map(|it| it.data_losses);
         let of_clients = clients.iter().map(|it| it.data_losses);
-        self.data_losses = follower.data_losses + of_clients.sum::<u64>();
+        self.data_losses = follower.data_losses + of_makers.chain(of_clients).sum::<u64>();
     }
+}
+
+/// The first contradictions as text.
+fn first(violations: &[impl std::fmt::Debug]) -> Vec<String> {
+    let violations = violations.iter().take(10);
+    violations.map(|it| format!("{it:?}")).collect()
 }
 
 impl Judge {
@@ -87,6 +106,7 @@ impl Judge {
     pub(super) async fn judge(&self, witnesses: Witnesses, uris: &[String]) -> Verdict {
         let Witnesses {
             mut clients,
+            mut makers,
             following,
         } = witnesses;
         let mut stubs = Stubs::connect(&uris[0]).await;
@@ -112,9 +132,17 @@ impl Judge {
         let newest = contents.iter().flatten().map(|it| it.revision).max();
         let reaches = following.reaches(newest.unwrap_or_default()).await;
         verdict.divergent += u64::from(!reaches);
+        let mut named = Vec::new();
+        for maker in &mut makers {
+            named.append(&mut maker.operations);
+        }
+        match settled(uris, self.history).await {
+            Some(settled) => named.extend(settled),
+            None => verdict.divergent += 1,
+        }
         let mut follower = following.end().await;
         operations.append(&mut follower.seen);
-        verdict.count(&follower, &clients);
+        verdict.count(&follower, &makers, &clients);
         let mut tally = Tally::default();
         for entry in &entries {
             tally.note(entry);
@@ -124,7 +152,7 @@ impl Judge {
             tally.count(content);
         }
         (verdict.lost, verdict.twice) = (tally.lost, tally.duplicated);
-        verdict.check(&operations);
+        verdict.check(&operations, &named);
         if verdict.is_good() {
             check_model(&entries, &contents);
         }
@@ -135,13 +163,17 @@ impl Judge {
     pub(super) async fn judge_reads(&self, witnesses: Witnesses, uris: &[String]) -> Verdict {
         let Witnesses {
             mut clients,
+            mut makers,
             following,
         } = witnesses;
         let mut verdict = Verdict::default();
         let mut follower = following.end().await;
-        verdict.count(&follower, &clients);
-        let mut operations = Vec::new();
+        verdict.count(&follower, &makers, &clients);
+        let (mut operations, mut named) = (Vec::new(), Vec::new());
         operations.append(&mut follower.seen);
+        for maker in &mut makers {
+            named.append(&mut maker.operations);
+        }
         for client in &mut clients {
             let writer = &client.writer;
             operations.append(&mut client.reads);
@@ -170,7 +202,7 @@ impl Judge {
                 .operation(reader, invoked, Instant::now(), read);
             operations.push(read);
         }
-        verdict.check(&operations);
+        verdict.check(&operations, &named);
         verdict
     }
 

@@ -10,11 +10,19 @@ const PUBLISHED_AGAIN: &str = "the journal had lost its newest records";
 const NO_LEADER: &str = "catchup aborted, no leader for stream";
 const DAY_SECONDS: u64 = 86_400;
 /// The names of notices, and the parts of the log that say them.
-const NOTICES: [(&str, &str); 5] = [
+const NOTICES: [(&str, &str); 7] = [
     ("copies", crate::healing::HEALED),
     ("published_again", PUBLISHED_AGAIN),
     ("contradictions", "two servers contradict each other"),
     ("stopped", "no further record is applied"),
+    (
+        "names_lost",
+        "NATS has lost an entry of the catalogue; writing it again",
+    ),
+    (
+        "names_taken",
+        "another index has a name whose entry NATS had lost",
+    ),
     ("panics", "panicked at"),
 ];
 
@@ -54,7 +62,17 @@ impl Notices {
 
     /// True if a server has said that the journal lacks or contradicts what it has applied.
     pub(super) fn tell_of_loss(&self) -> bool {
-        let notices = ["contradictions", "stopped"].map(|name| self.counts.get(name));
+        self.have(["contradictions", "stopped"])
+    }
+
+    /// True if a server has said that the list of the indices in NATS lacks or contradicts what it knows.
+    pub(super) fn tell_of_lost_names(&self) -> bool {
+        self.have(["names_lost", "names_taken"])
+    }
+
+    /// True if there is one of these notices.
+    fn have(&self, names: [&str; 2]) -> bool {
+        let notices = names.map(|name| self.counts.get(name));
         notices.iter().flatten().any(|count| **count > 0)
     }
 
