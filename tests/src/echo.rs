@@ -216,6 +216,7 @@ impl IndexService for Echo {
                 max_payload_bytes: most,
                 max_indexes: 1,
                 max_reserved_ids: most,
+                max_changed_point_bytes: most,
             }),
         }))
     }

@@ -136,7 +136,7 @@ pub(crate) fn ball<'py>(
     if is_length {
         let lengths = index.call(py, |index| {
             by_workers(index, &numbers, workers, |index, part, rows| {
-                lengths(index, part, rows, &answer)
+                lengths(index, part, rows, answer)
             })
         })?;
         return match lengths[..] {

@@ -196,7 +196,7 @@ where
 const ANSWER_BYTES: &str = "max_answer_bytes";
 
 /// The limit of the bytes of the stored points that one call changes.
-const CHANGED_POINT_BYTES: &str = "changed_point_bytes";
+const CHANGED_POINT_BYTES: &str = "max_changed_point_bytes";
 
 /// The limits of a server that a call with fewer rows can meet.
 const LIMITS_BY_ROWS: [&str; 4] = [

@@ -53,6 +53,8 @@ pub struct Limits {
     pub max_indexes: u64,
     /// The most ids that one call reserves for a writer session.
     pub max_reserved_ids: u64,
+    /// The most bytes of the stored points, with their payloads, whose tags or payloads one call sets.
+    pub max_changed_point_bytes: usize,
 }
 
 impl Limits {
@@ -66,6 +68,7 @@ impl Limits {
         max_payload_bytes: usize::MAX,
         max_indexes: u64::MAX,
         max_reserved_ids: u64::MAX,
+        max_changed_point_bytes: usize::MAX,
     };
 }
 
@@ -95,6 +98,7 @@ impl ServerInfo {
                 max_payload_bytes: size(limits.max_payload_bytes),
                 max_indexes: limits.max_indexes,
                 max_reserved_ids: limits.max_reserved_ids,
+                max_changed_point_bytes: size(limits.max_changed_point_bytes),
             },
         })
     }

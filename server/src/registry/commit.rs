@@ -19,6 +19,10 @@ pub(super) const MAX_INLINE_BYTES: usize = 128 * 1024;
 /// goes on above a watermark.
 const MAX_SMALL_OPERATION_BYTES: usize = 1024;
 
+/// Above a watermark sessions open until an index has this many, so that a shared index can be read, and can remove points. They
+/// take 100 KB.
+const MAX_FEW_SESSIONS: usize = 256;
+
 /// The number of times that memory and disk have the bytes of a mutation: as a record, as points in the store, and in
 /// the forest or in the files that the store writes again.
 const STORED_COPIES: u64 = 3;
@@ -44,8 +48,9 @@ pub enum CommitOutcome {
 
 impl Hosted {
     /// Commits a mutation that was evaluated under `writer`: submits the `effects`, and returns once they are
-    /// published. Above a watermark a mutation that stores points is refused, and so is one that opens a session, reserves ids, or
-    /// remembers more than a small answer. From the first poll on the commit completes, even if the caller drops the future.
+    /// published. Above a watermark a mutation that stores points is refused, and so is one that opens a further one of many
+    /// sessions, only reserves ids, or remembers more than a small answer. From the first poll on the commit completes, even if
+    /// the caller drops the future.
     pub async fn commit(
         self: &Arc<Self>,
         writer: WriteGuard,
@@ -55,7 +60,8 @@ impl Hosted {
         // all of them.
         let operation = effects.operation().map_or(0, |it| it.bytes());
         if !effects.stored().is_empty()
-            || effects.grows_sessions()
+            || effects.only_reserves()
+            || effects.opens_session() && writer.sessions().len() >= MAX_FEW_SESSIONS
             || operation > MAX_SMALL_OPERATION_BYTES
         {
             self.host

@@ -83,12 +83,12 @@ impl ChangedPoints {
 
     fn hold(&mut self, more: usize) -> Result<(), Error> {
         self.bytes = self.bytes.saturating_add(more);
-        let most = MAX_CHANGED_BYTES.min(self.held.most());
+        let most = max_changed_bytes(&self.held);
         if self.bytes > most {
             let requested = self.bytes as u64;
             self.forget();
             return Err(Error::LimitExceeded {
-                limit: "changed_point_bytes",
+                limit: "max_changed_point_bytes",
                 value: most as u64,
                 requested,
                 advice: "the points count with their payloads: split the ids over several calls",
@@ -102,6 +102,11 @@ impl ChangedPoints {
         self.held.clear();
         self.bytes = 0;
     }
+}
+
+/// The most bytes of the points that the call of this answer changes.
+pub(super) fn max_changed_bytes(held: &AnswerBytes) -> usize {
+    MAX_CHANGED_BYTES.min(held.most())
 }
 
 /// The bytes of a point with its place in the map, which has twice the room at most.
@@ -266,7 +271,7 @@ mod tests {
             let is_refused = matches!(
                 read,
                 Err(Error::LimitExceeded {
-                    limit: "changed_point_bytes",
+                    limit: "max_changed_point_bytes",
                     ..
                 })
             );

@@ -2,7 +2,7 @@
 
 use wayfold_proto::v1;
 
-use super::{Call, Error, Service};
+use super::{Call, Error, Service, changed_points::max_changed_bytes};
 use crate::{identity::Role, log::Durability};
 
 impl Service {
@@ -33,6 +33,7 @@ impl Service {
                 max_payload_bytes: limits.max_payload_bytes as u64,
                 max_indexes: limits.max_indexes as u64,
                 max_reserved_ids: limits.max_reserved_ids,
+                max_changed_point_bytes: max_changed_bytes(&call.answer_bytes()) as u64,
             }),
         })
     }

@@ -35,6 +35,7 @@ async fn it_names_its_version_and_its_limits() {
         max_payload_bytes: 65_536,
         max_indexes: 15,
         max_reserved_ids: 16,
+        max_changed_point_bytes: 64 * 1024 * 1024,
     };
     assert_eq!(answer.limits, Some(expected));
     server.stop().await.unwrap().unwrap();

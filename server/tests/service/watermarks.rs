@@ -238,7 +238,7 @@ async fn a_restore_is_refused_by_the_size_of_its_sessions() {
 
 /// A writer could open sessions, or take ids one by one, until a start has no memory for them.
 #[tokio::test]
-async fn above_a_watermark_no_session_opens_and_only_removals_reserve_ids() {
+async fn above_a_watermark_few_sessions_open_and_only_removals_reserve_ids() {
     let (memory, disk) = (Used::default(), Used::default());
     let (_registry, service) = over(Arc::new(MemoryLog::new()), watermarks(&memory, &disk));
     let uid = create(&service, "arm", "R3").await;
@@ -260,6 +260,9 @@ async fn above_a_watermark_no_session_opens_and_only_removals_reserve_ids() {
         ..Default::default()
     };
     memory.set(HIGH + 1);
+    for _ in 1..256 {
+        service.open_session(&CALL, opening.clone()).await.unwrap();
+    }
     full(service.open_session(&CALL, opening.clone()).await);
     full(service.write(&CALL, write(1, 1, &[])).await);
     // No point has this id, so nothing is freed.

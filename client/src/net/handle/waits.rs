@@ -2,7 +2,7 @@
 
 use std::{future::pending, time::Duration};
 
-use tokio::time::sleep;
+use tokio::time::{Instant, sleep_until};
 use wayfold_proto::v1;
 
 use super::IndexHandle;
@@ -38,7 +38,7 @@ impl IndexHandle {
         patience: Duration,
     ) -> tonic::Status {
         if self.client().connections().are_several() {
-            sleep(SLOW_TIME).await;
+            sleep_until(Instant::now() + SLOW_TIME).await;
             let remaining = remaining.saturating_sub(SLOW_TIME);
             let waited = self.wait_for_newest(connection, remaining, patience).await;
             // Any other failure says nothing about the call.

@@ -46,6 +46,7 @@ const LIMITS: v1::Limits = v1::Limits {
     max_payload_bytes: 64 * 1024,
     max_indexes: 1_000,
     max_reserved_ids: 1_000,
+    max_changed_point_bytes: 64 * 1024 * 1024,
 };
 
 /// Returns the failure of a call, by its number, from 0, and its rows; `None` if it succeeds.

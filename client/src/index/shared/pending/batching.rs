@@ -8,10 +8,8 @@ use crate::Limits;
 /// The most steps of a batch: each waits for the slowest.
 const MAX_BATCH_STEPS: usize = 4_096;
 
-/// The most steps of a batch that set tags or payloads. The server refuses a batch for good if the points of these steps have more
-/// than 64 MiB, and a point has a payload of up to 64 KiB and a state of up to 2 KiB. A server with less than 2 GiB of memory
-/// refuses less.
-pub(super) const MAX_BATCH_UPDATES: usize = 900;
+/// The bytes of a stored point apart from its payload: the state has up to 2 KiB.
+const POINT_BYTES: usize = 4 << 10;
 
 /// The steps of a batch that is worth a call.
 pub(super) const LARGE_BATCH_STEPS: usize = 64;
@@ -33,10 +31,11 @@ impl PendingWrites {
         let bytes = Batch::step_bytes(step);
         let max_steps = MAX_BATCH_STEPS.min(self.limits.max_rows_per_call).max(1);
         let max_bytes = MAX_BATCH_BYTES.min(self.limits.max_request_bytes / 2);
+        let max_updates = self.max_updates();
         let is_full = self.queue.back().is_none_or(|batch| {
             batch.number != 0
                 || batch.len() >= max_steps
-                || (batch.update_count >= MAX_BATCH_UPDATES && Batch::is_update(step))
+                || (batch.update_count >= max_updates && Batch::is_update(step))
                 || batch.bytes() + bytes > max_bytes
                 // The server would not count the id as used, and could reserve it for another point.
                 || (matches!(step, Step::Remove) && batch.chosen_ids.contains(&id))
@@ -55,10 +54,19 @@ impl PendingWrites {
     pub(in crate::index::shared) fn set_limits(&mut self, limits: Limits) {
         let is_lower = limits.max_rows_per_call < self.limits.max_rows_per_call
             || limits.max_request_bytes < self.limits.max_request_bytes;
+        let max_updates = self.max_updates();
         self.limits = limits;
-        if is_lower {
+        if is_lower || self.max_updates() < max_updates {
             self.divide_again();
         }
+    }
+
+    /// The most steps of a batch that set tags or payloads, at least one: the server refuses a batch for good if the points of
+    /// these steps have too many bytes.
+    pub(super) fn max_updates(&self) -> usize {
+        let most = self.limits.max_changed_point_bytes;
+        let point_bytes = POINT_BYTES.checked_add(self.limits.max_payload_bytes);
+        point_bytes.map_or(most, |bytes| most / bytes).max(1)
     }
 
     fn divide_again(&mut self) {
