@@ -338,8 +338,10 @@ impl PointWriter for StagedIndex {
         if !self.replaces {
             return journal.create(self.entry, origin, sum, operations);
         }
-        let head = journal.index(uid)?.head;
-        if origin.revision <= head {
+        let index = journal.index(uid)?;
+        let head = index.head;
+        let is_head = (origin.revision, &origin.digest) == (head, &index.digest);
+        if origin.revision <= head && !is_head {
             return Err(LogError::fenced(uid, origin.revision, head));
         }
         let item = Item::Create(self.entry, origin, Arc::new(sum), operations);

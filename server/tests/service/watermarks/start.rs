@@ -1,6 +1,9 @@
 //! A start with little memory loads what fits, and the rest once there is room.
 
-use std::sync::{Arc, Mutex, Weak};
+use std::{
+    sync::{Arc, Mutex, Weak},
+    thread::{self, JoinHandle},
+};
 
 use wayfold_proto::v1;
 use wayfold_server::{
@@ -83,11 +86,12 @@ async fn a_start_without_memory_lists_and_deletes_and_loads_the_rest_later() {
     assert_eq!(error.await.unwrap_err().code(), Code::NotFound);
 }
 
-/// A catalogue in which an index is deleted once the indices are listed.
+/// A catalogue in which a deletion of an index begins while the indices are listed. It waits for the lock of changes.
 struct Shrinking {
     local: Arc<MemoryLog>,
     /// The registry and the name of the index, for one deletion.
     deletion: Mutex<Option<(Weak<Registry>, &'static str)>>,
+    deleting: Mutex<Option<JoinHandle<()>>>,
 }
 
 impl Catalogue for Shrinking {
@@ -95,7 +99,10 @@ impl Catalogue for Shrinking {
         let entries = self.local.indexes();
         let deletion = self.deletion.lock().unwrap().take();
         if let Some((registry, name)) = deletion {
-            registry.upgrade().unwrap().delete(name, None).unwrap();
+            let deleting = thread::spawn(move || {
+                registry.upgrade().unwrap().delete(name, None).unwrap();
+            });
+            *self.deleting.lock().unwrap() = Some(deleting);
         }
         entries
     }
@@ -128,6 +135,7 @@ async fn an_index_that_is_deleted_while_others_are_loaded_stays_deleted() {
     let catalogue = Arc::new(Shrinking {
         local: Arc::clone(&local),
         deletion: Mutex::default(),
+        deleting: Mutex::default(),
     });
     let log = Log {
         catalogue: Arc::clone(&catalogue) as Arc<dyn Catalogue>,
@@ -137,6 +145,8 @@ async fn an_index_that_is_deleted_while_others_are_loaded_stays_deleted() {
     memory.set(LOW / 2);
     *catalogue.deletion.lock().unwrap() = Some((Arc::downgrade(&registry), "leg"));
     registry.load_rest();
+    let deleting = catalogue.deleting.lock().unwrap().take();
+    deleting.unwrap().join().unwrap();
     service.knn(&CALL, knn(&[[0.5; 3]], 9)).await.unwrap();
     assert!(matches!(registry.get("leg"), Err(RegistryError::Deleted)));
 }
