@@ -13,6 +13,7 @@ use crate::metrics::figures;
 const DATA: u8 = 0;
 const HEADERS: u8 = 1;
 const SETTINGS: u8 = 4;
+const WINDOW_UPDATE: u8 = 8;
 /// Receivers ignore frames of types that they do not know.
 const UNKNOWN: u8 = 200;
 const ACK: u8 = 1;
@@ -37,12 +38,21 @@ pub(crate) fn connection(uri: &str, window: u8) -> TcpStream {
     let initial_window_size = [0, 4, 0, 0, 0, window];
     put_frame(&mut sent, SETTINGS, 0, 0, &initial_window_size);
     socket.write_all(&sent).unwrap();
-    // The windows of the server hold once its settings are acknowledged.
-    socket.read_exact(&mut [0]).unwrap();
+    // The windows of the server hold once it has told that of the connection and its settings are acknowledged.
+    while read_frame(&mut socket) != WINDOW_UPDATE {}
     sent.clear();
     put_frame(&mut sent, SETTINGS, ACK, 0, &[]);
     socket.write_all(&sent).unwrap();
     socket
+}
+
+/// Reads a frame and returns its kind.
+fn read_frame(socket: &mut TcpStream) -> u8 {
+    let mut header = [0; 9];
+    socket.read_exact(&mut header).unwrap();
+    let length = u32::from_be_bytes([0, header[0], header[1], header[2]]);
+    socket.read_exact(&mut vec![0; length as usize]).unwrap();
+    header[3]
 }
 
 /// Begins a call with one message on a stream of a connection. The flags of the message may end the request.
