@@ -6,7 +6,7 @@
 //!   revision, and a read with `latest` has no lower revision than an operation that returned before it was invoked;
 //! - no client goes backwards;
 //! - each read sees the effects of the mutations up to its revision, each once and no other;
-//! - a mutation that found nothing to change had nothing to change at its revision;
+//! - a mutation that found nothing to change finds nothing at its revision in the replay;
 //! - a compare-and-set took effect only if its point had not changed after the revision that it named, and was refused only if
 //!   the point may have changed after it;
 //! - a follower gets each record once and in order, with the effects of the mutation of its revision and no others.

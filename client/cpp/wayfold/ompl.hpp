@@ -130,7 +130,7 @@ private:
 };
 
 // Gives a planner without a problem an empty one for the time of a scope: SST and others read an objective when the swap
-// sets them up. At its end, also by an exception, the planner has its own problem, and is set up only if it was before.
+// sets them up. The end of the scope, even by an exception, gives the planner its own problem back, and its setup.
 class PlannerSetup {
 public:
     explicit PlannerSetup(ompl::base::Planner &planner)

@@ -31,7 +31,7 @@ fn check() -> Result<(), Error> {
     }
 }
 
-/// The end of a wait; of a very long one in some decades.
+/// The end of a wait, at most [`MAX_WAIT`] from now.
 pub(super) fn deadline(timeout: Duration) -> Instant {
     Instant::now() + timeout.min(MAX_WAIT)
 }

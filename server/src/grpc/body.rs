@@ -42,7 +42,7 @@ pub(crate) struct CallBody {
     /// The turns in which the frames of a stream are made.
     turns: Option<CallTurns>,
     resources: Option<CallResources>,
-    /// Set from each frame to the next time that the connection asks for one.
+    /// Set while the connection has a frame and has not asked for the next one.
     paused: Option<PausedAnswer>,
 }
 

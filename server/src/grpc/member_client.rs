@@ -97,7 +97,7 @@ impl MemberClient {
         Ok(parts.map(|part| part.map_err(unanswered)).boxed())
     }
 
-    /// The connection to a member, for a call that only members send. There is no pause: no other member has this one's answer.
+    /// The connection to a member, for a call that only members send. No pause counts: no other member can answer for this one.
     async fn channel(&self, member: &str) -> Result<Grpc<Channel>, Unanswered> {
         let channel = self.channels.get(member, Duration::ZERO).await;
         let mut channel = channel.map_err(|_| Unanswered {

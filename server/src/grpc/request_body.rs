@@ -47,10 +47,10 @@ pub(super) struct RequestBody {
     limits: RequestLimits,
     held: Arc<HeldBytes>,
     activity: Option<Activity>,
-    /// True if the request is a stream. One that may pause holds the bytes of the message on its way in only.
+    /// True if the request is a stream. A stream that may pause holds only the bytes of the message that is arriving.
     is_stream: bool,
-    /// The bytes of the largest message of another stream so far. It holds them to its end: tonic keeps the buffer of that message,
-    /// and a message may wait for long after it has arrived.
+    /// The bytes of the largest message so far of a stream that may not pause. The stream holds them to its end: tonic keeps
+    /// the buffer of that message, and a message may wait for long after it has arrived.
     largest: usize,
     /// That of a stream of a connection.
     backlog: Option<StreamBacklog<Status>>,

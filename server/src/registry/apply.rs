@@ -246,7 +246,7 @@ impl Hosted {
         Ok(())
     }
 
-    /// Remembers the uses of sessions that `old` saw, whose place this index takes.
+    /// Takes over the uses of sessions that `old` saw: this index takes its place.
     pub(super) fn take_session_uses(&self, old: &Self) {
         let mut uses = self.session_uses.lock();
         for (session, used) in old.session_uses.lock().iter() {

@@ -16,7 +16,7 @@ pub(super) fn replay_or_damaged(host: &Arc<Host>, entry: &Entry) -> IndexState {
             let error = match error {
                 // The catalogue has the index, and this server's store could not create it.
                 RegistryError::Deleted if host.log.journal.is_shared() => {
-                    let what = "its store does not have it".into();
+                    let what = "the store of this server lacks the index".into();
                     RegistryError::Log(LogError::CopyUnreadable { what })
                 }
                 error => error,

@@ -26,7 +26,7 @@ pub(super) struct Payloads {
     held: AnswerBytes,
 }
 
-/// The bytes that the payloads of a request take beside it, held for the call: an empty one has two bytes there.
+/// Holds the memory of a column of payloads for the call. The bytes of the request do not cover it: an empty payload has two.
 pub(super) fn hold_column(call: &Call, payloads: &[Bytes]) -> Result<AnswerBytes, Error> {
     let mut held = call.answer_bytes();
     held.take(size_of_val(payloads))?;

@@ -283,7 +283,7 @@ impl Watch {
             }
             message.mutations.push(piece);
         }
-        // Beside a further part of the call, what it has read ahead counts.
+        // The bytes that the call has read ahead count beside its next part.
         let has_room = |ahead: &Arc<HeldBytes>| ahead.further().has_room(0);
         let has_room = self.ahead.as_ref().is_none_or(has_room);
         if self.is_cached || !has_room || self.next.is_empty() {

@@ -81,7 +81,7 @@ async fn half_sent_requests_of_a_connection_hold_its_share_at_most() {
 async fn half_sent_requests_of_all_connections_hold_the_bytes_of_the_server_at_most() {
     let server = small_server().await;
     let (mut answers, mut held) = (FuturesUnordered::new(), Vec::new());
-    // Ten times 88 kB are less than seven eighths of 1.1 MB, and the last one is for connections that hold little.
+    // Ten times 88 kB fit into seven eighths of 1.1 MB. The last eighth is for connections that hold little, so one is refused.
     for _ in 0..11 {
         let mut connection = Connection::open(server.address).await;
         let (answer, body) = half_send(&mut connection).await;

@@ -5,7 +5,7 @@
 //!
 //! - A name has one index at a time, which one call created.
 //! - An index is gone only if a call deletes it.
-//! - An index that a server has told to be gone does not come back there, and at the end at no server.
+//! - An index that a server has reported gone does not come back there, and no server has it at the end.
 //! - The history of the points of each index holds, as [`check`](super::check) checks it, up to the first call that deletes it.
 
 use std::collections::{BTreeMap, HashMap};

@@ -38,7 +38,7 @@ pub(crate) fn connection(uri: &str, window: u8) -> TcpStream {
     let initial_window_size = [0, 4, 0, 0, 0, window];
     put_frame(&mut sent, SETTINGS, 0, 0, &initial_window_size);
     socket.write_all(&sent).unwrap();
-    // The windows of the server hold once it has told that of the connection and its settings are acknowledged.
+    // The windows of the server apply after its WINDOW_UPDATE and the acknowledgement of its settings.
     while read_frame(&mut socket) != WINDOW_UPDATE {}
     sent.clear();
     put_frame(&mut sent, SETTINGS, ACK, 0, &[]);

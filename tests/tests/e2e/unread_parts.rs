@@ -20,7 +20,7 @@ use crate::{
 
 const MIB: usize = 1024 * 1024;
 const CONNECTIONS: usize = 4;
-/// The looks at the bytes that are held, until a test fails.
+/// A test fails after this many looks at the bytes that are held.
 const MAX_LOOKS: usize = 10_000;
 /// The most streams of a connection that last.
 const STREAMS: u32 = 24;
@@ -255,7 +255,7 @@ async fn clients_that_send_half_of_their_requests_do_not_keep_the_bytes_of_all()
         let path = "/wayfold.v1.PointService/Insert";
         begin_half(&mut socket, 1, path, MIB).unwrap();
         sockets.push(socket);
-        // Only then the next one comes.
+        // The next one comes only after that.
         attack.wait_until_held(half * MIB / 2);
     }
     insert_beside(attack, sockets).await;

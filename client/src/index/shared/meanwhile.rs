@@ -44,11 +44,11 @@ pub struct Meanwhile {
     /// Its neighbours, nearest first. With [`Search::since`](crate::Search::since), points that only got their tag since are
     /// among them, and take no place of the others.
     pub neighbors: Vec<Neighbor>,
-    /// True if all points were read again between, or others stored very many, or they removed or moved a neighbour that the
-    /// insert found or gave it another tag: some neighbours may have been in the answer of the insert, or come after the
-    /// point, and one that was stored again after it may be missing. If all points were not read again, they are as this
-    /// process shows them, with its later writes. For a scaled `k`, as many points as the copy had and 4,096 more count as
-    /// very many.
+    /// True if the copy read all points again meanwhile, if others stored very many points, or if they removed a neighbour
+    /// that the insert had found, moved it or gave it another tag. Some neighbours may then have been in the answer of the
+    /// insert, or come after the point, and one that was stored again after it may be missing. Unless the copy read all
+    /// points again, they are as this process shows them, with its later writes. For a scaled `k`, as many points as the copy
+    /// had and 4,096 more count as very many.
     pub is_superset: bool,
 }
 

@@ -34,7 +34,7 @@ pub(super) struct Subscriber {
     index: Arc<IndexInfo>,
     /// The newest revision that was applied.
     revision: u64,
-    /// The session whose mutations the feed must hold, because it left out what this process needs; 0 for none.
+    /// The session whose mutations the feed must include, because it left out some that this process needs; 0 for none.
     unfiltered: u64,
     /// The time since which no index has the name.
     missing: Option<Instant>,
@@ -161,7 +161,7 @@ impl Subscriber {
         core.progress.notify_all();
         core.after_change(&mut points);
         core.published.lock().1 = self.revision;
-        // The next event may take the locks again at once: before it they go to the threads that wait for them.
+        // The next event may take the locks again at once: threads that wait for them have them first.
         RwLockWriteGuard::unlock_fair(points);
         MutexGuard::unlock_fair(writes);
         core.answer(answerable);

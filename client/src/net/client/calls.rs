@@ -11,8 +11,8 @@ use crate::{
 };
 
 impl Client {
-    /// The longest time that this attempt of a call waits for its server to reach a revision. Each of several servers is
-    /// left once; the last attempt, and those after each server was asked, wait to the end.
+    /// The longest time that this attempt of a call waits for its server to reach a revision. With several
+    /// servers, the first attempt at each is bounded. Later ones, and the last, wait to the end.
     pub(crate) fn patience(&self, timeout: Duration, attempt: usize) -> Duration {
         let most = usize::try_from(self.settings.retry.attempts).unwrap_or(usize::MAX);
         match attempt < most && attempt <= self.connections.len() {

@@ -66,14 +66,14 @@ impl Waits {
         (self.frames > 0).then(|| self.frames_since.elapsed())
     }
 
-    /// Looks at the waiting bytes, once in `interval`, and returns those that are late. Late bytes waited from one look to the
-    /// next. At the speed at which the client read and sent between the two they would take longer than `most`. What it
-    /// has read or sent since the second look is no longer late. Calls of the connection hold `held` bytes.
+    /// Looks at the waiting bytes, once in `interval`, and returns those that are late. Bytes are late if they
+    /// waited from one look to the next and would take longer than `most` at the client's speed between the two. Bytes that the
+    /// client has read or sent since are not late. The calls of the connection hold `held` bytes.
     fn late_bytes(&mut self, held: usize, interval: Duration, most: Duration) -> usize {
         let bytes = match self.paused {
             // Other budgets have the bytes of administration and reflection.
             0 => self.bytes.min(held),
-            // The call of a paused answer keeps the request, and what its next frames are made of.
+            // The call of a paused answer still holds its request and the data of its next frames.
             _ => held,
         };
         let time = self.looked_at.elapsed();

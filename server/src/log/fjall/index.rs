@@ -160,8 +160,8 @@ impl Index {
         self.close_locked(&mut self.state.lock(), why)
     }
 
-    /// Closes the index, because a copy at the record `copied` takes its place, and returns the mark of its head. Refused
-    /// if the index can be read, unless that is its newest record or a later one.
+    /// Closes the index, because a copy at the record `copied` takes its place, and returns the mark of its head. It
+    /// is refused if the index can be read and `copied` is neither its newest record nor a later one.
     pub(super) fn supersede(&self, copied: RecordPosition) -> Result<Mark, LogError> {
         let mut state = self.state.lock();
         let head = state.head.position();

@@ -144,8 +144,8 @@ impl Store {
         }
     }
 
-    /// Takes no record any more, because a copy at the record `copied` takes its place. Refused unless that is its newest
-    /// record or a later one.
+    /// Takes no record any more, because a copy at the record `copied` takes its place. It is refused unless that is the
+    /// newest record or a later one.
     pub(super) fn supersede(&self, copied: RecordPosition) -> Result<(), LogError> {
         let mut state = self.state.lock();
         let head = state.head.position;

@@ -87,7 +87,7 @@ impl NatsCatalogue {
         known.values().find(|(named, _)| named.is(uid)).cloned()
     }
 
-    /// Changes an entry, again as long as other changes come first and it may still be changed.
+    /// Changes an entry, and tries again while other changes come first and it may still be changed.
     fn until_unchanged(
         &self,
         may_change: impl Fn() -> bool,

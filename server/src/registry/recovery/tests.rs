@@ -227,7 +227,7 @@ async fn an_index_that_the_store_lacks_is_not_deleted() {
 }
 
 #[tokio::test]
-async fn a_server_without_its_store_sends_restores_and_deletes_to_another() {
+async fn without_its_store_a_server_refuses_restores_and_deletes_as_unreadable() {
     let [directory, elsewhere] = [(); 2].map(|()| tempfile::tempdir().unwrap());
     let open = || FjallLog::open(directory.path(), Durability::Fsync).unwrap();
     open().create(arm()).unwrap();

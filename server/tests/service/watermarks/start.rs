@@ -15,7 +15,7 @@ use wayfold_server::{
 use super::{HIGH, LIMIT, LOW, Used, over, watermarks};
 use crate::support::*;
 
-/// A start may use so much memory.
+/// The memory that a start may use.
 const START: u64 = HIGH + (LIMIT - HIGH) / 2;
 
 #[tokio::test]

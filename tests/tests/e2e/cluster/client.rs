@@ -152,8 +152,8 @@ impl Client {
     }
 }
 
-/// True if a refusal says that NATS has lost something. Only refusals that leave the outcome open are expected, since a point
-/// that a client knows is there, and those of a server whose disk a fault has filled.
+/// True if a refusal says that NATS has lost something. Refusals that leave the outcome open are
+/// expected, and those of a full disk. Any other one means a loss, because the points that a client knows are there.
 pub(super) fn is_data_loss(refusal: &Status) -> bool {
     let is_full =
         refusal.code() == Code::ResourceExhausted && Refusal::of(refusal).reason == "DISK_FULL";

@@ -48,9 +48,8 @@ pub(super) struct Verdict {
     pub(super) names: NamesChecked,
     pub(super) lost: u64,
     pub(super) twice: u64,
-    /// The servers whose content is not the first server's, that search other points than they store, or that do not answer,
-    /// and the follower if it lacks records: after each fault, and at the end. All of them together count once more if they do
-    /// not agree on the index of the makers.
+    /// The differences after each fault and at the end: a server differs from the first one, searches other points than it
+    /// stores, or does not answer; the follower lacks records; or the servers do not agree on the index of the makers.
     pub(super) divergent: u64,
     /// The refusals that said that NATS has lost something.
     pub(super) data_losses: u64,

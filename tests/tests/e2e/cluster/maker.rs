@@ -32,7 +32,7 @@ const SPACE: &str = "R2";
 /// A maker makes a call each time that the writers have made this many.
 const WRITES_A_CALL: u64 = 5;
 
-/// The calls of an index that is known, of which one in as many as their sum is of each kind.
+/// The relative frequencies of the calls for a known index.
 const DELETIONS: u32 = 1;
 const CREATIONS: u32 = 1;
 const READS: u32 = 3;

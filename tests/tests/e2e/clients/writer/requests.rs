@@ -120,7 +120,7 @@ impl Writer {
         contested.ids.choose(&mut self.random).copied()
     }
 
-    /// A new tag for one of these points, unless it changed since the writer has read it.
+    /// Sets the tag of a contested point. The server refuses it if the point changed after the writer had read it.
     fn compare_and_set(&mut self, operation_id: &str) -> Option<UpdateRequest> {
         let id = self.contested_id()?;
         let contested = self.contested.as_ref()?;

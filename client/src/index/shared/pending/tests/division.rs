@@ -20,7 +20,7 @@ fn a_batch_sets_few_enough_tags_for_the_largest_payloads() {
     assert_eq!(sizes, [1 + 1024, 1]);
 }
 
-/// The server reserves an id again that no batch has left stored. Lower limits divide the batches again.
+/// The server may reserve an id again if no batch left a point stored under it. Lower limits divide the batches again.
 #[test]
 fn no_batch_removes_a_point_that_it_stores_under_an_id_of_the_caller() {
     let (mut writes, mut points) = pending_writes();
