@@ -158,8 +158,10 @@ impl CallBody {
     /// Notes that the connection has a frame. It asks for the next once it can send this one.
     fn pause(&mut self) {
         let resources = self.resources.as_ref();
-        let activity = resources.and_then(|it| it.activity.as_ref());
-        self.paused = activity.map(Activity::pause_answer);
+        let paused = resources.and_then(|it| Some((it.activity.as_ref()?, &it.held)));
+        // The calls of administration hold none of the bytes that others need.
+        let paused = paused.filter(|(activity, held)| Arc::ptr_eq(activity.flow(), held.flow()));
+        self.paused = paused.map(|(activity, _)| activity.pause_answer());
     }
 
     /// Ends the body with `status` and drops its source, which stops the work.

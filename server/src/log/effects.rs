@@ -179,17 +179,6 @@ impl Effects {
         self.batch().is_some_and(|batch| !batch.ended.is_empty())
     }
 
-    /// True if it reserves ids and removes no point. The ids with which a session opens do not count.
-    pub fn only_reserves(&self) -> bool {
-        let reserves = |batch: &Arc<Batch>| batch.number > 0 && !batch.reserved.is_empty();
-        self.removed.is_empty() && self.batch().is_some_and(reserves)
-    }
-
-    /// True if it opens a writer session.
-    pub fn opens_session(&self) -> bool {
-        self.batch().is_some_and(|batch| batch.number == 0)
-    }
-
     /// Its approximate size in bytes.
     pub fn bytes(&self) -> usize {
         let row = 8 * self.stored.coordinates() + 3 * 8 + 1;

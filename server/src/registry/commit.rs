@@ -8,7 +8,7 @@ use std::sync::{
 use tokio::sync::oneshot;
 
 use super::{Hosted, RegistryError, WriteGuard, apply::AwaitedReceipt, in_flight::Decision};
-use crate::log::{Effects, LogError, Operation, Receipt, Record};
+use crate::log::{Effects, LogError, Operation, Receipt, Record, Sessions};
 
 /// A mutation above these sizes, or one that changes existing points or ends sessions, is submitted on a blocking thread.
 /// A batch above them, or one that ends sessions, is applied on one. Inline it would delay the calls that share the thread.
@@ -19,9 +19,10 @@ pub(super) const MAX_INLINE_BYTES: usize = 128 * 1024;
 /// goes on above a watermark.
 const MAX_SMALL_OPERATION_BYTES: usize = 1024;
 
-/// Above a watermark sessions open until an index has this many, so that a shared index can be read, and can remove points. They
-/// take 100 KB.
+/// Above a watermark sessions open until an index has this many, and take ids until it has this many blocks, so that a shared
+/// index can be read, and can remove points. They take 200 KB.
 const MAX_FEW_SESSIONS: usize = 256;
+const MAX_FEW_BLOCKS: usize = 1024;
 
 /// The number of times that memory and disk have the bytes of a mutation: as a record, as points in the store, and in
 /// the forest or in the files that the store writes again.
@@ -48,9 +49,9 @@ pub enum CommitOutcome {
 
 impl Hosted {
     /// Commits a mutation that was evaluated under `writer`: submits the `effects`, and returns once they are
-    /// published. Above a watermark a mutation that stores points is refused, and so is one that opens a further one of many
-    /// sessions, only reserves ids, or remembers more than a small answer. From the first poll on the commit completes, even if
-    /// the caller drops the future.
+    /// published. Above a watermark a mutation that stores points is refused, and so is one that adds to many sessions or
+    /// blocks of ids and removes no point, or remembers more than a small answer. From the first poll on the commit completes,
+    /// even if the caller drops the future.
     pub async fn commit(
         self: &Arc<Self>,
         writer: WriteGuard,
@@ -60,8 +61,7 @@ impl Hosted {
         // all of them.
         let operation = effects.operation().map_or(0, |it| it.bytes());
         if !effects.stored().is_empty()
-            || effects.only_reserves()
-            || effects.opens_session() && writer.sessions().len() >= MAX_FEW_SESSIONS
+            || has_many_sessions(writer.sessions(), &effects)
             || operation > MAX_SMALL_OPERATION_BYTES
         {
             self.host
@@ -215,5 +215,16 @@ async fn outcome(decision: oneshot::Receiver<Decision>) -> Result<CommitOutcome,
         Ok(Decision::Failed(why)) => Err(why),
         // The sender is dropped unanswered only together with the index.
         Err(_) => Err(RegistryError::Stopped),
+    }
+}
+
+/// True if the effects add a session or a block of ids where there are many, and remove no point.
+fn has_many_sessions(sessions: &Sessions, effects: &Effects) -> bool {
+    let Some(batch) = effects.batch().filter(|_| effects.removed().is_empty()) else {
+        return false;
+    };
+    match batch.number {
+        0 => sessions.len().saturating_sub(batch.ended.len()) >= MAX_FEW_SESSIONS,
+        _ => !batch.reserved.is_empty() && sessions.block_count() >= MAX_FEW_BLOCKS,
     }
 }

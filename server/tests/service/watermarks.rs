@@ -238,7 +238,7 @@ async fn a_restore_is_refused_by_the_size_of_its_sessions() {
 
 /// A writer could open sessions, or take ids one by one, until a start has no memory for them.
 #[tokio::test]
-async fn above_a_watermark_few_sessions_open_and_only_removals_reserve_ids() {
+async fn above_a_watermark_few_sessions_open_and_reserve_few_blocks_of_ids() {
     let (memory, disk) = (Used::default(), Used::default());
     let (_registry, service) = over(Arc::new(MemoryLog::new()), watermarks(&memory, &disk));
     let uid = create(&service, "arm", "R3").await;
@@ -248,11 +248,11 @@ async fn above_a_watermark_few_sessions_open_and_only_removals_reserve_ids() {
         index_name: "arm".into(),
         ..Default::default()
     };
-    let opened = service.open_session(&CALL, opening.clone()).await;
-    let write = |batch, reserve_count, removed: &[u64]| v1::WriteRequest {
+    let open = || service.open_session(&CALL, opening.clone());
+    let write = |session, batch, reserve_count, removed: &[u64]| v1::WriteRequest {
         index_name: "arm".into(),
         uid: uid.clone(),
-        session: opened.as_ref().unwrap().session,
+        session,
         batch,
         reserve_count,
         kinds: vec![v1::StepKind::Remove.into(); removed.len()],
@@ -260,22 +260,33 @@ async fn above_a_watermark_few_sessions_open_and_only_removals_reserve_ids() {
         ..Default::default()
     };
     memory.set(HIGH + 1);
-    for _ in 1..256 {
-        service.open_session(&CALL, opening.clone()).await.unwrap();
+    let sessions = [open().await, open().await].map(|opened| opened.unwrap().session);
+    for _ in 2..256 {
+        open().await.unwrap();
     }
-    full(service.open_session(&CALL, opening.clone()).await);
-    full(service.write(&CALL, write(1, 1, &[])).await);
+    full(open().await);
+    // The blocks of sessions that take ids in turns do not join.
+    for batch in 1..=512 {
+        for session in sessions {
+            let reservation = write(session, batch, 1, &[]);
+            service.write(&CALL, reservation).await.unwrap();
+        }
+    }
+    let session = sessions[0];
+    full(service.write(&CALL, write(session, 513, 1, &[])).await);
     // No point has this id, so nothing is freed.
-    full(service.write(&CALL, write(1, 1, &[77])).await);
-    for (batch, reserve_count) in [(1, 0), (2, 5)] {
-        let removal = write(batch, reserve_count, &[batch]);
+    let missing = write(session, 513, 1, &[u64::MAX >> 2]);
+    full(service.write(&CALL, missing).await);
+    for (batch, reserve_count, id) in [(513, 0, 1), (514, 5, 2)] {
+        let removal = write(session, batch, reserve_count, &[id]);
         let written = service.write(&CALL, removal).await.unwrap();
         let reserved = written.reserved.unwrap().id_count;
         assert_eq!((written.missing_count, reserved), (0, reserve_count));
     }
     memory.set(LOW);
-    service.write(&CALL, write(3, 1, &[])).await.unwrap();
-    service.open_session(&CALL, opening).await.unwrap();
+    let reservation = write(session, 515, 1, &[]);
+    service.write(&CALL, reservation).await.unwrap();
+    open().await.unwrap();
 }
 
 /// Bytes that were taken in since the last measurement count.

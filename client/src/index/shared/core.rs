@@ -281,8 +281,7 @@ impl Core {
             match wait_until(&self.progress, &mut writes, until) {
                 Ok(true) => {}
                 Ok(false) => break,
-                // The answers stay for the next call.
-                Err(_) => return MeanwhileAnswers::default(),
+                Err(_) => return writes.open_searches.no_answers(),
             }
         }
         writes.open_searches.take()

@@ -46,8 +46,9 @@ pub struct Meanwhile {
     pub neighbors: Vec<Neighbor>,
     /// True if the copy read all points again meanwhile, if others stored very many points, or if they removed a neighbour
     /// that the insert had found, moved it or gave it another tag. Some neighbours may then have been in the answer of the
-    /// insert, or come after the point, and one that was stored again after it may be missing. Unless the copy read all
-    /// points again, they are as this process shows them, with its later writes. For a scaled `k`, as many points as the copy
+    /// insert, or come after the point, and one that was stored again after it may be missing. If the copy had the point
+    /// already when it read all points again, an older one that takes the place of a removed neighbour may be missing too.
+    /// Unless the copy read all points again, they are as this process shows them, with its later writes. For a scaled `k`, as many points as the copy
     /// had and 4,096 more count as very many.
     pub is_superset: bool,
 }
@@ -258,6 +259,14 @@ impl OpenSearches {
     /// True if an answer is under way and none is here.
     pub(super) fn are_awaited(&self) -> bool {
         self.open > 0 && self.answers.is_empty()
+    }
+
+    /// None of the answers: they stay for the next call.
+    pub(super) fn no_answers(&self) -> MeanwhileAnswers {
+        MeanwhileAnswers {
+            open: self.open + self.answers.len(),
+            ..MeanwhileAnswers::default()
+        }
     }
 
     /// The answers so far.

@@ -185,7 +185,9 @@ fn an_interrupted_wait_takes_no_writes_and_no_answers() {
     let options = InsertOptions::new().neighbors(Search::k(1));
     index.insert_with([0.0], options).unwrap();
     IS_INTERRUPTED.set(true);
-    assert_eq!(index.wait_meanwhile(LONG), Default::default());
+    let waited = index.wait_meanwhile(LONG);
+    assert!(waited.answers.is_empty());
+    assert_eq!(waited.open, 1);
     let interrupted = [
         // No id is left for it.
         index.insert([1.0]).map(drop),

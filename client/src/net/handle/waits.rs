@@ -1,6 +1,6 @@
 //! The waits for a server that lacks the newest revision that the handle has seen.
 
-use std::{future::pending, time::Duration};
+use std::{error::Error, future::pending, time::Duration};
 
 use tokio::time::{Instant, sleep_until};
 use wayfold_proto::v1;
@@ -41,9 +41,10 @@ impl IndexHandle {
             sleep_until(Instant::now() + SLOW_TIME).await;
             let remaining = remaining.saturating_sub(SLOW_TIME);
             let waited = self.wait_for_newest(connection, remaining, patience).await;
-            // Any other failure says nothing about the call.
+            // A refusal says nothing about the call: a server that stops still answers the calls that it has taken.
             if let Err(status) = waited
                 && status.code() == tonic::Code::Unavailable
+                && status.source().is_some()
             {
                 return status;
             }

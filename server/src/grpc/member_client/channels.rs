@@ -83,17 +83,18 @@ impl Channels {
         }
     }
 
-    /// The connection to a member; none for `pause` after a failure.
+    /// The connection to a member; none for `pause` after a failure. Calls that wait for one attempt share its failure.
     pub(super) async fn get(
         &self,
         member: &str,
         pause: Duration,
     ) -> Result<Grpc<Channel>, NotForwarded> {
+        let began = Instant::now();
         let slot = Arc::clone(self.open.lock().entry(member.to_owned()).or_default());
         let mut slot = slot.lock().await;
         match &*slot {
             Some(Connection::Open(open)) => return Ok(open.clone()),
-            Some(Connection::Failed(at)) if at.elapsed() < pause => {
+            Some(Connection::Failed(at)) if *at > began || at.elapsed() < pause => {
                 return Err(NotForwarded::Unsent);
             }
             Some(Connection::Failed(_)) | None => {}

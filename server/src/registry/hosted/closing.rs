@@ -50,8 +50,9 @@ impl Hosted {
             Err(error) => {
                 error!(index = self.name(), %error, "cannot read the remembered operations");
                 let why = RegistryError::from(error).of_copy(self.is_shared());
-                // A copy of another server mends this; another attempt does not.
-                if is_damage(&why) {
+                // A copy of another server mends this; another attempt does not, and a contradiction is the operator's.
+                let _apply_loop = self.apply_loop.lock();
+                if is_damage(&why) && !self.is_contradicted() {
                     self.close(why);
                 }
                 return false;

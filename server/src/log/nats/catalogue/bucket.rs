@@ -28,6 +28,9 @@ use crate::log::{
 /// The time in which a bucket without a leader gets one.
 const SET_TIME: Duration = Duration::from_secs(5);
 
+/// The reads of the whole bucket until a start goes on without entries that NATS does not send.
+const MAX_READS: usize = 3;
+
 /// The time between two comparisons of the bucket with what is known of it.
 pub(super) const COMPARE_INTERVAL: Duration = Duration::from_secs(10);
 
@@ -61,7 +64,15 @@ impl Bucket {
         };
         let store = patiently(&what, create).await?;
         check_bucket(&store.stream, &format!("$KV.{}.>", config.bucket))?;
-        let known = patiently(&what, || read_all(&store)).await?;
+        let mut read = patiently(&what, || read_all(&store)).await?;
+        // NATS may only be away for a moment.
+        for _ in 1..MAX_READS {
+            if read.is_complete {
+                break;
+            }
+            read = patiently(&what, || read_all(&store)).await?;
+        }
+        let known = read.values;
         Ok(Self {
             connection,
             store,
@@ -172,6 +183,7 @@ impl Bucket {
                 continue;
             };
             // The watch skips the revisions that it has seen, even in a bucket that was created again.
+            let stored = stored.values;
             for (named, revision) in stored.values() {
                 self.note(named.clone(), *revision, None);
             }
@@ -217,13 +229,23 @@ fn key(name: &str) -> String {
     URL_SAFE_NO_PAD.encode(name)
 }
 
-/// The present content of a bucket, as far as NATS sends it in time.
-async fn read_all(bucket: &kv::Store) -> Result<CatalogueValues, LogError> {
-    let mut known = CatalogueValues::new();
+/// The present content of a bucket.
+struct Content {
+    values: CatalogueValues,
+    /// False if NATS did not send all of it in time.
+    is_complete: bool,
+}
+
+async fn read_all(bucket: &kv::Store) -> Result<Content, LogError> {
+    let mut values = CatalogueValues::new();
+    let mut is_complete = true;
     // `Store::status` returns the count at the open.
     let info = bucket.stream.get_info().await.map_err(unreachable)?;
     if info.state.messages == 0 {
-        return Ok(known);
+        return Ok(Content {
+            values,
+            is_complete,
+        });
     }
     let entries = bucket.watch_all_from_revision(1).await;
     let mut entries = entries.map_err(unreachable)?;
@@ -231,9 +253,10 @@ async fn read_all(bucket: &kv::Store) -> Result<CatalogueValues, LogError> {
         // A replica never sends an entry that it has lost, and counts it as pending.
         let Ok(next) = timeout(REQUEST_TIMEOUT, entries.next()).await else {
             warn!(
-                entries = known.len(),
+                entries = values.len(),
                 "NATS does not send all entries of the catalogue"
             );
+            is_complete = false;
             break;
         };
         let Some(entry) = next else {
@@ -241,11 +264,14 @@ async fn read_all(bucket: &kv::Store) -> Result<CatalogueValues, LogError> {
         };
         let entry = entry.map_err(unreachable)?;
         if let Some(named) = read(&entry.value) {
-            known.insert(named.name.clone(), (named, entry.revision));
+            values.insert(named.name.clone(), (named, entry.revision));
         }
         if entry.seen_current {
             break;
         }
     }
-    Ok(known)
+    Ok(Content {
+        values,
+        is_complete,
+    })
 }
