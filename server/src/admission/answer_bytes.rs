@@ -33,7 +33,7 @@ impl AnswerBytes {
         }
     }
 
-    /// The most bytes that it may hold beside a request of any size: the greatest power of two in the share of its flow.
+    /// It may hold this many bytes beside a request of any size: the greatest power of two in the share of its flow.
     pub(crate) fn most(&self) -> usize {
         let share = self.call.as_ref().map(|call| call.flow().own.max());
         let bits = share.and_then(usize::checked_ilog2);

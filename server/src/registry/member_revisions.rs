@@ -60,7 +60,7 @@ impl Registry {
 }
 
 impl Hosted {
-    /// What this server stores. While its store fails that is nothing, but the others still hear what it has applied.
+    /// Tells what this server stores. While its store fails, it tells the others only what it has applied.
     fn stored(&self, requested: Option<u64>) -> StoredRevision {
         let applied = self.published().view.position();
         let stored = self.read_stored(applied, requested);

@@ -13,7 +13,7 @@ use crate::{
 /// Indices described at a time, whose descriptions nothing counts.
 const PAGE_ROWS: u32 = 100;
 
-/// A reply takes about this many bytes beside its payload and the text of its key.
+/// A reply takes about this many bytes besides its payload and its key.
 const REPLY_BYTES: usize = 128;
 
 /// The answers to a query for `key_expr`, which has a wildcard. The call holds their bytes while they are made.

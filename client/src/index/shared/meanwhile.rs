@@ -261,7 +261,7 @@ impl OpenSearches {
         self.open > 0 && self.answers.is_empty()
     }
 
-    /// None of the answers: they stay for the next call.
+    /// Returns no answer, and keeps all for the next call.
     pub(super) fn no_answers(&self) -> MeanwhileAnswers {
         MeanwhileAnswers {
             open: self.open + self.answers.len(),

@@ -110,7 +110,7 @@ impl Session {
     }
 }
 
-/// Points that all writers change and nobody removes.
+/// All writers change these points, and nobody removes them.
 struct Contested {
     uid: String,
     ids: Vec<u64>,

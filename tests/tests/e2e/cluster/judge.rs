@@ -40,7 +40,7 @@ pub(super) struct Judge {
 #[derive(Debug, Default)]
 pub(super) struct Verdict {
     pub(super) acknowledged: u64,
-    /// What the checker of histories counted.
+    /// The counts of the checker of histories.
     pub(super) checked: Checked,
     /// The times that the follower began again, because a server no longer kept its next record.
     pub(super) resets: u64,
@@ -205,8 +205,8 @@ impl Judge {
         verdict
     }
 
-    /// Counts the servers that differ while nobody calls, and the follower if it lacks records, as in [`Verdict::divergent`].
-    /// None if the first server does not answer a read with `latest`.
+    /// Counts the differences while nobody calls, as in [`Verdict::divergent`]. It returns none if the first server does not
+    /// answer a read with `latest`.
     pub(super) async fn compare(&self, uris: &[String], following: &Following) -> Option<u64> {
         let mut first = Stubs::connect(&uris[0]).await;
         loop {

@@ -61,7 +61,7 @@ async fn uid(stubs: &mut Stubs) -> Result<Option<String>, Code> {
     }
 }
 
-/// What all servers have at the end: the index, and its points as each reads the latest. None if they do not agree, or one does
+/// Reads the index and its latest points at each server at the end. It returns none if the servers do not agree, or one does
 /// not answer.
 pub(super) async fn settled(uris: &[String], history: History) -> Option<Vec<NameOperation>> {
     let asked = Instant::now();
