@@ -88,8 +88,10 @@ public:
             const auto action = [&] {
                 index_.flush_within(static_cast<std::uint64_t>(left().count()));
                 const std::lock_guard<std::mutex> lock(graphMutex_);
-                take_answers(std::min(left(), milliseconds(100)));
-                synchronize(end);
+                guarded([&] {
+                    take_answers(std::min(left(), milliseconds(100)));
+                    synchronize(end);
+                });
                 is_done = unanswered_ == 0 && late_.empty() && index_.pending() == 0;
             };
             run(action, end);

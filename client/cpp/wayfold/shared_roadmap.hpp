@@ -280,6 +280,13 @@ private:
 
     // Adds vertices and edges of others, which they have checked.
     void take_over(const std::vector<std::optional<std::string>> &payloads) {
+        // All are read before the graph changes, so that a payload that is none of a vertex leaves it as it was.
+        std::vector<std::vector<std::uint64_t>> edges(arriving_.size());
+        for (std::size_t at = 0; at < arriving_.size(); at++) {
+            if (payloads[at]) {
+                edges[at] = edges_of(arriving_[at].id, *payloads[at]);
+            }
+        }
         std::vector<Vertex> fresh;
         for (std::size_t at = 0; at < arriving_.size(); at++) {
             const StoredPoint &point = arriving_[at];
@@ -297,10 +304,8 @@ private:
             }
         }
         for (std::size_t at = 0; at < arriving_.size(); at++) {
-            if (payloads[at]) {
-                for (const std::uint64_t other : edges_of(arriving_[at].id, *payloads[at])) {
-                    link(arriving_[at].id, other);
-                }
+            for (const std::uint64_t other : edges[at]) {
+                link(arriving_[at].id, other);
             }
         }
         for (const Vertex vertex : fresh) {

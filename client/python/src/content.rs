@@ -87,7 +87,9 @@ pub(crate) fn restore(
     let (ids, tags) = (ids.to_vec()?, tags.to_vec()?);
     let (holders, ends) = (holders.to_vec()?, ends.to_vec()?);
     let states: Vec<f64> = states.as_array().iter().copied().collect();
-    if tags.len() != ids.len() || states.len() != ids.len() * width {
+    let lengths = [(tags.len(), ids.len()), (states.len(), ids.len() * width)];
+    let lengths = lengths.into_iter().chain([(holders.len(), ends.len())]);
+    if lengths.into_iter().any(|(one, other)| one != other) {
         return Err(damaged("its columns have different lengths"));
     }
     let mut payloads = Vec::with_capacity(holders.len());
@@ -97,6 +99,9 @@ pub(crate) fn restore(
         let payload = bytes.get(start..end);
         payloads.push((id, payload.ok_or_else(|| damaged("a payload is cut"))?));
         start = end;
+    }
+    if start != bytes.len() {
+        return Err(damaged("bytes follow the last payload"));
     }
     let index = Index::in_memory(py, &space, is_inline)?;
     index.call(py, |index| {

@@ -221,6 +221,23 @@ def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
                 assert "not the file of an index" in str(error)
 
 
+@pytest.mark.parametrize(
+    ("member", "old", "new"),
+    [("payload_ends", b"(600,)", b"(200,)"), ("payload_ids", b"(600,)", b"(200,)"), ("ids", b"}", b"|")],
+)
+def test_a_damaged_header_of_a_column_is_refused(tmp_path: Path, member: str, old: bytes, new: bytes) -> None:
+    path = tmp_path / "damaged"
+    index = wayfold.Index("R1")
+    for at in range(600):
+        index.insert([at], payload=b"x")
+    index.save(path)
+    content = path.read_bytes()
+    at = content.index(old, content.index(f"{member}.npy".encode()))
+    path.write_bytes(content[:at] + new + content[at + len(old) :])
+    with pytest.raises(wayfold.InvalidArgument):
+        wayfold.Index.load(path)
+
+
 def test_a_file_that_cannot_be_read_is_an_error_of_the_system(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         wayfold.Index.load(tmp_path / "missing")

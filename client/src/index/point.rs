@@ -85,7 +85,8 @@ impl<'a> InsertOptions<'a> {
         InsertOptions::default()
     }
 
-    /// This id, below 2^63. The insert fails if a point has it.
+    /// This id, below 2^63. The insert fails if a point has it, or if a shared index has got it from the server for its own
+    /// points, even if it has removed the point that it gave it to.
     ///
     /// A shared index looks in its copy: of two processes that store the same id at once, the later one replaces the
     /// point. Ids in a block that the server reserved for another process are refused, which ends the writes of this

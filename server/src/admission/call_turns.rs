@@ -28,6 +28,8 @@ pub(crate) struct CallTurns {
     next: Option<TurnRequest>,
     /// True if the call has the turn of its next slice and has yielded with it.
     has_yielded: bool,
+    /// True if the call has given a short turn back, because its flow has long ones by now.
+    has_asked_again: bool,
     /// The time since which it waits for that turn.
     requested_at: Instant,
     /// The time that it has waited for turns.
@@ -59,6 +61,7 @@ impl CallTurns {
             at_once: Duration::ZERO,
             next: None,
             has_yielded: false,
+            has_asked_again: false,
             requested_at: Instant::now(),
             queued: Duration::ZERO,
             computed: Duration::ZERO,
@@ -128,6 +131,15 @@ impl CallTurns {
         let Some(TurnRequest::Granted(turn)) = self.next.take() else {
             return Poll::Pending;
         };
+        if turn.is_short() && !self.has_asked_again && self.flow.last_was_long() {
+            // A thread has many short turns at a time: the others would wait for the sum of as many long ones.
+            self.has_asked_again = true;
+            drop(turn);
+            let requested_at = self.requested_at;
+            self.request()?;
+            self.requested_at = requested_at;
+            return self.poll(context, work);
+        }
         if self.stage == Stage::New && turn.is_long() {
             self.stage = Stage::Begun;
             self.next = Some(TurnRequest::Granted(turn));
@@ -142,6 +154,7 @@ impl CallTurns {
         let polled = work(context);
         let took = began.elapsed();
         self.computed += took;
+        self.flow.note_slice(took);
         self.requested_at = began + took;
         self.at_once += took;
         self.stage = match self.computed < MAX_WHOLE {
@@ -213,6 +226,36 @@ mod tests {
         while slices.get() < 2 {
             assert!(poll!(long.as_mut()).is_pending());
         }
+    }
+
+    #[tokio::test]
+    async fn calls_of_a_short_flow_give_their_turns_back_once_one_was_long() {
+        let admission = Admission::new(&Config::default().admission, 1, 0);
+        let flow = admission.open();
+        for _ in 0..100 {
+            flow.turns().run(async {}).await.expect("it is not refused");
+        }
+        let mut turns = [flow.turns(), flow.turns(), flow.turns()];
+        for turns in &mut turns {
+            turns.request().expect("there is a turn");
+        }
+        let [mut long, mut next, mut last] = turns;
+        let work = long.run(async {
+            let began = Instant::now();
+            while began.elapsed() < Duration::from_millis(1) {}
+        });
+        work.await.expect("it is not refused");
+        let mut next = pin!(next.run(async {}));
+        assert!(poll!(next.as_mut()).is_pending());
+        // It has the last of the turns that the next one waits for.
+        let mut last = pin!(last.run(async {}));
+        assert!(poll!(last.as_mut()).is_pending());
+        let mut polls = 0;
+        while poll!(next.as_mut()).is_pending() {
+            polls += 1;
+            assert!(polls < 10, "it has no turn");
+        }
+        assert!(last.await.is_ok());
     }
 
     #[tokio::test]

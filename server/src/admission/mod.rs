@@ -25,7 +25,7 @@ use tokio::time::interval;
 use tracing::warn;
 
 pub(crate) use self::bytes::ByteBudget;
-use self::turns::{FlowNumber, Turns};
+use self::turns::{FlowNumber, MAKES_LONG_NS, Turns};
 pub(crate) use answer_bytes::{AnswerBytes, TooManyBytes};
 pub(crate) use call_turns::{CallTurns, end_slice};
 pub use client_permits::ClientPermits;
@@ -124,6 +124,8 @@ pub(crate) struct Flow {
     is_hurried: AtomicBool,
     /// Those that hold bytes.
     under_way: AtomicUsize,
+    /// The time of the last slice of their work, in nanoseconds.
+    last_slice_ns: AtomicU64,
     opened: Instant,
     /// The last time that everything its client had sent was read, in nanoseconds since `opened`; [`UNKNOWN`] for
     /// links.
@@ -247,6 +249,7 @@ impl Flow {
             calls: AtomicU64::new(0),
             is_hurried: AtomicBool::new(false),
             under_way: AtomicUsize::new(0),
+            last_slice_ns: AtomicU64::new(0),
             opened: Instant::now(),
             caught_up_ns: AtomicU64::new(UNKNOWN),
         }
@@ -260,6 +263,16 @@ impl Flow {
     /// The number of calls that hold bytes.
     pub(crate) fn under_way(&self) -> usize {
         self.under_way.load(Relaxed)
+    }
+
+    /// Notes the time of a slice of its calls.
+    fn note_slice(&self, took: Duration) {
+        self.last_slice_ns.store(took.as_nanos() as u64, Relaxed);
+    }
+
+    /// True if the last slice of its calls is reason enough for long turns.
+    fn last_was_long(&self) -> bool {
+        self.last_slice_ns.load(Relaxed) >= MAKES_LONG_NS
     }
 
     /// The number of calls that have come.

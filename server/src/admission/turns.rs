@@ -32,7 +32,7 @@ use std::{
 use parking_lot::Mutex;
 use tokio::sync::oneshot;
 
-pub(super) use queue::Stage;
+pub(super) use queue::{MAKES_LONG_NS, Stage};
 use queue::{Flow, SHORT_TURNS, State, Waiter};
 use trend::Trend;
 
@@ -265,11 +265,16 @@ impl Turns {
 }
 
 impl Turn {
+    /// True if its thread has many turns at a time.
+    pub(super) fn is_short(&self) -> bool {
+        self.size < SHORT_TURNS
+    }
+
     /// True if the turns of its flow are known to be long.
     pub(super) fn is_long(&self) -> bool {
         // A short one is known without the lock.
         let turns = self.turns.as_ref();
-        let turns = turns.filter(|_| self.size == SHORT_TURNS);
+        let turns = turns.filter(|_| !self.is_short());
         turns.is_some_and(|turns| turns.state.lock().are_long(self.flow))
     }
 

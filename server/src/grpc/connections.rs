@@ -29,7 +29,8 @@ use crate::{
     identity::ClientCertificate,
 };
 
-/// The streams for reflection of a connection, and its requests for health that have not arrived whole.
+/// The streams for reflection of a connection, its watches of health, and its requests for health that have not arrived
+/// whole.
 pub(super) const MAX_ARRIVING: usize = 4;
 
 /// The streams for reflection of all connections.
@@ -287,8 +288,8 @@ impl Activity {
         Arc::clone(&self.state.streams).try_acquire_owned().ok()
     }
 
-    /// The place of a request for health that has not arrived whole, or the two of a stream for reflection; None if others
-    /// have all.
+    /// The place of a watch of health or of a request for health that has not arrived whole, or the two of a stream for
+    /// reflection; None if others have all.
     pub(super) fn arriving(
         &self,
         reflects: bool,

@@ -158,16 +158,8 @@ impl RestoreCall {
             draft.read(service, &caller, &name, &part)?;
             Ok::<_, Error>(draft)
         };
-        // The first part waits for other changes. Checking another one takes milliseconds; storing it may, too.
-        let draft = match is_first {
-            true => self.service.change(&self.call, read).await??,
-            false => {
-                let service = self.service.clone();
-                let read = tokio::task::spawn_blocking(move || read(&service));
-                let read = self.call.bound("while restoring", read).await?;
-                read.map_err(stopped)??
-            }
-        };
+        // Its work takes milliseconds of a thread that may block, and waits for other changes.
+        let draft = self.service.change(&self.call, read).await??;
         self.draft = Some(draft);
         Ok(())
     }

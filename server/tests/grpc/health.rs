@@ -54,6 +54,24 @@ async fn watchers_learn_that_the_server_stops_and_do_not_delay_it() {
     ended.await.unwrap().unwrap();
 }
 
+/// Watches last for as long as their clients like, and no budget counts them.
+#[tokio::test]
+async fn a_connection_has_few_watches_of_health_and_can_still_ask() {
+    let server = TestServer::start(|_| ()).await;
+    let mut health = server.health();
+    let mut watches = Vec::new();
+    for _ in 0..4 {
+        let mut reports = health.watch(of("")).await.unwrap().into_inner();
+        reports.message().await.unwrap().unwrap();
+        watches.push(reports);
+    }
+    let refused = health.watch(of("")).await.unwrap_err();
+    assert_eq!(refused.code(), Code::ResourceExhausted);
+    health.check(of("")).await.unwrap();
+    drop(watches);
+    server.stop().await.unwrap().unwrap();
+}
+
 /// These methods serve strangers, and their requests are not counted.
 #[tokio::test]
 async fn a_large_request_for_health_or_reflection_ends_at_its_header() {

@@ -6,7 +6,6 @@ import errno
 import os
 import secrets
 import shutil
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -68,15 +67,16 @@ def load(path: str | os.PathLike[str]) -> Index:
                 file["payload_ends"],
                 file["payloads"].tobytes(),
             )
-    except Error:
+    except (Error, MemoryError):
         raise
-    # numpy takes a file that is no archive for pickled data, and zipfile does not know every method of compression.
-    except (KeyError, AttributeError, TypeError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile) as error:
-        raise _no_index(path, error) from error
     except OSError as error:
-        # A damaged file makes zipfile seek to a place before its beginning. Other errors are those of the system.
-        if error.errno != errno.EINVAL:
+        # A damaged file makes zipfile seek to a place before its beginning, or is no compressed data. Other errors are
+        # those of the system.
+        if error.errno not in (None, errno.EINVAL):
             raise
+        raise _no_index(path, error) from error
+    # numpy, zipfile, and the tokenizer and decompressors below them, each have errors of their own.
+    except Exception as error:
         raise _no_index(path, error) from error
 
 

@@ -15,15 +15,17 @@ pub(super) use open_search::{InsertSearch, OpenSearch};
 /// The most bytes of the answers that wait for the caller.
 const MAX_BYTES: usize = 16 << 20;
 
-/// The most points of others that wait for open searches, 56 bytes each.
+/// The most points of others that wait for open searches, 64 bytes each.
 const MAX_ARRIVALS: usize = 1 << 20;
 
 /// The most neighbours of a superset of all points that no distance bounds: the nearest ones. It may miss a neighbour if
 /// `k` is about this number or greater, or if the search asks for later points only.
 const MAX_SUPERSET: usize = 1 << 16;
 
-/// With more than [`MAX_SUPERSET`] points of others, the most distances for the exact answers to the searches of one batch.
-/// The feed waits for them, some seconds at most.
+/// The most points of others for exact answers to the searches of one batch: a lookup of each holds up all callers.
+const MAX_EXACT: usize = 1 << 16;
+
+/// The most distances for the exact answers to the searches of one batch. The feed waits for them, some seconds at most.
 const MAX_DISTANCES: usize = 1 << 26;
 
 /// The most distances that the thread of all calls computes at once: about a millisecond.
@@ -48,8 +50,9 @@ pub struct Meanwhile {
     /// that the insert had found, moved it or gave it another tag. Some neighbours may then have been in the answer of the
     /// insert, or come after the point, and one that was stored again after it may be missing. If the copy had the point
     /// already when it read all points again, an older one that takes the place of a removed neighbour may be missing too.
-    /// Unless the copy read all points again, they are as this process shows them, with its later writes. For a scaled `k`, as many points as the copy
-    /// had and 4,096 more count as very many.
+    /// With [`Search::since`](crate::Search::since) all points count as later ones once the copy has read them again, and
+    /// may take the places of those that are. Unless the copy read all points again, they are as this process shows them,
+    /// with its later writes. For a scaled `k`, as many points as the copy had and 4,096 more count as very many.
     pub is_superset: bool,
 }
 
@@ -195,7 +198,7 @@ impl OpenSearches {
             .stored
             .partition_point(|arrival| arrival.change <= first);
         let arrivals = self.stored.len() - after;
-        if arrivals > MAX_SUPERSET && searches.len().saturating_mul(arrivals) > MAX_DISTANCES {
+        if arrivals > MAX_EXACT || searches.len().saturating_mul(arrivals) > MAX_DISTANCES {
             searches.iter_mut().for_each(OpenSearch::search_all);
             after = self.stored.len();
         }

@@ -205,6 +205,9 @@ impl NearestNeighbors for SharedIndex {
     fn insert_many(&self, rows: &[f64]) -> Result<Vec<u64>, Error> {
         let width = self.core.space.coordinates();
         let count = rows.len() / width;
+        if count == 0 {
+            self.core.room(0, 0)?;
+        }
         let (mut ids, mut refusals) = (Vec::with_capacity(count), None);
         let step_bytes = Batch::step_bytes(&plain_put(rows.get(..width).unwrap_or_default()));
         // A part that needs nearly all the room would wait until no other thread has a write pending.

@@ -16,12 +16,12 @@ pub enum ConnectionStatus {
     /// The copy reads all points again, because the server no longer keeps the mutations that it missed. Reads see the
     /// old points and own writes.
     Reloading,
-    /// There is no connection, and the index tries to get one. Reads see what has arrived and own writes; writes wait
-    /// for the connection, in memory.
+    /// The server cannot be reached, or it asks to send the writes later, because it has too much to do or no memory
+    /// left. The index tries again. Reads see what has arrived and own writes; writes wait in memory.
     Disconnected {
-        /// The time at which the connection broke.
+        /// The time of the first attempt that failed.
         since: Instant,
-        /// The error that broke it, or that ended the last attempt.
+        /// The error that ended the last attempt.
         why: Arc<Error>,
     },
     /// The server refused a write for good. Reads go on; writes fail until

@@ -25,6 +25,9 @@ const HEAD_START_NS: u64 = 100_000;
 /// The mean of a flow's turns covers about this many of them.
 const MEAN_TURNS: u64 = 8;
 
+/// A flow has long turns after one of this time, whatever those before it took.
+pub(in crate::admission) const MAKES_LONG_NS: u64 = MEAN_TURNS * MAX_SHORT_NS;
+
 #[derive(Debug)]
 pub(super) struct State {
     /// The free short turns. A long one takes [`SHORT_TURNS`] of them.

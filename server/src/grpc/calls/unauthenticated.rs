@@ -1,7 +1,7 @@
 //! Health and reflection, which strangers may call and no load closes. No budget counts their requests, so few of those of a
-//! connection may be on their way: a request for health until it is whole, and a stream for reflection until its requests
-//! end, both not for long, and until its answers are read. Few streams for reflection of all connections may be
-//! open, and few of their bytes wait.
+//! connection may be on their way: a check of health until it is whole, a watch of health until its client leaves, and a
+//! stream for reflection until its requests end, not for long, and until its answers are read. Few streams for reflection
+//! of all connections may be open, and few of their bytes wait.
 
 use std::{
     convert::Infallible,
@@ -32,6 +32,8 @@ use crate::grpc::{
 
 const REFLECTION: &str = "/grpc.reflection.";
 
+const HEALTH_WATCH: &str = "/grpc.health.v1.Health/Watch";
+
 /// The bytes of a stream for reflection that wait for the service.
 const MAX_WAITING_BYTES: usize = 64 * 1024;
 
@@ -55,13 +57,15 @@ where
     let (time, admission) = (settings.requests.time, settings.shared.admission.clone());
     let activity = request.extensions().get::<Activity>().cloned();
     async move {
-        let is_stream = request.uri().path().starts_with(REFLECTION);
+        let path = request.uri().path();
+        let is_stream = path.starts_with(REFLECTION);
+        let lasts = is_stream || path == HEALTH_WATCH;
         let refused = Arc::new(OnceLock::new());
         let ending = is_stream.then(|| (Arc::clone(&refused), time));
         let mut receiving = pin!(receive(request, ending));
         let mut received = poll!(receiving.as_mut());
         let mut places = None;
-        if is_stream || received.is_pending() {
+        if lasts || received.is_pending() {
             match activity.as_ref().map(|it| it.arriving(is_stream)) {
                 Some(None) => {
                     admission.count_excess();
@@ -84,10 +88,10 @@ where
             Err(status) => return Ok(status.into_http()),
         };
         let response = inner.call(request).await?;
-        if !is_stream {
+        if !lasts {
             return Ok(response);
         }
-        // Its places are free once its answers are read.
+        // Its places are free once its answers have ended and are read.
         let counted = move |frame: Frame<Bytes>| {
             let _held = &places;
             match refused.get().filter(|_| frame.is_trailers()) {
