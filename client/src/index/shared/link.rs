@@ -298,7 +298,9 @@ impl Link {
                 watch.for_copy(own_session).await
             }
             #[cfg(feature = "zenoh")]
-            Transport::Zenoh(link) => link.watch(index, after, own_session).await,
+            Transport::Zenoh(link) => {
+                publications::watch(link.clone(), index.clone(), after, own_session).await
+            }
         }
     }
 }

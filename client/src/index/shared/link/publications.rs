@@ -27,14 +27,15 @@ const EVENTS: &str = "events/states";
 /// The number of publications that may wait. One more drops the oldest, and the log fills the gap.
 const MAX_WAITING: usize = 256;
 
-/// Watches an index after a revision. The feed reads the log after the time `quiet` without a publication, and leaves
-/// out the points of `own_session` there.
+/// The time without a publication after which the index's log is read: the last one may be lost.
+const QUIET_TIME: Duration = Duration::from_secs(1);
+
+/// Watches an index after a revision. Where the feed reads the log, it leaves out the points of `own_session`.
 pub(super) async fn watch(
     link: ZenohLink,
     index: Arc<IndexInfo>,
     after: u64,
     own_session: u64,
-    quiet: Duration,
 ) -> Result<Watch, Error> {
     let key = link.key(EVENTS);
     // The subscription precedes the first read of the log, so that no publication is missed.
@@ -53,7 +54,6 @@ pub(super) async fn watch(
         link,
         index,
         own_session,
-        quiet,
         after,
         piece: 0,
         is_behind: true,
@@ -71,7 +71,6 @@ struct Feed {
     events: Subscriber<RingChannelHandler<Sample>>,
     index: Arc<IndexInfo>,
     own_session: u64,
-    quiet: Duration,
     /// The number of the newest revision that arrived whole.
     after: u64,
     /// The number of the next piece of the mutation after it.
@@ -85,7 +84,7 @@ impl Feed {
         if self.is_behind {
             return self.read_log().await;
         }
-        match timeout(self.quiet, self.events.recv_async()).await {
+        match timeout(QUIET_TIME, self.events.recv_async()).await {
             Ok(Ok(sample)) => self.take(&sample).await,
             Ok(Err(error)) => Err(lost(CALL, &self.link.key(EVENTS), error)),
             Err(_quiet) => self.read_log().await,

@@ -20,16 +20,12 @@ use zenoh::{
 use super::{
     is_transient,
     load::{COLUMNS, Part, Parts},
-    publications,
 };
 use crate::{
-    Credentials, Error, IndexInfo, Points, Refusal, RetryPolicy, Revision, Watch,
+    Credentials, Error, IndexInfo, Points, Refusal, RetryPolicy, Revision,
     index::runtime::spawn,
     net::call::{Call, Key},
 };
-
-/// The time without a publication after which the index's log is read: the last one may be lost.
-const QUIET_TIME: Duration = Duration::from_secs(1);
 
 /// A session, and the keys of an index.
 #[derive(Clone, Debug)]
@@ -106,23 +102,6 @@ impl ZenohLink {
     /// A key of the index.
     pub(super) fn key(&self, verb: &str) -> String {
         format!("{}/{verb}", self.index)
-    }
-
-    /// Watches an index after a revision. The points that `own_session` stores may be left out.
-    pub(super) async fn watch(
-        &self,
-        index: &Arc<IndexInfo>,
-        after: u64,
-        own_session: u64,
-    ) -> Result<Watch, Error> {
-        publications::watch(
-            self.clone(),
-            Arc::clone(index),
-            after,
-            own_session,
-            QUIET_TIME,
-        )
-        .await
     }
 
     /// All points of an index at revision `min_revision` or a later one, page by page.
