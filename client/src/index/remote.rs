@@ -259,8 +259,7 @@ impl NearestNeighbors for Remote {
     }
 
     fn get(&self, id: u64) -> Result<Option<Point>, Error> {
-        let columns = Include::none().states().tags().revisions();
-        let points = self.point(id, columns)?;
+        let points = self.point(id, Include::points())?;
         Ok(points.map(|points| {
             let point = points.point(0);
             Point {
@@ -288,8 +287,7 @@ impl NearestNeighbors for Remote {
         let (send, receive) = mpsc::sync_channel(MAX_PARTS);
         let index = self.index.clone();
         spawn(async move {
-            let columns = Include::none().states().tags().revisions();
-            let mut scan = match index.scan().include(columns).await {
+            let mut scan = match index.scan().await {
                 Ok(scan) => scan,
                 Err(error) => {
                     let _ = send.send(Err(error));

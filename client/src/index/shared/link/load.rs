@@ -5,12 +5,9 @@ use tokio::time::{Instant, sleep_until};
 use wayfold_index::{Forest, ForestOptions, PointRef, Points, Space};
 
 use super::{Link, Transport, handle};
-use crate::{Error, Include, IndexInfo};
+use crate::{Error, IndexInfo};
 
 const CALL: &str = "scan";
-
-/// The columns of a copy.
-pub(super) const COLUMNS: Include = Include::none().states().tags().revisions();
 
 /// The most scans of a load that the server may end: it holds a revision for some minutes, or until it stops.
 const MAX_ENDED_SCANS: u32 = 3;
@@ -65,10 +62,7 @@ impl Link {
     ) -> Result<(Points, u64, Vec<u64>), Error> {
         let mut parts: Parts = match &self.transport {
             Transport::Grpc(client) => {
-                let scan = handle(client, index, min_revision)
-                    .scan()
-                    .include(COLUMNS)
-                    .await?;
+                let scan = handle(client, index, min_revision).scan().await?;
                 let total = scan.point_count();
                 let parts = scan.into_stream();
                 parts.map_ok(move |points| Part { points, total }).boxed()

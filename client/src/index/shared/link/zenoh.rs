@@ -19,10 +19,10 @@ use zenoh::{
 
 use super::{
     is_transient,
-    load::{COLUMNS, Part, Parts},
+    load::{Part, Parts},
 };
 use crate::{
-    Credentials, Error, IndexInfo, Points, Refusal, RetryPolicy, Revision,
+    Credentials, Error, Include, IndexInfo, Points, Refusal, RetryPolicy, Revision,
     index::runtime::spawn,
     net::call::{Call, Key},
 };
@@ -107,7 +107,7 @@ impl ZenohLink {
     /// All points of an index at revision `min_revision` or a later one, page by page.
     pub(super) fn scan(&self, index: &IndexInfo, min_revision: u64) -> Parts {
         let request = v1::ScanRequest {
-            include: COLUMNS.to_message(),
+            include: Include::points().to_message(),
             min_revision: Some(index.revision_at(min_revision).to_message()),
             ..Default::default()
         };
@@ -217,7 +217,7 @@ impl Pages {
             page.points,
             revision.clone(),
             self.coordinates,
-            COLUMNS,
+            Include::points(),
         )?;
         let last = points.ids().last().copied();
         let is_other = self.revision.as_ref().is_some_and(|held| *held != revision);
