@@ -142,14 +142,8 @@ impl Link {
     /// Makes the next calls at another server than that of a connection, if there is one. The other task of the index may have
     /// left that server already.
     pub(super) fn leave(&self, asked: Option<&Connection>) {
-        match &self.transport {
-            Transport::Grpc(client) => {
-                if let Some(asked) = asked {
-                    client.connections().leave(asked);
-                }
-            }
-            #[cfg(feature = "zenoh")]
-            Transport::Zenoh(_) => {}
+        if let (Transport::Grpc(client), Some(asked)) = (&self.transport, asked) {
+            client.connections().leave(asked);
         }
     }
 
