@@ -193,7 +193,7 @@ where
 }
 
 /// The limit of the bytes of an answer.
-const ANSWER_BYTES: &str = "max_answer_bytes";
+pub(crate) const ANSWER_BYTES: &str = "max_answer_bytes";
 
 /// The limit of the bytes of the stored points that one call changes.
 const CHANGED_POINT_BYTES: &str = "max_changed_point_bytes";
@@ -216,7 +216,7 @@ fn is_unread(error: &Error) -> bool {
 }
 
 /// The limit that a refused call exceeds. The call changed nothing.
-fn exceeded(error: &Error) -> Option<&str> {
+pub(crate) fn exceeded(error: &Error) -> Option<&str> {
     match error {
         Error::Refused(refusal) if refusal.code == Code::ResourceExhausted => {
             refusal.metadata.get("limit").map(String::as_str)

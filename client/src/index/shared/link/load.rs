@@ -5,9 +5,12 @@ use tokio::time::{Instant, sleep_until};
 use wayfold_index::{Forest, ForestOptions, PointRef, Points, Space};
 
 use super::{Link, Transport, handle};
-use crate::{Error, IndexInfo};
+use crate::{Error, IndexInfo, net::limits::exceeded};
 
 const CALL: &str = "scan";
+
+/// The limit of the revisions that a server holds for scans.
+const HELD_SCANS: &str = "max_held_scans";
 
 /// The most scans of a load that the server may end: it holds a revision for some minutes, or until it stops.
 const MAX_ENDED_SCANS: u32 = 3;
@@ -38,7 +41,7 @@ impl Link {
                 Err(error) if error.reason() == Some("SCAN_ENDED") && ended < MAX_ENDED_SCANS => {
                     ended += 1;
                 }
-                Err(error) if is_scan_limit(&error) && Instant::now() < deadline => {
+                Err(error) if exceeded(&error) == Some(HELD_SCANS) && Instant::now() < deadline => {
                     refused += 1;
                     sleep_until(Instant::now() + self.pause(refused, None)).await;
                 }
@@ -95,15 +98,6 @@ impl Link {
         }
         Ok((points, revision, revisions))
     }
-}
-
-/// True if the server holds as many revisions for scans as it may.
-fn is_scan_limit(error: &Error) -> bool {
-    let Error::Refused(refusal) = error else {
-        return false;
-    };
-    let limit = refusal.metadata.get("limit");
-    limit.is_some_and(|limit| limit == "max_held_scans")
 }
 
 /// A forest of the points, without anything left to merge.

@@ -17,7 +17,13 @@ use zenoh::{
 };
 
 use super::zenoh::{ZenohLink, decode, lost};
-use crate::{Code, Error, Include, IndexInfo, Refusal, Watch, net::request::WatchStart};
+use crate::{
+    Error, Include, IndexInfo, Watch,
+    net::{
+        limits::{ANSWER_BYTES, exceeded},
+        request::WatchStart,
+    },
+};
 
 const CALL: &str = "watch";
 
@@ -131,7 +137,7 @@ impl Feed {
         let after = self.index.revision_at(self.after).to_message();
         let message = match self.log(after.clone()).await {
             // No answer holds the next mutation: all points have to be read again.
-            Err(Error::Refused(refusal)) if is_too_large(&refusal) => v1::WatchResponse {
+            Err(error) if exceeded(&error) == Some(ANSWER_BYTES) => v1::WatchResponse {
                 revision: Some(after),
                 reset: Some(v1::ResetReason::WindowPassed.into()),
                 ..Default::default()
@@ -161,9 +167,4 @@ impl Feed {
 
 fn number(revision: Option<&v1::Revision>) -> u64 {
     revision.map_or(0, |revision| revision.number)
-}
-
-fn is_too_large(refusal: &Refusal) -> bool {
-    let limit = refusal.metadata.get("limit").map(String::as_str);
-    refusal.code == Code::ResourceExhausted && limit == Some("max_answer_bytes")
 }
