@@ -134,18 +134,14 @@ impl Neighbors {
         self.read_at.of_row(i)
     }
 
-    /// The answer to a call, checked.
+    /// The answer to a call about `rows` states of `width` coordinates, checked.
     pub(crate) fn from_message(
+        call: &'static str,
         message: Option<v1::Neighbors>,
-        expected: Expected,
+        revision: Revision,
+        (rows, width): (usize, usize),
+        include: Include,
     ) -> Result<Neighbors, Error> {
-        let Expected {
-            call,
-            rows,
-            width,
-            include,
-            revision,
-        } = expected;
         let wrong = |problem: &str| Error::protocol(call, problem);
         let message = message.unwrap_or_default();
         if rows != message.neighbor_counts.len() {
@@ -184,15 +180,4 @@ impl Neighbors {
         self.columns.append(other.columns);
         self.read_at.append(other.read_at);
     }
-}
-
-/// The contents that an answer must have, and its revision.
-pub(crate) struct Expected {
-    pub(crate) call: &'static str,
-    /// The number of states in the request.
-    pub(crate) rows: usize,
-    /// The number of coordinates of a state.
-    pub(crate) width: usize,
-    pub(crate) include: Include,
-    pub(crate) revision: Revision,
 }

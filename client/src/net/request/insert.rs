@@ -9,7 +9,6 @@ use super::{
 use crate::{
     Error, IndexHandle, Limits, NeighborSpec, Neighbors, Revision, States,
     net::limits::{self, Division},
-    net::neighbors::Expected,
 };
 
 /// Inserts states; await it to send it.
@@ -239,14 +238,9 @@ impl Insert {
         let Some(spec) = &self.neighbors else {
             return Ok(());
         };
-        let expected = Expected {
-            call: CALL,
-            rows,
-            width: self.index.coordinates(),
-            include: spec.include,
-            revision: inserted.revision.clone(),
-        };
-        let neighbors = Neighbors::from_message(answer.neighbors, expected)?;
+        let (revision, size) = (inserted.revision.clone(), (rows, self.index.coordinates()));
+        let neighbors =
+            Neighbors::from_message(CALL, answer.neighbors, revision, size, spec.include)?;
         match &mut inserted.neighbors {
             Some(before) => before.append(neighbors),
             none => *none = Some(neighbors),

@@ -10,7 +10,6 @@ use crate::{
     net::{
         call::Call,
         limits::{self, READ_ROWS},
-        neighbors::Expected,
     },
     search::{Bounds, K},
 };
@@ -122,12 +121,7 @@ pub(super) fn neighbors(
     rows: usize,
     include: Include,
 ) -> Result<Neighbors, Error> {
-    let expected = Expected {
-        call,
-        rows,
-        width: index.coordinates(),
-        include,
-        revision: index.answered(call, revision)?,
-    };
-    Neighbors::from_message(neighbors, expected)
+    let revision = index.answered(call, revision)?;
+    let size = (rows, index.coordinates());
+    Neighbors::from_message(call, neighbors, revision, size, include)
 }
