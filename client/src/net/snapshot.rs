@@ -111,18 +111,12 @@ impl<R: Read> SnapshotReader<R> {
     pub fn new(file: R) -> Result<SnapshotReader<R>, SnapshotError> {
         let mut file = FileReader::new(file)?;
         match file.next_part()? {
-            Some((part, content @ Content::Header(_))) => {
-                let first = Some(SnapshotPart::new(part, &content));
-                let Content::Header(header) = content else {
-                    return Err(SnapshotError::CutShort { parts: 0 });
-                };
-                Ok(SnapshotReader {
-                    file,
-                    header,
-                    first,
-                    ended: false,
-                })
-            }
+            Some((message, Content::Header(header))) => Ok(SnapshotReader {
+                file,
+                header,
+                first: Some(SnapshotPart { message, points: 0 }),
+                ended: false,
+            }),
             _ => Err(SnapshotError::CutShort { parts: 0 }),
         }
     }
