@@ -138,8 +138,8 @@ mod tests {
         );
     }
 
-    fn busy(seconds: u64) -> Error {
-        let details = ErrorDetails::with_retry_info(Some(Duration::from_secs(seconds)));
+    fn busy(pause_ms: u64) -> Error {
+        let details = ErrorDetails::with_retry_info(Some(Duration::from_millis(pause_ms)));
         let busy = tonic::Code::ResourceExhausted;
         let status = tonic::Status::with_error_details(busy, "busy", details);
         Error::Refused(Box::new(Refusal::from_status(&status)))
@@ -152,7 +152,7 @@ mod tests {
         let attempt = || {
             tries += 1;
             std::future::ready(match tries {
-                1 => Err(busy(1)),
+                1 => Err(busy(1_000)),
                 _ => Ok(()),
             })
         };
@@ -165,12 +165,12 @@ mod tests {
 
     #[test]
     fn endless_tries_wait_as_long() {
-        assert!(POLICY.endless_pause(1, Some(&busy(20))) >= Duration::from_secs(20));
+        assert!(POLICY.endless_pause(1, Some(&busy(20_000))) >= Duration::from_secs(20));
     }
 
     #[test]
     fn they_are_spread() {
-        let pauses = (0..20).map(|_| requested_pause(Some(&busy(20))));
+        let pauses = (0..20).map(|_| requested_pause(Some(&busy(20_000))));
         let pauses: std::collections::BTreeSet<_> = pauses.collect();
         assert!(pauses.len() > 1);
     }
@@ -185,10 +185,7 @@ mod tests {
     #[test]
     fn a_pause_is_as_long_as_the_server_asks_for_and_not_endless() {
         for (requested, least) in [(0, 0), (20, 20), (1_000_000, 60_000)] {
-            let details = ErrorDetails::with_retry_info(Some(Duration::from_millis(requested)));
-            let busy = tonic::Code::ResourceExhausted;
-            let status = tonic::Status::with_error_details(busy, "busy", details);
-            let error = Error::Refused(Box::new(Refusal::from_status(&status)));
+            let error = busy(requested);
             assert!(error.is_transient());
             let pause = requested_pause(Some(&error)).as_millis();
             assert!((least..=2 * least).contains(&pause), "{requested}: {pause}");
