@@ -212,14 +212,13 @@ impl Error {
             | Error::NotInMemory { .. }
             | Error::Snapshot(_) => Code::InvalidArgument,
             Error::IdTaken { .. } => Code::AlreadyExists,
-            Error::WritesRefused { why } => why.code(),
+            Error::WritesRefused { why } | Error::Ended { why } => why.code(),
             Error::Closed | Error::Forked | Error::OtherSpace { .. } => Code::FailedPrecondition,
             Error::Interrupted => Code::Cancelled,
-            Error::Thread { .. } => Code::Unavailable,
-            Error::SearchTimeout => Code::DeadlineExceeded,
-            Error::Connection { .. } | Error::Handshake { .. } => Code::Unavailable,
-            Error::Ended { why } => why.code(),
-            Error::Timeout { .. } => Code::DeadlineExceeded,
+            Error::Thread { .. } | Error::Connection { .. } | Error::Handshake { .. } => {
+                Code::Unavailable
+            }
+            Error::SearchTimeout | Error::Timeout { .. } => Code::DeadlineExceeded,
             Error::Refused(refusal) => refusal.code,
             Error::Partial { source, .. } => source.code(),
             Error::Protocol { .. } => Code::Internal,
