@@ -68,11 +68,12 @@ impl ForestSnapshot {
         state: &[f64],
         search: &Search<'_>,
     ) -> Result<Answer, SearchError> {
-        kernels.run(SearchSnapshot {
+        let found = kernels.run(SearchSnapshot {
             snapshot: self,
             state,
             search,
-        })
+        });
+        found.map(|(answer, _)| answer)
     }
 
     /// The number of leaves that a search visits. For tests of the trees' shape.
@@ -81,11 +82,12 @@ impl ForestSnapshot {
     /// The errors of [`ForestSnapshot::search`].
     #[doc(hidden)]
     pub fn leaves_visited(&self, state: &[f64], search: &Search<'_>) -> Result<usize, SearchError> {
-        Kernels::default().run(CountLeaves(SearchSnapshot {
+        let found = Kernels::default().run(SearchSnapshot {
             snapshot: self,
             state,
             search,
-        }))
+        });
+        found.map(|(_, leaves)| leaves)
     }
 
     /// A copy of the point with this id.
@@ -151,13 +153,12 @@ struct SearchSnapshot<'a> {
     search: &'a Search<'a>,
 }
 
-impl<'a> SearchSnapshot<'a> {
-    /// Searches all trees, then has `finish` read the result from the traversal.
+impl Task for SearchSnapshot<'_> {
+    /// The answer, and the number of leaves visited.
+    type Output = Result<(Answer, usize), SearchError>;
+
     #[inline(always)]
-    fn traverse<I: Isa, T>(
-        self,
-        finish: impl FnOnce(&mut Traversal<'a>) -> Result<T, SearchError>,
-    ) -> Result<T, SearchError> {
+    fn run<I: Isa>(self) -> Self::Output {
         let snapshot = self.snapshot;
         let (space, key_map) = (&snapshot.space, &snapshot.key_map);
         self.search.check(space, self.state)?;
@@ -167,29 +168,7 @@ impl<'a> SearchSnapshot<'a> {
         }
         let growing = &snapshot.growing;
         growing.search::<I>(&mut traversal, snapshot.revision);
-        finish(&mut traversal)
-    }
-}
-
-impl Task for SearchSnapshot<'_> {
-    type Output = Result<Answer, SearchError>;
-
-    #[inline(always)]
-    fn run<I: Isa>(self) -> Self::Output {
-        self.traverse::<I, _>(Traversal::finish)
-    }
-}
-
-/// Counts the leaves of a search.
-struct CountLeaves<'a>(SearchSnapshot<'a>);
-
-impl Task for CountLeaves<'_> {
-    type Output = Result<usize, SearchError>;
-
-    #[inline(always)]
-    fn run<I: Isa>(self) -> Self::Output {
-        self.0
-            .traverse::<I, _>(|traversal| Ok(traversal.leaves_visited()))
+        Ok((traversal.finish()?, traversal.leaves_visited()))
     }
 }
 
