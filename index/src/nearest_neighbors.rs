@@ -35,9 +35,7 @@ impl<'a> ScaledSearch<'a> {
     /// The search among `points` points of a space of this dimension.
     pub fn among(&self, points: usize, dimension: usize) -> Search<'a> {
         let mut search = self.search;
-        if !self.scaling.is_none() {
-            self.scaling.apply(&mut search, points, dimension);
-        }
+        self.scaling.apply(&mut search, points, dimension);
         search
     }
 }

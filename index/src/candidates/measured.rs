@@ -27,7 +27,8 @@ impl MeasuredCandidates {
             k,
             max_distance: radius,
             neighbors: Vec::new(),
-            full: k.saturating_add(between_selections(k)),
+            // A selection reads all candidates, so that each costs a few reads.
+            full: k.saturating_add((k / 4).max(MIN_BETWEEN_SELECTIONS)),
         }
     }
 
@@ -69,11 +70,6 @@ impl MeasuredCandidates {
         nearest.sort_unstable_by_key(Neighbor::order);
         nearest
     }
-}
-
-/// The number of candidates between two selections: a selection reads all of them, so that each costs a few reads.
-fn between_selections(k: usize) -> usize {
-    (k / 4).max(MIN_BETWEEN_SELECTIONS)
 }
 
 #[cfg(test)]

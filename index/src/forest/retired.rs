@@ -40,7 +40,8 @@ impl<T: Clone> Retired<T> {
     fn free_some(&mut self) {
         for _ in 0..CHECKS_PER_CHANGE.min(self.held.len()) {
             self.next = self.next.checked_sub(1).unwrap_or(self.held.len() - 1);
-            if is_last_reference(&self.held[self.next]) {
+            // Without another reference none can be made: new snapshots are of the head.
+            if Arc::strong_count(&self.held[self.next]) == 1 {
                 // The last one takes its place; it was checked before, or added since.
                 self.held.swap_remove(self.next);
             }
@@ -51,11 +52,6 @@ impl<T: Clone> Retired<T> {
     pub(super) fn clear(&mut self) {
         *self = Self::default();
     }
-}
-
-/// True if no other reference exists. Then none can be made: new snapshots are of the head.
-fn is_last_reference<T>(held: &Arc<T>) -> bool {
-    Arc::strong_count(held) == 1
 }
 
 #[cfg(test)]

@@ -24,7 +24,7 @@ pub(super) struct StaticLevel {
 impl StaticLevel {
     /// A level of one leaf, which is scanned until a merge packs it.
     pub(super) fn unpacked(space: Arc<Space>, points: &Points) -> Self {
-        Self::over(KdTree::one_leaf(space, points), false)
+        Self::over(KdTree::build(space, points, points.len()), false)
     }
 
     /// A level with its tree.

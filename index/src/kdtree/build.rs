@@ -68,11 +68,6 @@ impl KdTree {
             scan_policy: ScanPolicy::default(),
         }
     }
-
-    /// A tree of one leaf: ready at once, and searched from end to end.
-    pub(crate) fn one_leaf(space: Arc<Space>, points: &Points) -> Self {
-        Self::build(space, points, points.len())
-    }
 }
 
 /// The number of nodes one below the other over this number of leaves.
