@@ -102,21 +102,15 @@ impl StateError {
     }
 
     pub(super) fn not_finite(coordinate: usize, value: f64) -> StateError {
-        let nan = value.is_nan();
-        let reason = if nan {
-            StateProblem::NaN
-        } else {
-            StateProblem::Infinite
+        let reason = match value.is_nan() {
+            true => StateProblem::NaN,
+            false => StateProblem::Infinite,
         };
         StateError { coordinate, reason }
     }
 
     pub(super) fn width(expected: usize, found: usize) -> StateError {
         StateError::new(expected.min(found), StateProblem::Width { expected, found })
-    }
-
-    pub(super) fn not_canonical(coordinate: usize) -> StateError {
-        StateError::new(coordinate, StateProblem::NotCanonical)
     }
 
     /// The error of a factor as an error of the row in which the factor begins at `offset`.
@@ -129,11 +123,7 @@ impl StateError {
     fn place(&self) -> String {
         match self.reason {
             StateProblem::Width { .. } => String::new(),
-            StateProblem::NaN
-            | StateProblem::Infinite
-            | StateProblem::TooLarge
-            | StateProblem::Norm(_)
-            | StateProblem::NotCanonical => format!("[{}]", self.coordinate),
+            _ => format!("[{}]", self.coordinate),
         }
     }
 }

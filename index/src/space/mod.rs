@@ -257,7 +257,7 @@ impl Space {
         }
         let mut pairs = row.iter().zip(&canonical);
         let changed = pairs.position(|(a, b)| a.to_bits() != b.to_bits());
-        StateError::not_canonical(changed.unwrap_or_default())
+        StateError::new(changed.unwrap_or_default(), StateProblem::NotCanonical)
     }
 
     /// The distance of two canonical rows of this space; symmetric to the bit, and never NaN.
