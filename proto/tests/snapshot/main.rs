@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test stops where its helper fails")]
 
 mod arbitrary;
+mod sessions;
 
 use prost::Message;
 use sha2::{Digest, Sha256};

@@ -1,28 +1,23 @@
 //! Writer sessions in snapshots: a reader returns the written ones, and refuses those that no index holds. Snapshots of
 //! version 2, which have none, are read.
 
-#![expect(clippy::unwrap_used, reason = "a test stops where its helper fails")]
-
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use prost::Message;
-use wayfold_proto::snapshot::{
-    Content, FileReader, FileWriter, Header, Reader, SnapshotError, Writer, check,
-};
+use wayfold_proto::snapshot::{Content, FileReader, Header, Reader, SnapshotError, Writer, check};
 use wayfold_proto::v1;
+
+use super::{file, signed};
 
 const REVISION: u64 = 90;
 const NEXT_ID: u64 = 1000;
 
 fn header(point_count: u64) -> Header {
     Header {
-        name: "arm".into(),
-        uid: "fe1a".into(),
         space: "R1".parse().unwrap(),
         revision: REVISION,
         next_id: NEXT_ID,
-        point_count,
-        payload_encoding: Default::default(),
+        ..super::header(point_count)
     }
 }
 
@@ -79,14 +74,6 @@ fn parts(pages: &[v1::SnapshotSessions]) -> Vec<v1::SnapshotPart> {
     parts.extend(pages.iter().map(|page| writer.sessions(page.clone())));
     parts.push(writer.trailer());
     parts
-}
-
-fn file(parts: &[v1::SnapshotPart]) -> Vec<u8> {
-    let mut file = FileWriter::new(Vec::new());
-    for part in parts {
-        file.write(part).unwrap();
-    }
-    file.finish().unwrap()
 }
 
 /// The contents of a sound file.
@@ -194,19 +181,6 @@ fn parts_in_another_order_are_refused() {
     assert!(first.contains("begins with its header"), "{first}");
 }
 
-/// The part with this content after `before`, with the digest that a writer gives it.
-fn signed(before: &v1::SnapshotPart, content: v1::SnapshotContent) -> v1::SnapshotPart {
-    use sha2::{Digest, Sha256};
-    let number = before.number + 1;
-    let content = content.encode_to_vec();
-    let bytes = [&before.digest[..], &number.to_le_bytes(), &content].concat();
-    v1::SnapshotPart {
-        number,
-        content: content.into(),
-        digest: Sha256::digest(&bytes).to_vec().into(),
-    }
-}
-
 #[test]
 fn the_trailer_counts_sessions_and_blocks() {
     let good = parts(&[two()]);
@@ -217,7 +191,8 @@ fn the_trailer_counts_sessions_and_blocks() {
             block_count,
         };
         let kind = Some(v1::snapshot_content::Kind::Trailer(trailer));
-        signed(&good[2], v1::SnapshotContent { kind })
+        let content = v1::SnapshotContent { kind }.encode_to_vec();
+        signed(&good[2].digest, 4, content)
     };
     assert_eq!(trailer(2, 3), good[3]);
     for (sessions, blocks, words) in [
@@ -245,7 +220,7 @@ fn every_flipped_bit_and_every_cut_is_noticed() {
 }
 
 /// A server wrote this file before there were sessions: four revisions of an index of two points.
-const VERSION_2: &[u8] = include_bytes!("version-2.snapshot");
+const VERSION_2: &[u8] = include_bytes!("../version-2.snapshot");
 
 #[test]
 fn a_snapshot_of_version_2_is_read_and_written_again() {
@@ -273,7 +248,8 @@ fn a_snapshot_of_version_2_is_read_and_written_again() {
     assert_eq!(file(&parts), VERSION_2);
 
     let kind = Some(v1::snapshot_content::Kind::Sessions(two()));
-    parts[2] = signed(&parts[1], v1::SnapshotContent { kind });
+    let content = v1::SnapshotContent { kind }.encode_to_vec();
+    parts[2] = signed(&parts[1].digest, 3, content);
     let error = refusal(&parts).to_string();
     assert!(
         error.contains("version 2 has no writer sessions"),
@@ -364,6 +340,6 @@ proptest! {
         let mut reader = Reader::new();
         reader.read(&good[0]).unwrap();
         reader.read(&good[1]).unwrap();
-        let _ = reader.read(&signed(&good[1], content));
+        let _ = reader.read(&signed(&good[1].digest, 3, content.encode_to_vec()));
     }
 }
