@@ -15,9 +15,9 @@ use crate::code::Code;
 #[derive(Debug)]
 pub(crate) struct Failure {
     code: Code,
-    message: CString,
-    field: CString,
-    reason: CString,
+    pub(crate) message: CString,
+    pub(crate) field: CString,
+    pub(crate) reason: CString,
     /// The number of rows that took effect before the error.
     rows_done: usize,
 }
@@ -167,23 +167,11 @@ fn panicked(panic: &(dyn Any + Send)) -> Failure {
     Failure::new(Code::Internal, "", "PANIC", &message)
 }
 
-/// A part of the thread's last error.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Part {
-    Message,
-    Field,
-    Reason,
-}
-
 /// A part of the error of this thread's last failed call: "" if none has failed, and at the end of the thread.
-pub(crate) fn last(part: Part) -> *const c_char {
+pub(crate) fn last(part: fn(&Failure) -> &CString) -> *const c_char {
     let text = LAST.try_with(|last| {
         let last = last.borrow();
-        let text = last.as_ref().map(|failure| match part {
-            Part::Message => &failure.message,
-            Part::Field => &failure.field,
-            Part::Reason => &failure.reason,
-        });
+        let text = last.as_ref().map(part);
         text.map_or(c"".as_ptr(), |text| text.as_ptr())
     });
     text.unwrap_or(c"".as_ptr())

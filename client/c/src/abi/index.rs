@@ -7,7 +7,7 @@ use client::Index;
 use super::pointers::{copy, give, index_of, parse_space, put, rows, text};
 use crate::{
     code::Code,
-    failure::{Failure, Part, call, free, last, last_rows_done},
+    failure::{Failure, call, free, last, last_rows_done},
     options::{WayfoldPoint, WayfoldSearch},
 };
 
@@ -28,7 +28,7 @@ pub extern "C" fn wayfold_version() -> *const c_char {
 /// Thread-safe: each thread has its own.
 #[unsafe(no_mangle)]
 pub extern "C" fn wayfold_error_message() -> *const c_char {
-    last(Part::Message)
+    last(|failure| &failure.message)
 }
 
 /// The field that the last error is about, as in "states[3].coords[1]"; "" if it is about none.
@@ -36,7 +36,7 @@ pub extern "C" fn wayfold_error_message() -> *const c_char {
 /// Thread-safe: each thread has its own.
 #[unsafe(no_mangle)]
 pub extern "C" fn wayfold_error_field() -> *const c_char {
-    last(Part::Field)
+    last(|failure| &failure.field)
 }
 
 /// The reason of the last error in UPPER_SNAKE_CASE, as in "INVALID_STATE"; "" if it has none.
@@ -44,7 +44,7 @@ pub extern "C" fn wayfold_error_field() -> *const c_char {
 /// Thread-safe: each thread has its own.
 #[unsafe(no_mangle)]
 pub extern "C" fn wayfold_error_reason() -> *const c_char {
-    last(Part::Reason)
+    last(|failure| &failure.reason)
 }
 
 /// The number of rows that took effect before the last error, whose reason is "PARTIAL" then. 0 means that the reason is
