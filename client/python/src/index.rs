@@ -305,7 +305,7 @@ impl Index {
 
     /// Acts like `flush`, but waits at most `timeout` seconds instead of the index's own timeout.
     fn flush_within(&self, py: Python<'_>, timeout: f64) -> PyResult<()> {
-        let timeout = seconds(py, "timeout", timeout)?;
+        let timeout = seconds(py, timeout)?;
         self.call(py, |index| index.flush_within(timeout))
     }
 
@@ -331,7 +331,7 @@ impl Index {
 
     /// Acts like `meanwhile`, but waits for an answer, at most `timeout` seconds, if there is none and one is to come.
     fn wait_meanwhile(&self, py: Python<'_>, timeout: f64) -> PyResult<MeanwhileAnswers> {
-        let timeout = seconds(py, "timeout", timeout)?;
+        let timeout = seconds(py, timeout)?;
         let answers = self.wait(py, |index| index.wait_meanwhile(timeout))?;
         MeanwhileAnswers::of(py, answers)
     }
@@ -347,7 +347,7 @@ impl Index {
     /// `timeout` seconds.
     #[pyo3(signature = (timeout=30.0))]
     fn close(&self, py: Python<'_>, timeout: f64) -> PyResult<Vec<UnsentWrite>> {
-        let timeout = seconds(py, "timeout", timeout)?;
+        let timeout = seconds(py, timeout)?;
         let unsent = self.wait(py, |index| index.close(timeout))?.into_iter();
         Ok(unsent.map(|write| UnsentWrite::of(py, write)).collect())
     }

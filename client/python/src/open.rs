@@ -28,7 +28,7 @@ pub(crate) fn shared(
     client_certificate: Option<(Vec<u8>, Vec<u8>)>,
 ) -> PyResult<Index> {
     let mut open = wayfold::Index::shared(url, name)
-        .timeout(seconds(py, "timeout", timeout)?)
+        .timeout(seconds(py, timeout)?)
         .max_pending_bytes(max_pending_bytes)
         .credentials(credentials(token, ca_certificate, client_certificate));
     if let Some((space, encoding)) = created(py, create, payload_encoding)? {
@@ -56,7 +56,7 @@ pub(crate) fn remote(
     client_certificate: Option<(Vec<u8>, Vec<u8>)>,
 ) -> PyResult<Index> {
     let mut open = wayfold::Index::remote(url, name)
-        .timeout(seconds(py, "timeout", timeout)?)
+        .timeout(seconds(py, timeout)?)
         .credentials(credentials(token, ca_certificate, client_certificate));
     if let Some((space, encoding)) = created(py, create, payload_encoding)? {
         open = open.create(&space).payload_encoding(encoding);

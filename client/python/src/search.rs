@@ -52,7 +52,7 @@ impl Search {
             search = search.since(wayfold::ReadRevision(since));
         }
         if let Some(timeout) = timeout {
-            search = search.timeout(seconds(py, "timeout", timeout)?);
+            search = search.timeout(seconds(py, timeout)?);
         }
         let search = search.epsilon(epsilon);
         Ok(Search { search })
@@ -202,12 +202,12 @@ pub(crate) fn unsigned<'py, T: FromPyObjectOwned<'py>>(
     })
 }
 
-/// A time in seconds.
-pub(crate) fn seconds(py: Python<'_>, field: &str, seconds: f64) -> PyResult<Duration> {
+/// A timeout in seconds.
+pub(crate) fn seconds(py: Python<'_>, seconds: f64) -> PyResult<Duration> {
     match seconds {
         // Rust has no infinite duration.
         f64::INFINITY => Ok(Duration::MAX),
         seconds => Duration::try_from_secs_f64(seconds)
-            .map_err(|error| invalid(py, &format!("{field}: {seconds}: {error}"))),
+            .map_err(|error| invalid(py, &format!("timeout: {seconds}: {error}"))),
     }
 }
