@@ -4,7 +4,7 @@ use std::{thread, time::Duration};
 
 use tokio::runtime::Runtime;
 use tonic::Status as Answer;
-use wayfold::{Client, Code, Error, Filter, Index, RetryPolicy, WatchEvent};
+use wayfold::{Client, Code, Error, Filter, Index, IndexHandle, RetryPolicy, WatchEvent};
 use wayfold_proto::v1;
 
 use crate::{
@@ -22,9 +22,23 @@ fn several<const N: usize>(addresses: [&str; N]) -> String {
 }
 
 /// A client of these servers that tries a call four times, with short pauses.
-pub(crate) async fn connect<const N: usize>(addresses: [&str; N]) -> Client {
+async fn connect<const N: usize>(addresses: [&str; N]) -> Client {
     let client = Client::builder().retry(quick(4));
     client.connect(&several(addresses)).await.unwrap()
+}
+
+/// Fakes, a client of them, and its handle of their index.
+pub(crate) async fn start<const N: usize>() -> ([Fake; N], Client, IndexHandle) {
+    let mut fakes = Vec::with_capacity(N);
+    for _ in 0..N {
+        fakes.push(Fake::start().await);
+    }
+    let Ok(fakes) = <[Fake; N]>::try_from(fakes) else {
+        panic!("not as many as were started");
+    };
+    let client = connect(fakes.each_ref().map(|fake| fake.uri.as_str())).await;
+    let index = client.index("line").await.unwrap();
+    (fakes, client, index)
 }
 
 /// The revisions that reads asked for.
@@ -109,9 +123,7 @@ fn a_call_after_a_server_has_died_goes_to_the_next_one() {
 
 #[tokio::test]
 async fn a_call_that_is_unavailable_is_retried_at_the_next_server() {
-    let (first, second) = (Fake::start().await, Fake::start().await);
-    let index = connect([&first.uri, &second.uri]).await;
-    let index = index.index("line").await.unwrap();
+    let ([first, second], _, index) = start::<2>().await;
     first.unavailable(usize::MAX);
     index.knn([[0.0]]).await.unwrap();
     index.knn([[0.0]]).await.unwrap();
@@ -126,9 +138,7 @@ async fn a_call_that_is_unavailable_is_retried_at_the_next_server() {
 
 #[tokio::test]
 async fn other_refusals_are_not_retried() {
-    let (first, second) = (Fake::start().await, Fake::start().await);
-    let index = connect([&first.uri, &second.uri]).await;
-    let index = index.index("line").await.unwrap();
+    let ([first, second], _, index) = start::<2>().await;
     for code in [
         Code::InvalidArgument,
         Code::NotFound,
@@ -146,9 +156,7 @@ async fn other_refusals_are_not_retried() {
 /// Each retry is the same mutation, wherever it goes.
 #[tokio::test]
 async fn a_mutation_keeps_its_operation_id_at_the_next_server() {
-    let (first, second) = (Fake::start().await, Fake::start().await);
-    let index = connect([&first.uri, &second.uri]).await;
-    let index = index.index("line").await.unwrap();
+    let ([first, second], _, index) = start::<2>().await;
     // Another call comes before the first mutation at a server.
     first.fail(|_, rows| (rows > 0).then(|| Answer::unavailable("no answer from NATS")));
     index.insert([[0.0]]).await.unwrap();
@@ -159,9 +167,7 @@ async fn a_mutation_keeps_its_operation_id_at_the_next_server() {
 
 #[tokio::test]
 async fn the_next_server_is_asked_for_the_newest_revision_that_was_seen() {
-    let (first, second) = (Fake::start().await, Fake::start().await);
-    let client = connect([&first.uri, &second.uri]).await;
-    let index = client.index("line").await.unwrap();
+    let ([first, second], client, index) = start::<2>().await;
     first.tell([9]);
     index.insert([[0.0]]).await.unwrap();
     first.unavailable(usize::MAX);
@@ -183,9 +189,7 @@ async fn the_next_server_is_asked_for_the_newest_revision_that_was_seen() {
 /// Other calls see newer revisions all the time.
 #[tokio::test]
 async fn a_description_waits_for_no_revision_that_was_seen_after_its_first_answer() {
-    let (first, second) = (Fake::start().await, Fake::start().await);
-    let client = connect([&first.uri, &second.uri]).await;
-    let index = client.index("line").await.unwrap();
+    let ([first, second], _, index) = start::<2>().await;
     first.tell([9]);
     index.insert([[0.0]]).await.unwrap();
     first.unavailable(usize::MAX);
@@ -206,9 +210,7 @@ async fn a_description_waits_for_no_revision_that_was_seen_after_its_first_answe
 /// The points that a mutation names may be missing in an older revision.
 #[tokio::test]
 async fn the_next_server_has_the_newest_revision_before_it_mutates() {
-    let (first, second) = (Fake::start().await, Fake::start().await);
-    let client = connect([&first.uri, &second.uri]).await;
-    let index = client.index("line").await.unwrap();
+    let ([first, second], _, index) = start::<2>().await;
     first.tell([7]);
     index.insert([[0.0]]).await.unwrap();
     first.unavailable(usize::MAX);
@@ -222,9 +224,7 @@ async fn the_next_server_has_the_newest_revision_before_it_mutates() {
 
 #[tokio::test]
 async fn nothing_is_asked_of_a_single_server_that_was_not_asked_before() {
-    let fake = Fake::start().await;
-    let client = connect([&fake.uri]).await;
-    let index = client.index("line").await.unwrap();
+    let ([fake], client, index) = start::<1>().await;
     fake.tell([9]);
     index.insert([[0.0]]).await.unwrap();
     fake.tell([3]);
@@ -238,9 +238,7 @@ async fn nothing_is_asked_of_a_single_server_that_was_not_asked_before() {
 
 #[tokio::test]
 async fn a_watch_goes_where_the_client_goes() {
-    let (first, second) = (Fake::start().await, Fake::start().await);
-    let client = connect([&first.uri, &second.uri]).await;
-    let index = client.index("line").await.unwrap();
+    let ([first, second], _, index) = start::<2>().await;
     first.watch_tells(vec![Ok(message(7, vec![]))]);
     // It lags: the first message names a revision before the one that the caller has.
     second.watch_tells(vec![
@@ -262,13 +260,7 @@ async fn a_watch_goes_where_the_client_goes() {
 /// The second server takes the watch and breaks its connection; the third serves it.
 #[tokio::test]
 async fn a_watch_passes_over_servers_that_cannot_serve_it() {
-    let [first, second, third] = [
-        Fake::start().await,
-        Fake::start().await,
-        Fake::start().await,
-    ];
-    let client = connect([&first.uri, &second.uri, &third.uri]).await;
-    let index = client.index("line").await.unwrap();
+    let ([first, second, third], _, index) = start::<3>().await;
     let breaks = || Err(Answer::unavailable("the server is stopping"));
     first.watch_tells(vec![Ok(message(7, vec![])), breaks()]);
     second.watch_tells(vec![breaks()]);
@@ -286,9 +278,7 @@ async fn a_watch_passes_over_servers_that_cannot_serve_it() {
 
 #[tokio::test]
 async fn a_watch_leaves_a_silent_server_while_there_is_time_for_the_next() {
-    let (first, second) = (Fake::start().await, Fake::start().await);
-    let index = connect([&first.uri, &second.uri]).await;
-    let index = index.index("line").await.unwrap();
+    let ([first, second], _, index) = start::<2>().await;
     first.fall_silent();
     second.watch_tells(vec![Ok(message(7, vec![]))]);
     let index = index.with_timeout(Duration::from_secs(4));
@@ -357,8 +347,7 @@ async fn writes_to_a_server_that_lacks_the_index_go_to_the_next_one() {
 /// The server lets a scan wait for a few seconds only.
 #[tokio::test]
 async fn a_scan_waits_for_the_revision_of_its_filter_before_it_begins() {
-    let fake = Fake::start().await;
-    let index = connect([&fake.uri]).await.index("line").await.unwrap();
+    let ([fake], _, index) = start::<1>().await;
     fake.scan_answers(scanned(9, &[(1, 0.0)]), true);
     let later = Filter::default().since(index.revision_at(9));
     index.scan().filter(later).await.unwrap();
@@ -369,9 +358,7 @@ async fn a_scan_waits_for_the_revision_of_its_filter_before_it_begins() {
 /// It has not reached it in the time in which another server is worth a try.
 #[tokio::test]
 async fn a_scan_leaves_a_server_that_lacks_the_newest_revision() {
-    let (first, second) = (Fake::start().await, Fake::start().await);
-    let index = connect([&first.uri, &second.uri]).await;
-    let index = index.index("line").await.unwrap();
+    let ([first, second], _, index) = start::<2>().await;
     first.tell([9]);
     index.knn([[0.0]]).await.unwrap();
     first.fail(|_, _| Some(Answer::deadline_exceeded("waiting for revision 9")));

@@ -7,7 +7,7 @@ use tonic::Status;
 use wayfold::{Client, IndexHandle};
 
 use crate::{
-    failover::{asked_for, connect},
+    failover::{asked_for, start},
     fake::Fake,
     retrying::last_timeouts,
 };
@@ -29,13 +29,7 @@ struct Servers {
 impl Servers {
     /// The second server answers its first `described` calls, and lets the others wait in vain.
     async fn start(described: usize) -> Servers {
-        let [first, second, third] = [
-            Fake::start().await,
-            Fake::start().await,
-            Fake::start().await,
-        ];
-        let client = connect([&first.uri, &second.uri, &third.uri]).await;
-        let index = client.index("line").await.unwrap();
+        let ([first, second, third], client, index) = start::<3>().await;
         first.tell([NEWEST]);
         index.insert([[0.0]]).await.unwrap();
         first.unavailable(usize::MAX);
@@ -88,13 +82,7 @@ async fn a_read_goes_on_at_the_next_server() {
 /// The server had the newest revision of the client at its first call.
 #[tokio::test]
 async fn a_read_leaves_a_server_that_begins_to_lag() {
-    let fakes = [
-        Fake::start().await,
-        Fake::start().await,
-        Fake::start().await,
-    ];
-    let client = connect([&fakes[0].uri, &fakes[1].uri, &fakes[2].uri]).await;
-    let index = client.index("line").await.unwrap();
+    let (fakes, _, index) = start::<3>().await;
     for fake in &fakes {
         fake.tell([NEWEST]);
     }
