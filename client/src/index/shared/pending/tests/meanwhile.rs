@@ -7,13 +7,7 @@ use super::*;
 
 /// Inserts a point at 0, whose search found the point 1 at distance 1.
 fn insert_near_1(writes: &mut PendingWrites, points: &mut LocalPoints, search: &Search<'_>) {
-    let id = insert(writes, points, 0.0);
-    let found = [Neighbor {
-        distance: 1.0,
-        id: 1,
-    }];
-    let change = points.read_revision().0;
-    writes.note_search(id, &[0.0], &(*search).into(), &found, change);
+    ask(writes, points, search, &[(1, 1.0)]);
 }
 
 /// Another writer's record that gives a stored point another tag.
