@@ -24,7 +24,9 @@ pub use page::page;
 pub use process::{Process, ProcessOutput, ServerProcess, Signal};
 pub use refusal::Refusal;
 pub use states::States;
-pub use stubs::{INCLUDE_ALL, Stubs, bits, k_nearest, neighbor_rows, number, revision, row_states};
+pub use stubs::{
+    INCLUDE_ALL, Stubs, bits, insertion, k_nearest, neighbor_rows, number, revision, row_states,
+};
 
 /// Compiles the examples of the README.
 #[cfg(doctest)]

@@ -164,6 +164,15 @@ pub fn row_states(rows: &[f64], coordinates: usize) -> v1::States {
     }
 }
 
+/// An insert of rows of coordinates.
+pub fn insertion(index: &str, rows: &[f64], coordinates: usize) -> InsertRequest {
+    InsertRequest {
+        index_name: index.to_owned(),
+        states: Some(row_states(rows, coordinates)),
+        ..Default::default()
+    }
+}
+
 /// The (id, distance) pairs of each state.
 ///
 /// # Panics

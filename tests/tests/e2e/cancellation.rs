@@ -9,7 +9,8 @@ use wayfold_proto::v1::{
     InsertRequest, KnnRequest, StreamKnnRequest, knn_request::KForm, stream_knn_response,
 };
 use wayfold_tests::{
-    Content, Refusal, ServerProcess, Signal, States, Stubs, k_nearest, number, row_states, server,
+    Content, Refusal, ServerProcess, Signal, States, Stubs, insertion, k_nearest, number,
+    row_states, server,
 };
 
 /// A search in this many dimensions looks at most of the points.
@@ -33,11 +34,7 @@ async fn filled(rows: usize) -> (ServerProcess, Stubs, States) {
 }
 
 fn insert(states: &mut States, rows: usize) -> InsertRequest {
-    InsertRequest {
-        index_name: "roadmap".into(),
-        states: Some(row_states(&states.rows(rows), WIDTH)),
-        ..Default::default()
-    }
+    insertion("roadmap", &states.rows(rows), WIDTH)
 }
 
 fn knn(states: &mut States, rows: usize) -> KnnRequest {

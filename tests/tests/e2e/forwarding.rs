@@ -7,9 +7,8 @@ use tonic::{Code, Status};
 use wayfold::{Client, Credentials, Space};
 use wayfold_proto::v1::InsertRequest;
 use wayfold_tests::{
-    Process, ServerProcess, Signal, Stubs,
+    Process, ServerProcess, Signal, Stubs, insertion,
     nats::{Nats, member_settings},
-    row_states,
 };
 
 use crate::{
@@ -34,11 +33,7 @@ fn open_server() -> Command {
 }
 
 fn insert(at: f64) -> InsertRequest {
-    InsertRequest {
-        index_name: "arm".into(),
-        states: Some(row_states(&[at], 1)),
-        ..Default::default()
-    }
+    insertion("arm", &[at], 1)
 }
 
 /// Creates the index at the first server, and waits until all know it.

@@ -4,8 +4,7 @@ use futures_util::{StreamExt, stream};
 use tokio::{sync::oneshot, time::timeout};
 use tonic::Code;
 use tonic_health::pb::health_check_response::ServingStatus;
-use wayfold_proto::v1::InsertRequest;
-use wayfold_tests::{Refusal, Stubs, row_states, server};
+use wayfold_tests::{Refusal, Stubs, insertion, server};
 
 use crate::{health::health, journal_loss::MAX_WAIT};
 
@@ -26,11 +25,7 @@ async fn busy_connections_of_one_address_do_not_close_health_and_administration(
     let mut guest = Stubs::connect(server.uri()).await;
     guest.create("arm", "R1").await;
     assert_eq!(health(server.uri(), "").await, ServingStatus::Serving);
-    let insert = || InsertRequest {
-        index_name: "arm".to_owned(),
-        states: Some(row_states(&[0.5], 1)),
-        ..Default::default()
-    };
+    let insert = || insertion("arm", &[0.5], 1);
     let refused = Refusal::of(&guest.points.insert(insert()).await.unwrap_err());
     assert_eq!(refused.code, Code::ResourceExhausted);
     assert_eq!(refused.reason, "TOO_MANY_CALLS");

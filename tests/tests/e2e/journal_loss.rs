@@ -7,7 +7,7 @@ use std::{ops::Range, path::PathBuf, process::Command, time::Duration};
 use tempfile::TempDir;
 use tokio::time::timeout;
 use wayfold_proto::v1::InsertRequest;
-use wayfold_tests::{Content, Process, ServerProcess, Signal, Stubs, nats::Nats, row_states};
+use wayfold_tests::{Content, Process, ServerProcess, Signal, Stubs, insertion, nats::Nats};
 
 const KEPT: u64 = 50;
 const LOST: u64 = 300;
@@ -157,11 +157,9 @@ impl Cluster {
 /// Inserts a point. Its id is the operation too, so a repetition takes effect once.
 pub(crate) async fn insert(stubs: &mut Stubs, id: u64) -> Result<(), tonic::Status> {
     let request = InsertRequest {
-        index_name: "arm".into(),
-        states: Some(row_states(&[id as f64], 1)),
         ids: vec![id],
         operation_id: format!("insert {id}"),
-        ..Default::default()
+        ..insertion("arm", &[id as f64], 1)
     };
     stubs.points.insert(request).await.map(drop)
 }
@@ -289,11 +287,7 @@ async fn records_that_nats_loses_come_back_while_a_server_starts() {
     server.stop(Signal::Terminate);
     let other = cluster.start(1);
     let mut others = Stubs::connect(other.uri()).await;
-    let request = InsertRequest {
-        index_name: format!("leg-{number}"),
-        states: Some(row_states(&[0.5], 1)),
-        ..Default::default()
-    };
+    let request = insertion(&format!("leg-{number}"), &[0.5], 1);
     others.insert(request).await;
     other.stop(Signal::Kill);
     for revision in (KEPT + 1..=KEPT + LOST).rev() {

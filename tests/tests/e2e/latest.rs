@@ -6,9 +6,9 @@ use std::process::Command;
 use futures_util::{FutureExt, future::BoxFuture};
 use tokio::task::spawn_blocking;
 use wayfold::Index;
-use wayfold_proto::v1::{self, InsertRequest, knn_request::KForm, query_request::RadiusForm};
+use wayfold_proto::v1::{self, knn_request::KForm, query_request::RadiusForm};
 use wayfold_tests::{
-    Process, ServerProcess, Stubs,
+    Process, ServerProcess, Stubs, insertion,
     nats::{Nats, member_settings},
     row_states,
 };
@@ -27,12 +27,7 @@ fn start(nats: &str) -> ServerProcess {
 }
 
 async fn insert(stubs: &mut Stubs, index: &str, at: f64) -> Vec<u64> {
-    let request = InsertRequest {
-        index_name: index.to_owned(),
-        states: Some(row_states(&[at], 1)),
-        ..Default::default()
-    };
-    stubs.insert(request).await.ids
+    stubs.insert(insertion(index, &[at], 1)).await.ids
 }
 
 /// A read of the points at a state.

@@ -7,11 +7,9 @@ use tokio::time::timeout;
 use tonic::{Code, Status};
 use tonic_health::pb::health_check_response::ServingStatus;
 use wayfold::{Client, RetryPolicy};
-use wayfold_proto::v1::{
-    CreateIndexRequest, InsertRequest, ListIndexesRequest, create_index_request::SpaceForm,
-};
+use wayfold_proto::v1::{CreateIndexRequest, ListIndexesRequest, create_index_request::SpaceForm};
 use wayfold_tests::{
-    Refusal, ServerProcess, Signal, States, Stubs, figures::anonymous_bytes, row_states, server,
+    Refusal, ServerProcess, Signal, States, Stubs, figures::anonymous_bytes, insertion, server,
 };
 
 use crate::{health::health, metrics::figures};
@@ -41,11 +39,7 @@ struct Inserts {
 
 impl Inserts {
     async fn next(&mut self, name: &str) -> Result<(), Status> {
-        let request = InsertRequest {
-            index_name: name.into(),
-            states: Some(row_states(&self.rows, WIDTH)),
-            ..Default::default()
-        };
+        let request = insertion(name, &self.rows, WIDTH);
         self.stubs.points.insert(request).await.map(drop)
     }
 }

@@ -7,7 +7,7 @@ use tonic::{Code, Request, client::Grpc, codegen::http::uri::PathAndQuery, trans
 use tonic_prost::ProstCodec;
 use wayfold_proto::v1;
 use wayfold_tests::{
-    Process, Refusal, ServerProcess, Signal, Stubs, measuring, page, row_states, server,
+    Process, Refusal, ServerProcess, Signal, Stubs, insertion, measuring, page, row_states, server,
 };
 
 const KNNS: u64 = 37;
@@ -64,12 +64,7 @@ async fn the_counts_are_those_of_the_clients() {
     };
     stubs.points.open_session(session).await.unwrap();
     for _ in 0..INSERTS {
-        let request = v1::InsertRequest {
-            index_name: "arm".into(),
-            states: Some(row_states(&[1.0, 2.0], 1)),
-            ..Default::default()
-        };
-        stubs.insert(request).await;
+        stubs.insert(insertion("arm", &[1.0, 2.0], 1)).await;
     }
     for _ in 0..KNNS {
         stubs.points.knn(knn("arm")).await.unwrap();

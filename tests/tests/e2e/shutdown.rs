@@ -14,9 +14,10 @@ use tonic_health::pb::{
     health_client::HealthClient,
 };
 use wayfold_index::Space;
-use wayfold_proto::v1::{InsertRequest, KnnRequest, ScanRequest, knn_request::KForm};
+use wayfold_proto::v1::{KnnRequest, ScanRequest, knn_request::KForm};
 use wayfold_tests::{
-    Process, ServerProcess, Signal, States, Stubs, nats::member_settings, page, row_states, server,
+    Process, ServerProcess, Signal, States, Stubs, insertion, nats::member_settings, page,
+    row_states, server,
 };
 
 const ROWS: usize = 1_000;
@@ -26,11 +27,7 @@ async fn filled(stubs: &mut Stubs) -> States {
     stubs.create("roadmap", "R3*SO3:0.15").await;
     let mut states = States::new(Space::se3(), 11);
     for _ in 0..BATCHES {
-        let request = InsertRequest {
-            index_name: "roadmap".into(),
-            states: Some(row_states(&states.rows(ROWS), 7)),
-            ..Default::default()
-        };
+        let request = insertion("roadmap", &states.rows(ROWS), 7);
         stubs.insert(request).await;
     }
     states

@@ -10,7 +10,7 @@ use wayfold_proto::v1::{
     WatchRequest,
 };
 use wayfold_tests::{
-    ServerProcess, Signal, States, Stubs, figures::anonymous_bytes, row_states, server,
+    ServerProcess, Signal, States, Stubs, figures::anonymous_bytes, insertion, server,
 };
 
 use crate::{
@@ -123,10 +123,8 @@ impl Attack {
 /// A mutation.
 fn inserted(states: &mut States) -> InsertRequest {
     InsertRequest {
-        index_name: "arm".into(),
-        states: Some(row_states(&states.rows(ROWS), 3)),
         payloads: vec![vec![7; PAYLOAD_BYTES].into(); ROWS],
-        ..Default::default()
+        ..insertion("arm", &states.rows(ROWS), 3)
     }
 }
 
@@ -272,12 +270,7 @@ async fn the_parts_of_unread_snapshots_count_before_they_are_made() {
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create("arm", "R3").await;
     let rows = States::new("R3".parse().unwrap(), 19).rows(20_000);
-    let inserted = InsertRequest {
-        index_name: "arm".into(),
-        states: Some(row_states(&rows, 3)),
-        ..Default::default()
-    };
-    stubs.insert(inserted).await;
+    stubs.insert(insertion("arm", &rows, 3)).await;
     let request = SnapshotIndexRequest {
         index_name: "arm".into(),
         ..Default::default()

@@ -6,8 +6,7 @@ use bytes::{BufMut, Bytes, BytesMut};
 use http::{HeaderValue, Request, header};
 use prost::Message;
 use wayfold_proto::v1::{
-    CreateIndexRequest, InsertRequest, KnnRequest, create_index_request::SpaceForm,
-    knn_request::KForm,
+    CreateIndexRequest, KnnRequest, create_index_request::SpaceForm, knn_request::KForm,
 };
 use wayfold_server::{
     InProcess,
@@ -16,7 +15,7 @@ use wayfold_server::{
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
 };
-use wayfold_tests::{States, row_states};
+use wayfold_tests::{States, insertion, row_states};
 
 use crate::{Added, INDEX, K, POINTS, SPACE, TOKEN, WIDTH};
 
@@ -97,11 +96,7 @@ async fn service(round: usize) -> Service {
     let created = service.create_index(&Call::default(), create).await;
     created.expect("an index");
     let mut states = States::new(SPACE.parse().expect("a space"), round as u64);
-    let insert = InsertRequest {
-        index_name: INDEX.into(),
-        states: Some(row_states(&states.rows(POINTS), WIDTH)),
-        ..Default::default()
-    };
+    let insert = insertion(INDEX, &states.rows(POINTS), WIDTH);
     let inserted = service.insert(&Call::default(), insert).await;
     inserted.expect("points");
     service

@@ -16,11 +16,11 @@ use tokio::{
 };
 use wayfold::Client;
 use wayfold_index::Space;
-use wayfold_proto::v1::{InsertRequest, KnnRequest, knn_request::KForm};
+use wayfold_proto::v1::{KnnRequest, knn_request::KForm};
 use wayfold_tests::{
     Process, ServerProcess, States,
     figures::{peak_resident_bytes, processor_seconds, reset_peak, resident_bytes},
-    measuring, row_states,
+    insertion, measuring, row_states,
 };
 
 use crate::{
@@ -215,11 +215,7 @@ pub(crate) fn knn_frames(count: usize, rows: usize, k: u32) -> Arc<Vec<Bytes>> {
 /// An insert of this number of rows as it is sent.
 pub(crate) fn insert_frame(rows: usize) -> Bytes {
     let drawn = States::new(space(), 3).rows(rows);
-    wire::frame(&InsertRequest {
-        index_name: INDEX.into(),
-        states: Some(row_states(&drawn, WIDTH)),
-        ..Default::default()
-    })
+    wire::frame(&insertion(INDEX, &drawn, WIDTH))
 }
 
 /// Splits `KEY=VALUE`.

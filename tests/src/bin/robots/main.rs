@@ -14,13 +14,11 @@ use std::{path::PathBuf, process::ExitCode};
 use clap::Parser;
 use serde_json::json;
 use wayfold_index::Space;
-use wayfold_proto::v1::InsertRequest;
 use wayfold_tests::{
     States, Stubs,
     figures::{median, quantile_ms},
-    measuring,
+    insertion, measuring,
     report::Report,
-    row_states,
 };
 
 use searcher::{Form, Searcher};
@@ -77,12 +75,7 @@ async fn measure(arguments: &Arguments) -> Report {
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create(INDEX, SPACE).await;
     for rows in rows.chunks(BATCH * WIDTH) {
-        let request = InsertRequest {
-            index_name: INDEX.into(),
-            states: Some(row_states(rows, WIDTH)),
-            ..Default::default()
-        };
-        stubs.insert(request).await;
+        stubs.insert(insertion(INDEX, rows, WIDTH)).await;
     }
     let rounds = arguments.rounds.max(1);
     let contestants = [

@@ -4,10 +4,9 @@ use std::collections::BTreeMap;
 
 use tokio::sync::watch;
 use wayfold_proto::v1::{
-    CreateIndexRequest, DeleteIndexRequest, InsertRequest, ListIndexesRequest,
-    create_index_request::SpaceForm,
+    CreateIndexRequest, DeleteIndexRequest, ListIndexesRequest, create_index_request::SpaceForm,
 };
-use wayfold_tests::{Stubs, row_states};
+use wayfold_tests::{Stubs, insertion};
 
 /// A client that creates and deletes indices. The state of the last one may be unknown to it.
 #[derive(Default)]
@@ -38,11 +37,7 @@ impl Builder {
                     ..Default::default()
                 };
                 let created = stubs.indexes.create_index(request).await.is_ok();
-                let row = InsertRequest {
-                    index_name: name.clone(),
-                    states: Some(row_states(&[1.0, 2.0], 2)),
-                    ..Default::default()
-                };
+                let row = insertion(&name, &[1.0, 2.0], 2);
                 created && stubs.points.insert(row).await.is_ok()
             };
             if !done {

@@ -1,7 +1,6 @@
 //! The server's report of a failed disk to an operator.
 
-use wayfold_proto::v1::InsertRequest;
-use wayfold_tests::{Process, ProcessOutput, Signal, Stubs, row_states};
+use wayfold_tests::{Process, ProcessOutput, Signal, Stubs, insertion};
 
 use super::{RECOVERED, check_refusals, disk::Disk};
 
@@ -27,11 +26,7 @@ async fn one_line_says_that_it_began_and_one_that_it_ended() {
     }
     disk.fail("full 28");
     for write in 0..WRITES {
-        let request = InsertRequest {
-            index_name: format!("arm-{}", write % INDEXES),
-            states: Some(row_states(&[1.0, 2.0], 2)),
-            ..Default::default()
-        };
+        let request = insertion(&format!("arm-{}", write % INDEXES), &[1.0, 2.0], 2);
         check_refusals(&[stubs.points.insert(request).await.unwrap_err()]);
     }
     let finished = insert(server.uri(), "1,2");
