@@ -1,13 +1,14 @@
 //! The room, the eight bodies, and their collision check.
 
 use parry3d_f64::{
-    math::{Pose, Rotation, Vector},
+    math::{Pose, Vector},
     query::details::{distance_support_map_support_map, intersection_test_cuboid_cuboid},
     shape::Cuboid,
 };
 use wayfold::Space;
 
 use crate::planning::{
+    body::{self, Block, ROTATION_WEIGHT, block, is_inside, margin, pose},
     path::{TOUCHING, Verify},
     pose::between,
     problem::{Problem, Setting},
@@ -18,9 +19,6 @@ pub const BODIES: usize = 8;
 
 /// The number of coordinates of one body's pose.
 const POSE: usize = 7;
-
-/// The paper's weight of rotations, which are measured by half their angle.
-const ROTATION_WEIGHT: f64 = 0.15;
 
 /// The room's length, width and height.
 pub const ROOM: [f64; 3] = [13.0, 8.0, 6.0];
@@ -37,23 +35,12 @@ const RADIUS: f64 = 0.59;
 /// The distance between the states at which a motion is checked.
 const RESOLUTION: f64 = 0.08;
 
-/// An axis-aligned box: its lower and upper corner.
-pub type Obstacle = ([f64; 3], [f64; 3]);
-
 /// Pillars.
-pub const OBSTACLES: [Obstacle; 3] = [
+pub const OBSTACLES: [Block; 3] = [
     ([6.1, 3.6, 0.0], [6.9, 4.4, 6.0]),
     ([4.0, 0.0, 0.0], [4.6, 0.9, 6.0]),
     ([8.4, 7.1, 0.0], [9.0, 8.0, 6.0]),
 ];
-
-/// The farthest that a point of a body moves between a state of a motion and the nearest checked state. Half a
-/// resolution is divided between translation and rotation, and a point at the radius r moves by 2r for each unit of a
-/// rotation's distance. The planner checks bodies that are thicker by this margin on all sides.
-fn margin() -> f64 {
-    let turning = 2.0 * RADIUS / ROTATION_WEIGHT.sqrt();
-    RESOLUTION / 2.0 * 1.0_f64.hypot(turning)
-}
 
 /// The problem: four bodies at each end of the room change places with those at the other end.
 pub struct Room {
@@ -66,7 +53,7 @@ impl Room {
     pub fn new() -> Room {
         let text = format!("(R3*SO3:{ROTATION_WEIGHT})^{BODIES}");
         let space: Space = text.parse().expect("the text of a space");
-        let margin = margin();
+        let margin = margin(RADIUS, RESOLUTION);
         let inside = RADIUS + margin;
         let bounds = ROOM.map(|side| (inside, side - inside));
         let place = |body: usize| {
@@ -106,31 +93,14 @@ impl Room {
     }
 }
 
-/// The pillars: their centres and shapes.
-fn pillars() -> [(Vector, Cuboid); OBSTACLES.len()] {
-    OBSTACLES.map(|(low, high)| {
-        let (low, high) = (Vector::from(low), Vector::from(high));
-        ((low + high) / 2.0, Cuboid::new((high - low) / 2.0))
-    })
-}
-
 /// The bars of a body: their poses in it and their shapes, thicker by the margin on all sides.
 pub fn parts(margin: f64) -> [(Pose, Cuboid); 2] {
-    PARTS.map(|(center, half)| {
-        let shape = Cuboid::new(Vector::from(half) + Vector::splat(margin));
-        (Pose::from_translation(Vector::from(center)), shape)
-    })
+    body::parts(PARTS, margin)
 }
 
 /// The poses of the bodies in a state.
 pub fn poses(state: &[f64]) -> Vec<Pose> {
-    let poses = state.chunks_exact(POSE);
-    poses
-        .map(|row| {
-            let rotation = Rotation::from_xyzw(row[3], row[4], row[5], row[6]);
-            Pose::from_parts(Vector::new(row[0], row[1], row[2]), rotation)
-        })
-        .collect()
+    state.chunks_exact(POSE).map(pose).collect()
 }
 
 impl Problem for Room {
@@ -141,7 +111,7 @@ impl Problem for Room {
     /// Tests pairs of boxes for a separating axis, where bodies can reach anything. The bounds of the space keep bodies
     /// away from walls, floor and ceiling.
     fn is_free(&self, state: &[f64]) -> bool {
-        let (poses, parts, pillars) = (poses(state), parts(self.margin), pillars());
+        let (poses, parts, pillars) = (poses(state), parts(self.margin), OBSTACLES.map(block));
         let bounding_radius = RADIUS + self.margin * 3.0_f64.sqrt();
         let hits = |pose: &Pose, other: &Pose, shape: &Cuboid| {
             parts.iter().any(|(at, part)| {
@@ -149,10 +119,10 @@ impl Problem for Room {
             })
         };
         poses.iter().enumerate().all(|(body, pose)| {
-            let clear_of_pillars = pillars.iter().all(|(center, pillar)| {
-                let outside = (pose.translation - *center).abs() - pillar.half_extents;
+            let clear_of_pillars = pillars.iter().all(|(place, pillar)| {
+                let outside = (pose.translation - place.translation).abs() - pillar.half_extents;
                 let far = outside.max(Vector::ZERO).length() >= bounding_radius;
-                far || !hits(pose, &Pose::from_translation(*center), pillar)
+                far || !hits(pose, place, pillar)
             });
             clear_of_pillars
                 && poses[..body].iter().all(|other| {
@@ -179,7 +149,7 @@ impl Verify for Room {
     /// finds the bar away from each pillar and from each bar of another body. The planner instead uses separating axes,
     /// and skips everything that its bounding spheres do not reach.
     fn is_free_between(&self, a: &[f64], b: &[f64], t: f64) -> bool {
-        let (bars, pillars) = (parts(0.0), pillars());
+        let (bars, pillars) = (parts(0.0), OBSTACLES.map(block));
         let apart = |a: &Pose, shape: &Cuboid, b: &Pose, other: &Cuboid| {
             distance_support_map_support_map(&a.inv_mul(b), shape, other) > TOUCHING
         };
@@ -192,23 +162,10 @@ impl Verify for Room {
             .collect();
         bodies.iter().enumerate().all(|(body, bars)| {
             bars.iter().all(|(at, bar)| {
-                let mut others = bodies[..body].iter().flatten();
-                is_inside(at, bar)
-                    && pillars.iter().all(|(center, pillar)| {
-                        apart(at, bar, &Pose::from_translation(*center), pillar)
-                    })
+                let mut others = bodies[..body].iter().flatten().chain(&pillars);
+                is_inside(at, bar, ROOM)
                     && others.all(|(place, other)| apart(at, bar, place, other))
             })
         })
     }
-}
-
-/// True if all corners of a box are inside the room.
-fn is_inside(at: &Pose, shape: &Cuboid) -> bool {
-    let half = shape.half_extents;
-    (0..8).all(|corner| {
-        let side = |axis: usize| if corner >> axis & 1 == 0 { -1.0 } else { 1.0 };
-        let corner = at.transform_point(half * Vector::new(side(0), side(1), side(2)));
-        (0..3).all(|axis| (0.0..=ROOM[axis]).contains(&corner[axis]))
-    })
 }

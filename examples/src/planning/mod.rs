@@ -7,6 +7,7 @@
 //! workers and reading their messages) and `shared_trees` (RRTConCon by several workers together).
 
 pub mod account;
+pub mod body;
 pub mod comparison;
 pub mod drawing;
 pub mod error;

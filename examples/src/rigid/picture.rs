@@ -11,10 +11,11 @@ use plotters::{
 use super::{
     build::{Answer, Built},
     roadmap::Roadmap,
-    scene::{self, Block, DOOR_WALL, FURNITURE, Rooms, SIDES, WINDOW_WALL},
+    scene::{self, DOOR_WALL, FURNITURE, Rooms, SIDES, WINDOW_WALL},
     solid::{self, DEPTH, Projection, Solid},
 };
 use crate::planning::{
+    body::{self, Block},
     drawing::{self, Area, DARK, DrawingError, FONT_SIZES, PALE, WORKERS, letters, write},
     error::PlanningError,
     path,
@@ -73,7 +74,7 @@ fn rooms(
         let states = path::spread(scene, path, count);
         let end = states.len().saturating_sub(1).max(1) as f64;
         for (at, state) in states.iter().enumerate() {
-            let pose = scene::pose(state);
+            let pose = body::pose(state);
             solids.push(Solid {
                 boxes: scene::parts(0.0)
                     .map(|(part, shape)| (pose * part, shape))
@@ -88,7 +89,7 @@ fn rooms(
     let walls = DOOR_WALL.iter().chain(&WINDOW_WALL);
     let walls = walls.map(|&block| (block, RGBColor(150, 160, 178), 0.42));
     let standing = |(block, color, opacity): (Block, RGBColor, f64)| Solid {
-        boxes: vec![solid::block(block)],
+        boxes: vec![body::block(block)],
         color,
         opacity,
         outline: DARK,

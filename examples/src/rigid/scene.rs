@@ -1,26 +1,21 @@
 //! Three rooms, a chair that is carried through them, and its collision check.
 
 use parry3d_f64::{
-    math::{Pose, Rotation, Vector},
+    math::{Pose, Vector},
     query::details::{distance_support_map_support_map, intersection_test_cuboid_cuboid},
     shape::Cuboid,
 };
 use wayfold::Space;
 
 use crate::planning::{
+    body::{self, Block, ROTATION_WEIGHT, block, is_inside, margin, pose},
     path::{TOUCHING, Verify},
     pose::between,
     problem::{Problem, Setting},
 };
 
-/// The paper's weight of rotations, which are measured by half their angle.
-const ROTATION_WEIGHT: f64 = 0.15;
-
 /// Length, depth and height of all three rooms together.
 pub const SIDES: [f64; 3] = [10.0, 6.0, 4.0];
-
-/// A box: its lower and upper corner.
-pub type Block = ([f64; 3], [f64; 3]);
 
 /// The wall with a door.
 pub const DOOR_WALL: [Block; 3] = [
@@ -79,17 +74,9 @@ pub struct Task {
 /// The problem.
 pub struct Rooms {
     setting: Setting,
-    obstacles: Vec<(Vector, Cuboid)>,
+    obstacles: Vec<(Pose, Cuboid)>,
     tasks: Vec<Task>,
     margin: f64,
-}
-
-/// The farthest that a point of the chair moves between a state of a motion and the nearest checked state. Half a
-/// resolution is divided between translation and rotation, and a point at the radius r moves by 2r for each unit of a
-/// rotation's distance. The planner checks a chair that is thicker by this margin on all sides.
-fn margin() -> f64 {
-    let turning = 2.0 * RADIUS / ROTATION_WEIGHT.sqrt();
-    RESOLUTION / 2.0 * 1.0_f64.hypot(turning)
 }
 
 impl Rooms {
@@ -127,10 +114,6 @@ impl Rooms {
             task("from the top of the shelf to the table", 3, 2),
         ];
         let blocks = DOOR_WALL.iter().chain(&WINDOW_WALL).chain(&FURNITURE);
-        let obstacles = blocks.map(|&(low, high)| {
-            let (low, high) = (Vector::from(low), Vector::from(high));
-            ((low + high) / 2.0, Cuboid::new((high - low) / 2.0))
-        });
         Rooms {
             setting: Setting {
                 // Nearer to the outer walls, the chair touches them in almost every orientation.
@@ -139,9 +122,9 @@ impl Rooms {
                 goal: tasks[0].goal.clone(),
                 space,
             },
-            obstacles: obstacles.collect(),
+            obstacles: blocks.copied().map(block).collect(),
             tasks,
-            margin: margin(),
+            margin: margin(RADIUS, RESOLUTION),
         }
     }
 
@@ -153,25 +136,7 @@ impl Rooms {
 
 /// The parts of the chair: their poses in it and their shapes, thicker by the margin on all sides.
 pub fn parts(margin: f64) -> [(Pose, Cuboid); 6] {
-    PARTS.map(|(center, half)| {
-        let shape = Cuboid::new(Vector::from(half) + Vector::splat(margin));
-        (Pose::from_translation(Vector::from(center)), shape)
-    })
-}
-
-/// The pose of the chair in a state.
-pub fn pose(row: &[f64]) -> Pose {
-    let rotation = Rotation::from_xyzw(row[3], row[4], row[5], row[6]);
-    Pose::from_parts(Vector::new(row[0], row[1], row[2]), rotation)
-}
-
-/// The corners of a box.
-pub fn corners(at: &Pose, shape: &Cuboid) -> [Vector; 8] {
-    let half = shape.half_extents;
-    std::array::from_fn(|corner| {
-        let side = |axis: usize| if corner >> axis & 1 == 0 { -1.0 } else { 1.0 };
-        at.transform_point(half * Vector::new(side(0), side(1), side(2)))
-    })
+    body::parts(PARTS, margin)
 }
 
 impl Problem for Rooms {
@@ -195,13 +160,12 @@ impl Problem for Rooms {
             return false;
         }
         let bounding_radius = RADIUS + self.margin * 3.0_f64.sqrt();
-        self.obstacles.iter().all(|(center, block)| {
-            let outside = (pose.translation - *center).abs() - block.half_extents;
+        self.obstacles.iter().all(|(place, block)| {
+            let outside = (pose.translation - place.translation).abs() - block.half_extents;
             let far = outside.max(Vector::ZERO).length() > bounding_radius;
-            let place = Pose::from_translation(*center);
             far || !parts
                 .iter()
-                .any(|(at, part)| intersection_test_cuboid_cuboid(&at.inv_mul(&place), part, block))
+                .any(|(at, part)| intersection_test_cuboid_cuboid(&at.inv_mul(place), part, block))
         })
     }
 
@@ -223,12 +187,9 @@ impl Verify for Rooms {
         let pose = between(a, b, t);
         parts(0.0).iter().all(|(at, part)| {
             let at = pose * *at;
-            let inside = corners(&at, part)
-                .iter()
-                .all(|corner| (0..3).all(|axis| (0.0..=SIDES[axis]).contains(&corner[axis])));
-            inside
-                && self.obstacles.iter().all(|(center, block)| {
-                    let there = at.inv_mul(&Pose::from_translation(*center));
+            is_inside(&at, part, SIDES)
+                && self.obstacles.iter().all(|(place, block)| {
+                    let there = at.inv_mul(place);
                     distance_support_map_support_map(&there, part, block) > TOUCHING
                 })
         })

@@ -9,8 +9,10 @@ use plotters::{
     style::Color,
 };
 
-use super::scene::{Block, corners};
-use crate::planning::drawing::{Area, DrawingError};
+use crate::planning::{
+    body::corners,
+    drawing::{Area, DrawingError},
+};
 
 /// An oblique projection: x to the right, z upwards, y into the depth.
 #[derive(Clone, Copy)]
@@ -50,13 +52,6 @@ pub struct Solid {
     pub opacity: f64,
     /// The colour of its edges.
     pub outline: RGBColor,
-}
-
-/// An axis-aligned box.
-pub fn block((low, high): Block) -> (Pose, Cuboid) {
-    let (low, high) = (Vector::from(low), Vector::from(high));
-    let at = Pose::from_translation((low + high) / 2.0);
-    (at, Cuboid::new((high - low) / 2.0))
 }
 
 impl Solid {
