@@ -1,6 +1,6 @@
 //! The common parts of all pictures: colours, the lines of a tree, bodies along a path, and the panels of figures.
 
-use std::{fs, io, path::Path};
+use std::{fs, io, iter, path::Path};
 
 use plotters::{
     chart::ChartContext,
@@ -160,17 +160,9 @@ pub fn walk(tree: &Tree, project: impl Fn(&[f64]) -> (f64, f64)) -> Vec<(f64, f6
             children[parent].push(node);
         }
     }
-    let mut line = Vec::new();
-    let mut next = (!children.is_empty()).then_some(0);
-    while let Some(node) = next {
-        let place = project(tree.states.row(node));
-        if is_straight(&line, place) {
-            line.pop();
-        }
-        line.push(place);
-        next = children[node].pop().or(tree.parents[node]);
-    }
-    line
+    let root = (!children.is_empty()).then_some(0);
+    let nodes = iter::successors(root, |&node| children[node].pop().or(tree.parents[node]));
+    straightened(nodes.map(|node| project(tree.states.row(node))))
 }
 
 /// A tree as lines through nodes, each in one colour: the colour of all its nodes except the first, from which the line
