@@ -3,8 +3,8 @@
 use tonic::transport::{Channel, Endpoint};
 use wayfold_proto::v1::{
     self, CreateIndexRequest, DeleteIndexRequest, GetIndexRequest, GetRequest, InsertRequest,
-    InsertResponse, Neighbors, create_index_request::SpaceForm,
-    index_service_client::IndexServiceClient, neighbor_spec,
+    InsertResponse, KnnRequest, Neighbors, create_index_request::SpaceForm,
+    index_service_client::IndexServiceClient, knn_request, neighbor_spec,
     point_service_client::PointServiceClient,
 };
 
@@ -169,6 +169,16 @@ pub fn insertion(index: &str, rows: &[f64], coordinates: usize) -> InsertRequest
     InsertRequest {
         index_name: index.to_owned(),
         states: Some(row_states(rows, coordinates)),
+        ..Default::default()
+    }
+}
+
+/// A search for the k nearest of each row of coordinates.
+pub fn nearest(index: &str, rows: &[f64], coordinates: usize, k: u32) -> KnnRequest {
+    KnnRequest {
+        index_name: index.to_owned(),
+        states: Some(row_states(rows, coordinates)),
+        k_form: Some(knn_request::KForm::K(k)),
         ..Default::default()
     }
 }

@@ -5,12 +5,10 @@ use std::time::Duration;
 use tokio_stream::iter;
 use tonic::{Code, Request};
 use wayfold_index::Space;
-use wayfold_proto::v1::{
-    InsertRequest, KnnRequest, StreamKnnRequest, knn_request::KForm, stream_knn_response,
-};
+use wayfold_proto::v1::{InsertRequest, KnnRequest, StreamKnnRequest, stream_knn_response};
 use wayfold_tests::{
-    Content, Refusal, ServerProcess, Signal, States, Stubs, insertion, k_nearest, number,
-    row_states, server,
+    Content, Refusal, ServerProcess, Signal, States, Stubs, insertion, k_nearest, nearest, number,
+    server,
 };
 
 /// A search in this many dimensions looks at most of the points.
@@ -38,12 +36,7 @@ fn insert(states: &mut States, rows: usize) -> InsertRequest {
 }
 
 fn knn(states: &mut States, rows: usize) -> KnnRequest {
-    KnnRequest {
-        index_name: "roadmap".into(),
-        states: Some(row_states(&states.rows(rows), WIDTH)),
-        k_form: Some(KForm::K(1)),
-        ..Default::default()
-    }
+    nearest("roadmap", &states.rows(rows), WIDTH, 1)
 }
 
 fn within<T>(deadline_ms: u64, message: T) -> Request<T> {

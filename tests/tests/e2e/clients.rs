@@ -13,10 +13,7 @@ use tokio::{
     task::{JoinHandle, JoinSet},
 };
 use tonic::Status;
-use wayfold_proto::v1::{KnnRequest, knn_request::KForm};
-use wayfold_tests::{
-    Content, Model, ServerProcess, Signal, States, Stubs, ledger::Entry, row_states,
-};
+use wayfold_tests::{Content, Model, ServerProcess, Signal, States, Stubs, ledger::Entry, nearest};
 
 use builder::Builder;
 use reader::{Reader, ReaderAnswer};
@@ -265,12 +262,7 @@ impl Clients {
             panic!("a reader saw {:?}, the newest is {newest}", seen.at());
         }
         self.model.check_content(&content);
-        let request = KnnRequest {
-            index_name: "arm".into(),
-            states: Some(row_states(&self.probes.rows(20), COORDINATES)),
-            k_form: Some(KForm::K(10)),
-            ..Default::default()
-        };
+        let request = nearest("arm", &self.probes.rows(20), COORDINATES, 10);
         let answer = stubs.points.knn(request.clone()).await.unwrap();
         self.model.knn(&request, &answer.into_inner());
         // Each acknowledged call that changed something made its own revision, and there are no other revisions.

@@ -7,7 +7,7 @@ use tonic::{Code, Request, client::Grpc, codegen::http::uri::PathAndQuery, trans
 use tonic_prost::ProstCodec;
 use wayfold_proto::v1;
 use wayfold_tests::{
-    Process, Refusal, ServerProcess, Signal, Stubs, insertion, measuring, page, row_states, server,
+    Process, Refusal, ServerProcess, Signal, Stubs, insertion, measuring, nearest, page, server,
 };
 
 const KNNS: u64 = 37;
@@ -52,12 +52,7 @@ async fn the_counts_are_those_of_the_clients() {
     let address = server.pages();
     let mut stubs = Stubs::connect(server.uri()).await;
     let uid = stubs.create("arm", "R1").await.revision.unwrap().uid;
-    let knn = |index: &str| v1::KnnRequest {
-        index_name: index.into(),
-        states: Some(row_states(&[0.0], 1)),
-        k_form: Some(v1::knn_request::KForm::K(1)),
-        ..Default::default()
-    };
+    let knn = |index: &str| nearest(index, &[0.0], 1, 1);
     let session = v1::OpenSessionRequest {
         index_name: "arm".into(),
         ..Default::default()

@@ -14,10 +14,10 @@ use tonic_health::pb::{
     health_client::HealthClient,
 };
 use wayfold_index::Space;
-use wayfold_proto::v1::{KnnRequest, ScanRequest, knn_request::KForm};
+use wayfold_proto::v1::{KnnRequest, ScanRequest};
 use wayfold_tests::{
-    Process, ServerProcess, Signal, States, Stubs, insertion, nats::member_settings, page,
-    row_states, server,
+    Process, ServerProcess, Signal, States, Stubs, insertion, nats::member_settings, nearest, page,
+    server,
 };
 
 const ROWS: usize = 1_000;
@@ -34,12 +34,7 @@ async fn filled(stubs: &mut Stubs) -> States {
 }
 
 fn knn(states: &mut States, rows: usize) -> KnnRequest {
-    KnnRequest {
-        index_name: "roadmap".into(),
-        states: Some(row_states(&states.rows(rows), 7)),
-        k_form: Some(KForm::K(100)),
-        ..Default::default()
-    }
+    nearest("roadmap", &states.rows(rows), 7, 100)
 }
 
 /// A watch on the server's health, which has said that it serves.

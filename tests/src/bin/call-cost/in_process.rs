@@ -5,9 +5,7 @@ use std::{path::Path, sync::Arc, time::Instant};
 use bytes::{BufMut, Bytes, BytesMut};
 use http::{HeaderValue, Request, header};
 use prost::Message;
-use wayfold_proto::v1::{
-    CreateIndexRequest, KnnRequest, create_index_request::SpaceForm, knn_request::KForm,
-};
+use wayfold_proto::v1::{CreateIndexRequest, create_index_request::SpaceForm};
 use wayfold_server::{
     InProcess,
     config::Config,
@@ -15,7 +13,7 @@ use wayfold_server::{
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
 };
-use wayfold_tests::{States, insertion, row_states};
+use wayfold_tests::{States, insertion, nearest};
 
 use crate::{Added, INDEX, K, POINTS, SPACE, TOKEN, WIDTH};
 
@@ -107,12 +105,7 @@ fn requests(round: usize, with_token: bool) -> Vec<Request<Bytes>> {
     const COMPRESSION: u8 = 0;
     let mut states = States::new(SPACE.parse().expect("a space"), 1_000 + round as u64);
     let request = |_| {
-        let knn = KnnRequest {
-            index_name: INDEX.into(),
-            states: Some(row_states(&states.row(), WIDTH)),
-            k_form: Some(KForm::K(K)),
-            ..Default::default()
-        };
+        let knn = nearest(INDEX, &states.row(), WIDTH, K);
         let mut framed = BytesMut::new();
         framed.put_u8(COMPRESSION);
         framed.put_u32(knn.encoded_len() as u32);

@@ -12,13 +12,11 @@ use std::{
 };
 
 use tokio::time::interval;
-use wayfold_proto::v1::{KnnRequest, knn_request::KForm};
 use wayfold_tests::{
     States, Stubs,
     figures::{quantile_ms, resident_bytes},
-    measuring,
+    measuring, nearest,
     report::Report,
-    row_states,
 };
 
 use crate::{
@@ -160,12 +158,7 @@ async fn ask(mut stubs: Stubs, queries: bool, loaded: Arc<AtomicBool>) -> Vec<Ti
         let row = states.row();
         let began;
         if queries {
-            let request = KnnRequest {
-                index_name: INDEX.into(),
-                states: Some(row_states(&row, WIDTH)),
-                k_form: Some(KForm::K(K)),
-                ..Default::default()
-            };
+            let request = nearest(INDEX, &row, WIDTH, K);
             began = Instant::now();
             stubs.points.knn(request).await.expect("an answer");
         } else {

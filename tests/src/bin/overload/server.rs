@@ -16,11 +16,11 @@ use tokio::{
 };
 use wayfold::Client;
 use wayfold_index::Space;
-use wayfold_proto::v1::{KnnRequest, knn_request::KForm};
+use wayfold_proto::v1::KnnRequest;
 use wayfold_tests::{
     Process, ServerProcess, States,
     figures::{peak_resident_bytes, processor_seconds, reset_peak, resident_bytes},
-    insertion, measuring, row_states,
+    insertion, measuring, nearest,
 };
 
 use crate::{
@@ -198,13 +198,8 @@ pub(crate) fn space() -> Space {
 /// `count` different requests for the k nearest of `rows` states each.
 pub(crate) fn knn(count: usize, rows: usize, k: u32) -> Vec<KnnRequest> {
     let drawn = States::new(space(), 2).rows(count * rows);
-    let requests = drawn.chunks(rows * WIDTH).map(|rows| KnnRequest {
-        index_name: INDEX.into(),
-        states: Some(row_states(rows, WIDTH)),
-        k_form: Some(KForm::K(k)),
-        ..Default::default()
-    });
-    requests.collect()
+    let rows = drawn.chunks(rows * WIDTH);
+    rows.map(|rows| nearest(INDEX, rows, WIDTH, k)).collect()
 }
 
 /// Such requests as they are sent.

@@ -6,8 +6,8 @@ use prost::Message;
 use serde_json::{Value, json};
 use tokio::task::JoinSet;
 use wayfold_index::Space;
-use wayfold_proto::v1::{KnnRequest, KnnResponse, knn_request::KForm};
-use wayfold_tests::{States, figures::processor_seconds, row_states};
+use wayfold_proto::v1::KnnResponse;
+use wayfold_tests::{States, figures::processor_seconds, nearest};
 use zenoh::{Session, bytes::Encoding};
 
 use crate::{INDEX, K, WIDTH};
@@ -56,13 +56,7 @@ impl Searcher {
     pub(crate) fn new(space: &Space, form: Form, seed: u64) -> Self {
         let rows = States::new(space.clone(), 100 + seed).rows(POOL);
         let payloads = rows.chunks(WIDTH).map(|row| match form {
-            Form::Protobuf => KnnRequest {
-                index_name: INDEX.into(),
-                states: Some(row_states(row, WIDTH)),
-                k_form: Some(KForm::K(K)),
-                ..Default::default()
-            }
-            .encode_to_vec(),
+            Form::Protobuf => nearest(INDEX, row, WIDTH, K).encode_to_vec(),
             Form::Json => json!({ "states": [row], "k": K }).to_string().into_bytes(),
         });
         Self {
