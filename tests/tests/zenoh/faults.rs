@@ -2,7 +2,7 @@
 
 use serde_json::json;
 use wayfold_proto::v1;
-use wayfold_tests::{Content, Process, Signal, Stubs};
+use wayfold_tests::{Content, Signal, Stubs};
 use zenoh::{
     bytes::Encoding,
     handlers::FifoChannelHandler,
@@ -13,7 +13,7 @@ use zenoh::{
 use crate::{
     feed::{self, catch_up, insertion, next, subscribe},
     follower::Follower,
-    robot::{Robot, router, server_at, server_with},
+    robot::{Robot, router, server_at, server_behind, server_with},
 };
 
 type Tokens = Subscriber<FifoChannelHandler<Sample>>;
@@ -75,13 +75,8 @@ async fn a_server_that_is_killed_and_comes_back_is_found_again_with_its_past() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_router_that_is_killed_and_comes_back_is_no_loss() {
-    let program = env!("CARGO_BIN_EXE_router-process");
-    let mut router = Process::start(program, &["tcp/127.0.0.1:0"]);
-    let at = router.line().unwrap();
-    let retry = json!({ "period_init_ms": 20, "period_max_ms": 100 });
-    let behind = json!({ "mode": "client", "connect": { "endpoints": [at], "retry": retry } });
-    let behind = behind.to_string();
-    let (server, _) = server_with(&[], &[("WAYFOLD_ZENOH__CONFIG", &behind)]);
+    let (mut router_process, at) = router("tcp/127.0.0.1:0");
+    let server = server_behind(&at, &[], &[]);
     let mut stubs = Stubs::connect(server.uri()).await;
     let uid = feed::uid(stubs.create("arm", "R2").await);
     let robot = Robot::connect(&at).await;
@@ -102,11 +97,12 @@ async fn a_router_that_is_killed_and_comes_back_is_no_loss() {
             robot.all(key, payload, Encoding::APPLICATION_JSON).await
         };
         let (first, ()) = tokio::join!(insert(), async {
-            router.stop(Signal::Kill);
+            router_process.stop(Signal::Kill);
         });
         until(&tokens, SampleKind::Delete).await;
-        router = Process::start(program, &[&at]);
-        assert_eq!(router.line().as_ref(), Some(&at));
+        let (restarted, place) = router(&at);
+        assert_eq!(place, at);
+        router_process = restarted;
         until(&tokens, SampleKind::Put).await;
         let again = insert().await.remove(0).unwrap().json();
         assert_eq!(again["outcomes"], json!(["INSERTED"]));

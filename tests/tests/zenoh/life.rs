@@ -7,7 +7,7 @@ use tokio::task::JoinSet;
 use wayfold_tests::{Process, Signal};
 use zenoh::{bytes::Encoding, query::ConsolidationMode};
 
-use crate::robot::{MAX_WAIT, Robot, reason, server, server_with};
+use crate::robot::{MAX_WAIT, Robot, reason, router, server, server_with};
 
 /// The number of times that a server is stopped, unless the environment variable `ZENOH_STOPS` sets another.
 fn stops() -> usize {
@@ -183,8 +183,7 @@ async fn two_robots_with_prefixes_of_their_own_share_a_router() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn servers_that_share_a_prefix_warn_of_each_other() {
-    let mut router = Process::start(env!("CARGO_BIN_EXE_router-process"), &["tcp/127.0.0.1:0"]);
-    let at = router.line().unwrap();
+    let (_router, at) = router("tcp/127.0.0.1:0");
     let behind = json!({ "mode": "client", "connect": { "endpoints": [at] } }).to_string();
     let start = |prefix| {
         let settings = [

@@ -43,11 +43,12 @@ pub(crate) fn router(at: &str) -> (Process, String) {
 }
 
 /// A server whose only Zenoh link is to the router at `at`.
-pub(crate) fn server_behind(at: &str, data: &[&str], setting: (&str, &str)) -> ServerProcess {
+pub(crate) fn server_behind(at: &str, data: &[&str], settings: &[(&str, &str)]) -> ServerProcess {
     let retry = json!({ "period_init_ms": 20, "period_max_ms": 100 });
     let behind = json!({ "mode": "client", "connect": { "endpoints": [at], "retry": retry } });
     let behind = behind.to_string();
-    server_with(data, &[("WAYFOLD_ZENOH__CONFIG", &behind), setting]).0
+    let settings = [&[("WAYFOLD_ZENOH__CONFIG", &*behind)][..], settings].concat();
+    server_with(data, &settings).0
 }
 
 /// A session that finds no peer by itself.

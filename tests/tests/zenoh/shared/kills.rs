@@ -26,7 +26,7 @@ async fn every_write_is_there_once_after_kills_of_server_and_router() {
     let space: Space = SPACE.parse().unwrap();
     let mut random = ChaCha8Rng::seed_from_u64(SEED);
     let (mut router_process, at) = router("tcp/127.0.0.1:0");
-    let start = || server_behind(&at, &data, ("WAYFOLD_INDEX__GROWING_ROWS", "32"));
+    let start = || server_behind(&at, &data, &[("WAYFOLD_INDEX__GROWING_ROWS", "32")]);
     let mut server = start();
 
     let way = Proxy::to(server.uri()).await;

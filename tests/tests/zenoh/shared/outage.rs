@@ -17,7 +17,7 @@ use crate::robot::{Robot, router, server, server_behind};
 async fn a_copy_that_missed_more_than_the_server_keeps_reads_all_again() {
     let space: Space = "R2".parse().unwrap();
     let (mut router_process, at) = router("tcp/127.0.0.1:0");
-    let server = server_behind(&at, &[], ("WAYFOLD_INDEX__WINDOW_BYTES", "1000"));
+    let server = server_behind(&at, &[], &[("WAYFOLD_INDEX__WINDOW_BYTES", "1000")]);
     let robot = Robot::connect(&at).await;
     let away = shared(&robot, &space);
     let there = wayfold::Index::shared(server.uri(), "arm").open().unwrap();
