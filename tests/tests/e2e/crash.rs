@@ -1,13 +1,16 @@
 //! A server that is killed repeatedly under its writers restarts with each acknowledged mutation, once, at the
 //! acknowledged revision.
 
-use std::{path::Path, process::Command};
+use std::path::Path;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wayfold_tests::{Process, ServerProcess, Signal};
 
-use crate::clients::{Clients, FaultTime, Load};
+use crate::{
+    clients::{Clients, FaultTime, Load},
+    shared::command,
+};
 
 /// The number of kills, unless the environment variable `CRASH_KILLS` sets another.
 const KILLS: u64 = 20;
@@ -21,14 +24,8 @@ const LOAD: Load = Load {
 /// serves.
 const LINES: u32 = 4;
 
-/// The first tree is so small that a merge is nearly always under way.
 fn start(data: &Path) -> Process {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-    command
-        .args(["--grpc", "127.0.0.1:0", "--data"])
-        .arg(data)
-        .env("WAYFOLD_INDEX__GROWING_ROWS", "32");
-    Process::spawn(&mut command)
+    Process::spawn(&mut command(data, "127.0.0.1:0"))
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -1,15 +1,13 @@
 //! A mutation that takes more messages than an atomic batch of NATS has at most is refused, and the index goes on working. The
 //! environment variable `NATS_SERVER` has the path of the program nats-server.
 
-use std::{process::Command, time::Duration};
+use std::time::Duration;
 
 use tonic::{Code, Request};
 use wayfold_proto::v1::{InsertRequest, UpdateRequest};
-use wayfold_tests::{
-    Process, Refusal, ServerProcess, Stubs,
-    nats::{Nats, member_settings},
-    row_states,
-};
+use wayfold_tests::{Refusal, ServerProcess, Stubs, nats::Nats, row_states};
+
+use crate::nats_settings::start;
 
 /// The largest payload of a point.
 const PAYLOAD_BYTES: usize = 64 * 1024;
@@ -29,11 +27,7 @@ async fn a_mutation_that_no_batch_of_nats_holds_is_refused() {
     let directory = tempfile::tempdir().unwrap();
     // Its max_payload is 64 KiB.
     let nats = Nats::start(directory.path(), 1);
-    let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
-    command
-        .args(["--grpc", "127.0.0.1:0", "--data", "memory"])
-        .envs(member_settings(&nats.urls(), 1));
-    let server = ServerProcess::ready(Process::spawn(&mut command));
+    let server = ServerProcess::ready(start(&nats));
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create("arm", "R1").await;
     let ids: Vec<u64> = (0..POINTS).collect();

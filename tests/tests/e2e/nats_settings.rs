@@ -8,7 +8,8 @@ use wayfold_tests::{
     nats::{Nats, member_settings},
 };
 
-fn start(nats: &Nats) -> Process {
+/// Starts a server in memory that is a member of a cluster.
+pub(crate) fn start(nats: &Nats) -> Process {
     let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
     command
         .args(["--grpc", "127.0.0.1:0", "--data", "memory"])

@@ -41,7 +41,7 @@ const SEED: u64 = 18;
 const LINES: u32 = 4;
 
 /// A server on disk whose first tree is so small that a merge is nearly always under way.
-fn command(data: &Path, address: &str) -> Command {
+pub(crate) fn command(data: &Path, address: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_server-process"));
     command
         .args(["--grpc", address, "--data"])
