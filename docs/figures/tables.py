@@ -207,8 +207,7 @@ def roadmap_cell(runs, alone):
 
 
 def roadmap_two():
-    two, one = (runs_of("rigid-workers", "shared", count) for count in (2, 1))
-    return digits(median(rate(many) / rate(alone) for many, alone in zip(two, one)))
+    return digits(median(over_one("rigid-workers", "shared", 2)))
 
 
 def roadmap_wait():
