@@ -5,8 +5,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::{
     layout::{Head, StagedEntry, block_key, entry_key, head_key, point_key, seal, session_key},
-    point::{self, PointForm},
-    session, sync_marks,
+    point, session, sync_marks,
 };
 use crate::log::{Digest, Operation, Record, Sessions};
 
@@ -42,14 +41,9 @@ pub fn value(bytes: &[u8]) {
         0 => {
             let stored = seal(&point_key(number, id), bytes.to_vec());
             if let Some(point) = point::decode(number, id, &stored) {
-                let form = PointForm {
-                    revision: point.revision,
-                    modified: point.modified,
-                    tag: point.tag,
-                    state: &point.state,
-                    payload: &point.payload,
-                };
-                assert_eq!(form.encode(number, id), stored);
+                let (modified, payload) = (point.modified, &point.payload);
+                let encoded = point::encode(number, point.indexed(), modified, payload);
+                assert_eq!(encoded, stored);
             }
         }
         kind @ (5 | 6) => {

@@ -2,33 +2,29 @@
 //! coordinates, the coordinates, and the payload up to the checksum. Its id is in the key.
 
 use bytes::Bytes;
+use wayfold_index::PointRef;
 
 use super::layout::{Number, last_of, point_key, seal, unseal};
 use crate::log::{LogError, StoredPoint, Uid, cursor::Cursor};
 
-/// The stored form of a point, without its checksum.
-pub(super) struct PointForm<'a> {
-    pub(super) revision: u64,
-    pub(super) modified: u64,
-    pub(super) tag: u64,
-    pub(super) state: &'a [f64],
-    pub(super) payload: &'a [u8],
-}
-
-impl PointForm<'_> {
-    pub(super) fn encode(&self, number: Number, id: u64) -> Vec<u8> {
-        let mut value = Vec::with_capacity(40 + 8 * self.state.len() + self.payload.len());
-        for part in [self.revision, self.modified, self.tag] {
-            value.extend_from_slice(&part.to_le_bytes());
-        }
-        // A space has at most 256 coordinates.
-        value.extend_from_slice(&(self.state.len() as u16).to_le_bytes());
-        for coordinate in self.state {
-            value.extend_from_slice(&coordinate.to_bits().to_le_bytes());
-        }
-        value.extend_from_slice(self.payload);
-        seal(&point_key(number, id), value)
+/// The stored form of a point that the revision `modified` last changed.
+pub(super) fn encode(
+    number: Number,
+    point: PointRef<'_>,
+    modified: u64,
+    payload: &[u8],
+) -> Vec<u8> {
+    let mut value = Vec::with_capacity(40 + 8 * point.row.len() + payload.len());
+    for part in [point.revision, modified, point.tag] {
+        value.extend_from_slice(&part.to_le_bytes());
     }
+    // A space has at most 256 coordinates.
+    value.extend_from_slice(&(point.row.len() as u16).to_le_bytes());
+    for coordinate in point.row {
+        value.extend_from_slice(&coordinate.to_bits().to_le_bytes());
+    }
+    value.extend_from_slice(payload);
+    seal(&point_key(number, point.id), value)
 }
 
 /// The point of a key and its value.
@@ -78,17 +74,19 @@ pub(super) fn decode(number: Number, id: u64, value: &[u8]) -> Option<StoredPoin
 mod tests {
     use super::*;
 
-    const FORM: PointForm<'static> = PointForm {
-        revision: 1,
-        modified: 2,
-        tag: 3,
-        state: &[0.5, -0.0],
-        payload: b"grasp",
-    };
+    fn stored() -> Vec<u8> {
+        let point = PointRef {
+            id: 5,
+            tag: 3,
+            revision: 1,
+            row: &[0.5, -0.0],
+        };
+        encode(4, point, 2, b"grasp")
+    }
 
     #[test]
     fn a_point_is_read_again_and_only_under_its_own_key() {
-        let value = FORM.encode(4, 5);
+        let value = stored();
         let point = decode(4, 5, &value).unwrap();
         assert_eq!((point.id, point.revision, point.modified), (5, 1, 2));
         assert_eq!((point.tag, &*point.payload), (3, &b"grasp"[..]));
@@ -100,7 +98,7 @@ mod tests {
 
     #[test]
     fn every_flipped_bit_and_every_cut_is_noticed() {
-        let value = FORM.encode(4, 5);
+        let value = stored();
         for bit in 0..8 * value.len() {
             let mut flipped = value.clone();
             flipped[bit / 8] ^= 1 << (bit % 8);

@@ -13,8 +13,7 @@ use super::{
     layout::{
         Head, Number, Stage, StagedEntry, Sum, entry_key, head_key, operation_key, point_key, seal,
     },
-    point::PointForm,
-    session,
+    point, session,
     store::storage,
 };
 use crate::log::{Entry, LogError, Operation, Origin, PointWriter, Sessions, StoredPoint};
@@ -75,15 +74,9 @@ impl FjallPointWriter {
         handles.wait_for_room()?;
         let keyspace = &handles.keyspace;
         let mut batch = handles.database.batch();
-        for point in points {
-            let form = PointForm {
-                revision: point.revision,
-                modified: point.modified,
-                tag: point.tag,
-                state: &point.state,
-                payload: &point.payload,
-            };
-            let value = form.encode(number, point.id);
+        for stored in points {
+            let point = stored.indexed();
+            let value = point::encode(number, point, stored.modified, &stored.payload);
             sum.add(&value);
             batch.insert(keyspace, point_key(number, point.id), value);
         }

@@ -9,8 +9,7 @@ use crate::log::{
     LogError, Outcome, Record, View,
     fjall::{
         layout::{Sum, head_key, operation_key, point_key, record_key, seal},
-        point::PointForm,
-        session,
+        point, session,
         store::{Handles, Store, storage, unreadable},
         sync_marks::Mark,
     },
@@ -142,15 +141,8 @@ impl Index {
             }
         }
         for (slot, point) in effects.stored().iter().enumerate() {
-            let payload = effects.payloads.get(slot);
-            let form = PointForm {
-                revision: point.revision,
-                modified: record.revision(),
-                tag: point.tag,
-                state: point.row,
-                payload: payload.map_or(&[][..], |payload| payload),
-            };
-            let value = form.encode(self.number, point.id);
+            let payload = effects.payload(slot);
+            let value = point::encode(self.number, point, record.revision(), &payload);
             sum.add(&value);
             batch.insert(keyspace, point_key(self.number, point.id), value);
         }

@@ -4,7 +4,7 @@ use bytes::Bytes;
 use wayfold_index::PointRef;
 
 use super::{
-    super::{Durability, layout::point_key, point::PointForm, store::Store},
+    super::{Durability, layout::point_key, point, store::Store},
     *,
 };
 use crate::log::{Effects, Outcome, Record};
@@ -111,14 +111,13 @@ fn points_that_are_missing_or_back_or_older_are_noticed() {
     type Damage = fn(&Handles);
     // The form in which the first record stored a point.
     fn store(handles: &Handles, id: u64) {
-        let form = PointForm {
-            revision: 1,
-            modified: 1,
+        let point = PointRef {
+            id,
             tag: 0,
-            state: &[0.5],
-            payload: b"grasp",
+            revision: 1,
+            row: &[0.5],
         };
-        let value = form.encode(0, id);
+        let value = point::encode(0, point, 1, b"grasp");
         handles.keyspace.insert(point_key(0, id), value).unwrap();
     }
     let damages: [(&str, Damage); 3] = [
