@@ -63,26 +63,16 @@ fn number<T: FromStr>(headers: &HeaderMap, name: &str) -> Option<T> {
 
 fn digest(text: &str) -> Option<[u8; 32]> {
     let mut digest = [0; 32];
-    if text.len() != 64 || !text.is_ascii() {
-        return None;
-    }
-    for (at, byte) in digest.iter_mut().enumerate() {
-        *byte = u8::from_str_radix(&text[2 * at..2 * at + 2], 16).ok()?;
-    }
+    hex::decode_to_slice(text, &mut digest).ok()?;
     Some(digest)
 }
 
 /// The headers of a message of a pack from `first` to `last`, by its number and the number of messages.
 pub(super) fn headers(first: &Record, last: &Record, part: usize, parts: usize) -> HeaderMap {
-    let digest: String = last
-        .digest()
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect();
     let mut headers = HeaderMap::new();
     headers.insert(FIRST, first.revision().to_string());
     headers.insert(LAST, last.revision().to_string());
-    headers.insert(DIGEST, digest);
+    headers.insert(DIGEST, hex::encode(last.digest()));
     headers.insert(PART, format!("{part}/{parts}"));
     headers
 }
