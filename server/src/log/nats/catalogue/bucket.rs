@@ -64,15 +64,14 @@ impl Bucket {
         };
         let store = patiently(&what, create).await?;
         check_bucket(&store.stream, &format!("$KV.{}.>", config.bucket))?;
-        let mut read = patiently(&what, || read_all(&store)).await?;
+        let (mut known, mut is_complete) = patiently(&what, || read_all(&store)).await?;
         // NATS may only be away for a moment.
         for _ in 1..MAX_READS {
-            if read.is_complete {
+            if is_complete {
                 break;
             }
-            read = patiently(&what, || read_all(&store)).await?;
+            (known, is_complete) = patiently(&what, || read_all(&store)).await?;
         }
-        let known = read.values;
         Ok(Self {
             connection,
             store,
@@ -179,11 +178,10 @@ impl Bucket {
         comparisons.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             comparisons.tick().await;
-            let Ok(Ok(stored)) = timeout(COMPARE_INTERVAL, read_all(&self.store)).await else {
+            let Ok(Ok((stored, _))) = timeout(COMPARE_INTERVAL, read_all(&self.store)).await else {
                 continue;
             };
             // The watch skips the revisions that it has seen, even in a bucket that was created again.
-            let stored = stored.values;
             for (named, revision) in stored.values() {
                 self.note(named.clone(), *revision, None);
             }
@@ -229,23 +227,13 @@ fn key(name: &str) -> String {
     URL_SAFE_NO_PAD.encode(name)
 }
 
-/// The present content of a bucket.
-struct Content {
-    values: CatalogueValues,
-    /// False if NATS did not send all of it in time.
-    is_complete: bool,
-}
-
-async fn read_all(bucket: &kv::Store) -> Result<Content, LogError> {
+/// The present content of a bucket; the flag is false if NATS did not send all of it in time.
+async fn read_all(bucket: &kv::Store) -> Result<(CatalogueValues, bool), LogError> {
     let mut values = CatalogueValues::new();
-    let mut is_complete = true;
     // `Store::status` returns the count at the open.
     let info = bucket.stream.get_info().await.map_err(unreachable)?;
     if info.state.messages == 0 {
-        return Ok(Content {
-            values,
-            is_complete,
-        });
+        return Ok((values, true));
     }
     let entries = bucket.watch_all_from_revision(1).await;
     let mut entries = entries.map_err(unreachable)?;
@@ -256,22 +244,17 @@ async fn read_all(bucket: &kv::Store) -> Result<Content, LogError> {
                 entries = values.len(),
                 "NATS does not send all entries of the catalogue"
             );
-            is_complete = false;
-            break;
+            return Ok((values, false));
         };
         let Some(entry) = next else {
-            break;
+            return Ok((values, true));
         };
         let entry = entry.map_err(unreachable)?;
         if let Some(named) = read(&entry.value) {
             values.insert(named.name.clone(), (named, entry.revision));
         }
         if entry.seen_current {
-            break;
+            return Ok((values, true));
         }
     }
-    Ok(Content {
-        values,
-        is_complete,
-    })
 }
