@@ -69,10 +69,41 @@ async fn create_by(
     service.create_index(call, request).await
 }
 
-/// A service over a log with another catalogue.
-fn service_over(local: &Arc<MemoryLog>, catalogue: Arc<dyn Catalogue>) -> Service {
+/// A catalogue that has not heard of what other servers made. It calls `before_create` before it creates an index.
+struct Behind<F> {
+    local: Arc<MemoryLog>,
+    before_create: F,
+}
+
+impl<F: Fn() + Send + Sync> Catalogue for Behind<F> {
+    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
+        self.local.indexes()
+    }
+
+    fn create(&self, entry: Entry) -> Result<(), LogError> {
+        (self.before_create)();
+        self.local.create(entry)
+    }
+
+    fn delete(&self, uid: Uid) -> Result<(), LogError> {
+        self.local.delete(uid)
+    }
+
+    fn is_past(&self, _: &str, _: &str, _: Option<Uid>) -> bool {
+        false
+    }
+}
+
+/// A service over a log with such a catalogue.
+fn service_behind(
+    local: &Arc<MemoryLog>,
+    before_create: impl Fn() + Send + Sync + 'static,
+) -> Service {
     let log = Log {
-        catalogue,
+        catalogue: Arc::new(Behind {
+            local: Arc::clone(local),
+            before_create,
+        }),
         ..Log::from(Arc::clone(local))
     };
     let registry = Registry::new(log, RegistryOptions::default());
@@ -81,31 +112,9 @@ fn service_over(local: &Arc<MemoryLog>, catalogue: Arc<dyn Catalogue>) -> Servic
     service
 }
 
-/// A catalogue that has not heard of what other servers made.
-struct Behind(Arc<MemoryLog>);
-
-impl Catalogue for Behind {
-    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
-        self.0.indexes()
-    }
-
-    fn create(&self, entry: Entry) -> Result<(), LogError> {
-        self.0.create(entry)
-    }
-
-    fn delete(&self, uid: Uid) -> Result<(), LogError> {
-        self.0.delete(uid)
-    }
-
-    fn is_past(&self, _: &str, _: &str, _: Option<Uid>) -> bool {
-        false
-    }
-}
-
 #[tokio::test]
 async fn a_server_that_is_behind_does_not_judge_a_uid() {
-    let local = Arc::new(MemoryLog::new());
-    let service = service_over(&local, Arc::new(Behind(Arc::clone(&local))));
+    let service = service_behind(&Arc::new(MemoryLog::new()), || ());
     create(&service, "arm", "R1").await.unwrap();
     let call = Call::default();
     for index_name in ["arm", "leg"].map(String::from) {
@@ -150,19 +159,13 @@ async fn a_server_that_is_behind_does_not_judge_a_uid() {
     }
 }
 
-/// A catalogue that finds `arm` by its service while it creates another index, which no other change may overtake.
-struct Overtaken {
-    local: Arc<MemoryLog>,
-    service: OnceLock<Weak<Inner>>,
-}
-
-impl Catalogue for Overtaken {
-    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
-        self.local.indexes()
-    }
-
-    fn create(&self, entry: Entry) -> Result<(), LogError> {
-        if let Some(inner) = self.service.get().and_then(Weak::upgrade) {
+#[tokio::test]
+async fn an_index_that_exists_is_found_while_another_is_created() {
+    let known = Arc::new(OnceLock::<Weak<Inner>>::new());
+    let weak = Arc::clone(&known);
+    // It finds `arm` by its service while it creates another index, which no other change may overtake.
+    let service = service_behind(&Arc::new(MemoryLog::new()), move || {
+        if let Some(inner) = weak.get().and_then(Weak::upgrade) {
             let service = Service { inner };
             let at_once = |space| create(&service, "arm", space).now_or_never();
             let found = at_once("R1").expect("an answer without a wait").unwrap();
@@ -170,59 +173,19 @@ impl Catalogue for Overtaken {
             let other = at_once("R2").expect("an answer without a wait");
             assert_eq!(other.unwrap_err().reason(), "INDEX_EXISTS");
         }
-        self.local.create(entry)
-    }
-
-    fn delete(&self, uid: Uid) -> Result<(), LogError> {
-        self.local.delete(uid)
-    }
-}
-
-#[tokio::test]
-async fn an_index_that_exists_is_found_while_another_is_created() {
-    let local = Arc::new(MemoryLog::new());
-    let catalogue = Arc::new(Overtaken {
-        local: Arc::clone(&local),
-        service: OnceLock::new(),
     });
-    let service = service_over(&local, Arc::clone(&catalogue) as Arc<dyn Catalogue>);
     assert!(create(&service, "arm", "R1").await.unwrap().created);
-    let inner = Arc::downgrade(&service.inner);
-    catalogue.service.set(inner).unwrap();
+    known.set(Arc::downgrade(&service.inner)).unwrap();
     // A failed assertion of the catalogue fails the call.
     assert!(create(&service, "leg", "R1").await.unwrap().created);
 }
 
-/// A catalogue that creates nothing before its gate is open.
-struct Slow {
-    local: Arc<MemoryLog>,
-    gate: CancellationToken,
-}
-
-impl Catalogue for Slow {
-    fn indexes(&self) -> Result<Vec<Entry>, LogError> {
-        self.local.indexes()
-    }
-
-    fn create(&self, entry: Entry) -> Result<(), LogError> {
-        Handle::current().block_on(self.gate.cancelled());
-        self.local.create(entry)
-    }
-
-    fn delete(&self, uid: Uid) -> Result<(), LogError> {
-        self.local.delete(uid)
-    }
-}
-
 /// A service whose creates wait for the gate, and its log.
 fn slow() -> (Service, Arc<MemoryLog>, CancellationToken) {
-    let local = Arc::new(MemoryLog::new());
-    let gate = CancellationToken::new();
-    let catalogue = Arc::new(Slow {
-        local: Arc::clone(&local),
-        gate: gate.clone(),
-    });
-    (service_over(&local, catalogue), local, gate)
+    let (local, gate) = (Arc::new(MemoryLog::new()), CancellationToken::new());
+    let opened = gate.clone();
+    let wait = move || Handle::current().block_on(opened.cancelled());
+    (service_behind(&local, wait), local, gate)
 }
 
 #[test]
