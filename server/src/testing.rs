@@ -8,7 +8,7 @@ use wayfold_index::PointRef;
 use crate::{
     log::{
         Catalogue, Effects, Entry, Journal, Log, MemoryLog, Operation, Origin, Outcome, PointStore,
-        Record, Retention, Sessions, StoredPoint, Uid,
+        Record, RecordPosition, Retention, Sessions, StoredPoint, Uid,
     },
     registry::{Registry, RegistryOptions},
     service::{Limits, Service},
@@ -64,14 +64,19 @@ pub(crate) fn log_with(entry: &Entry, records: &[Arc<Record>]) -> Arc<MemoryLog>
 
 /// A log with an index `arm` of R1 that has applied this many records without points.
 pub(crate) fn recorded(records: u64) -> Arc<MemoryLog> {
-    let entry = arm();
-    let log = log_with(&entry, &[]);
-    for _ in 0..records {
-        let position = log.view(entry.uid).expect("a view").position();
-        let record = Record::after(position, Effects::new(1));
-        append(&log, entry.uid, &Arc::new(record));
+    log_with(&arm(), &more(&[], 0, records))
+}
+
+/// These records, and this many more of a run without points.
+pub(crate) fn more(records: &[Arc<Record>], run: u8, count: u64) -> Vec<Arc<Record>> {
+    let mut all = records.to_vec();
+    for _ in 0..count {
+        let last = all.last();
+        let position = last.map_or(RecordPosition::START, |last| last.position());
+        let record = Record::made_by([run; 16], position, Effects::new(1));
+        all.push(Arc::new(record));
     }
-    log
+    all
 }
 
 fn append(log: &MemoryLog, uid: Uid, record: &Arc<Record>) {

@@ -17,12 +17,12 @@ use wayfold_proto::v1;
 use super::*;
 use crate::{
     identity::Caller,
-    log::{Effects, Entry, Journal, LogError, MemoryLog, PointStore, Record, RecordStream, Uid},
+    log::{Entry, Journal, LogError, MemoryLog, PointStore, Record, RecordStream, Uid},
     service::{
         Code, NotForwarded, Owners,
         member::{CopyParts, CopyRequest, StoredResponse, Unanswered},
     },
-    testing::{self, arm, forward_journal, log_with},
+    testing::{self, arm, forward_journal, log_with, more},
 };
 
 const RECORDS: u64 = 4;
@@ -144,21 +144,6 @@ impl Journal for Shared {
     fn newest(&self, uid: Uid) -> Result<u64, LogError> {
         self.log.newest(uid)
     }
-}
-
-/// This many records of a run after these.
-fn more(records: &[Arc<Record>], run: u8, count: u64) -> Vec<Arc<Record>> {
-    let mut all = records.to_vec();
-    for _ in 0..count {
-        let last = all.last();
-        let position = last.map_or(RecordPosition::START, |last| last.position());
-        all.push(Arc::new(Record::made_by(
-            [run; 16],
-            position,
-            Effects::new(1),
-        )));
-    }
-    all
 }
 
 /// A server that has applied some records, and the others.

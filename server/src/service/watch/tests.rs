@@ -4,9 +4,9 @@ use futures_util::{StreamExt, stream};
 
 use super::*;
 use crate::{
-    log::{Effects, Journal, Receipt, RecordPosition, RecordStream, Uid},
+    log::{Journal, Receipt, RecordStream, Uid},
     service::Code,
-    testing::{self, arm, log_with},
+    testing::{self, arm, log_with, more},
 };
 
 /// A failed watch reads without end.
@@ -39,18 +39,6 @@ impl Journal for Lossy {
     }
 }
 
-/// These records and two more of a run.
-fn two_more(records: &[Arc<Record>], run: u8) -> Vec<Arc<Record>> {
-    let mut all = records.to_vec();
-    for _ in 0..2 {
-        let last = all.last();
-        let position = last.map_or(RecordPosition::START, |last| last.position());
-        let record = Record::made_by([run; 16], position, Effects::new(1));
-        all.push(Arc::new(record));
-    }
-    all
-}
-
 /// The message of a watch after its first one, which begins after revision 2, at a server that has applied some records.
 async fn watched(
     applied: &[Arc<Record>],
@@ -75,15 +63,15 @@ async fn watched(
 
 #[tokio::test]
 async fn the_applied_records_of_the_journal_are_sent() {
-    let applied = two_more(&two_more(&[], 1), 1);
+    let applied = more(&[], 1, 4);
     let sent = watched(&applied, applied.clone()).await.unwrap();
     assert_eq!(sent.mutations.len(), 2);
 }
 
 #[tokio::test]
 async fn a_watch_ends_where_the_journal_ends_before_what_its_server_has_applied() {
-    let kept = two_more(&[], 1);
-    let applied = two_more(&kept, 1);
+    let kept = more(&[], 1, 2);
+    let applied = more(&kept, 1, 2);
     let refused = watched(&applied, kept).await.unwrap_err();
     assert_eq!(refused.code(), Code::Unavailable);
     let text = refused.to_string();
@@ -92,9 +80,9 @@ async fn a_watch_ends_where_the_journal_ends_before_what_its_server_has_applied(
 
 #[tokio::test]
 async fn records_in_the_place_of_applied_ones_are_not_sent() {
-    let kept = two_more(&[], 1);
-    let applied = two_more(&kept, 1);
-    let refused = watched(&applied, two_more(&kept, 2)).await.unwrap_err();
+    let kept = more(&[], 1, 2);
+    let applied = more(&kept, 1, 2);
+    let refused = watched(&applied, more(&kept, 2, 2)).await.unwrap_err();
     assert_eq!(refused.code(), Code::Unavailable);
     let text = refused.to_string();
     assert!(text.contains("another one in its place"), "{text}");
@@ -103,9 +91,9 @@ async fn records_in_the_place_of_applied_ones_are_not_sent() {
 /// The server has passed the break with a copy of another one.
 #[tokio::test]
 async fn records_that_do_not_follow_each_other_are_not_sent() {
-    let kept = two_more(&[], 1);
-    let applied = two_more(&kept, 1);
-    let mut journal = two_more(&kept, 2);
+    let kept = more(&[], 1, 2);
+    let applied = more(&kept, 1, 2);
+    let mut journal = more(&kept, 2, 2);
     journal[3] = Arc::clone(&applied[3]);
     let reset = watched(&applied, journal).await.unwrap();
     assert_eq!(reset.reset(), v1::ResetReason::WindowPassed);
