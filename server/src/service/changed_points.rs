@@ -125,8 +125,7 @@ mod tests {
     use crate::{
         admission::{Admission, AdmissionConfig},
         config::Config,
-        log::{LogError, MemoryLog, RecordPosition, Sessions, View},
-        registry::{Registry, RegistryOptions},
+        log::{LogError, RecordPosition, Sessions, View},
         testing::{arm, log_with, server, submit},
     };
 
@@ -234,10 +233,9 @@ mod tests {
 
     #[tokio::test]
     async fn a_call_reads_no_more_than_it_may_change() {
-        let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
-        let space: wayfold_index::Space = "R1".parse().unwrap();
-        let created = registry.create("line", space, Default::default(), &[]);
-        let (hosted, _) = created.unwrap();
+        let log = log_with(&arm(), &[]);
+        let service = server(&log, &log);
+        let hosted = service.registry().unwrap().get("arm").unwrap();
         let empty = hosted.published();
         let ids: Vec<u64> = (0..100_000).collect();
         let config = AdmissionConfig {

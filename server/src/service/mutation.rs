@@ -271,34 +271,26 @@ async fn confirm_current(
 #[cfg(test)]
 mod tests {
     use futures_util::{StreamExt, stream::FuturesUnordered};
-    use wayfold_index::Space;
     use wayfold_proto::v1;
 
     use super::*;
     use crate::{
         admission::ClientPermits,
-        log::MemoryLog,
-        registry::{Registry, RegistryOptions},
-        service::Limits,
+        testing::{arm, log_with, server},
     };
 
     /// The revision of an insert of the second client that comes after five of the first.
     async fn revision_of_last([many, one]: [Call; 2]) -> u64 {
-        let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
-        let space: Space = "R1".parse().unwrap();
-        let (hosted, _) = registry
-            .create("line", space, Default::default(), &[])
-            .unwrap();
-        let service = Service::new(registry, Limits::default());
-        service.set_ready();
-        let service = &service;
+        let log = log_with(&arm(), &[]);
+        let service = &server(&log, &log);
+        let hosted = service.registry().unwrap().get("arm").unwrap();
         let insert = |call| async move {
             let states = v1::States {
                 row_count: 1,
                 coordinates: vec![0.5],
             };
             let request = v1::InsertRequest {
-                index_name: "line".into(),
+                index_name: "arm".into(),
                 states: Some(states),
                 ..Default::default()
             };

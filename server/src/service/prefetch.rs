@@ -116,21 +116,17 @@ mod tests {
     use crate::{
         admission::Admission,
         config::Config,
-        log::MemoryLog,
-        registry::{Registry, RegistryOptions},
-        service::{Call, Limits, Service},
+        service::Call,
+        testing::{arm, log_with, server},
     };
 
     /// A row has two bytes of its payload in the request, and no point is near it.
     #[tokio::test]
     async fn an_insert_that_waits_for_others_holds_what_its_rows_take() {
         const ROWS: usize = 2_000;
-        let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
-        let space: wayfold_index::Space = "R1".parse().unwrap();
-        let created = registry.create("line", space, Default::default(), &[]);
-        let (hosted, _) = created.unwrap();
-        let service = Service::new(registry, Limits::default());
-        service.set_ready();
+        let log = log_with(&arm(), &[]);
+        let service = server(&log, &log);
+        let hosted = service.registry().unwrap().get("arm").unwrap();
         let flow = Admission::new(&Config::default().admission, 1, 0).open();
         let call = Call {
             held: Some(Arc::new(flow.hold())),
@@ -141,7 +137,7 @@ mod tests {
             coordinates: (0..ROWS).map(|row| row as f64).collect(),
         };
         let insert = v1::InsertRequest {
-            index_name: "line".into(),
+            index_name: "arm".into(),
             states: Some(states),
             payloads: vec![Bytes::new(); ROWS],
             min_separation: 0.5,

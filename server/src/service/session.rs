@@ -175,9 +175,8 @@ mod tests {
     use super::*;
     use crate::{
         log::{Block, Journal, MemoryLog, Origin, PointStore, Record, Session, Sessions},
-        registry::{Registry, RegistryOptions},
         service::Code,
-        testing::{arm, log_with},
+        testing::{arm, log_with, server},
     };
 
     /// The index has as many blocks as it may have, and one of them belongs to an idle session.
@@ -205,10 +204,7 @@ mod tests {
         };
         let writer = log.restore(arm(), origin, false).unwrap();
         writer.finish(sessions, Vec::new()).unwrap();
-        let registry = Registry::new(log, RegistryOptions::default());
-        registry.replay().unwrap();
-        let service = Service::new(registry, Limits::default());
-        service.set_ready();
+        let service = server(&log, &log);
         let open = async || {
             let request = v1::OpenSessionRequest {
                 index_name: "arm".into(),
@@ -229,11 +225,8 @@ mod tests {
     async fn a_session_that_this_server_saw_in_use_does_not_end_by_the_clock_of_another() {
         let entry = arm();
         let log = log_with(&entry, &[]);
-        let registry = Registry::new(Arc::clone(&log), RegistryOptions::default());
-        registry.replay().unwrap();
-        let hosted = registry.get("arm").unwrap();
-        let service = Service::new(registry, Limits::default());
-        service.set_ready();
+        let service = server(&log, &log);
+        let hosted = service.registry().unwrap().get("arm").unwrap();
         let mut effects = Effects::new(1);
         effects.set_batch(Some(Arc::new(Batch {
             session: 1,

@@ -13,8 +13,8 @@ use super::queries::{attached, caller};
 use crate::{
     identity::{Identities, Role},
     log::MemoryLog,
-    registry::{Registry, RegistryOptions},
-    service::{Call, Limits, Service},
+    service::Call,
+    testing::server,
     verbs::{Form, Request, Verb, dispatch},
 };
 
@@ -70,9 +70,8 @@ async fn every_key_refuses_every_wrong_caller() {
         tokio::time::advance(Duration::from_secs(1)).await;
     }
     following.abort();
-    let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
-    let service = Service::new(registry, Limits::default());
-    service.set_ready();
+    let log = Arc::new(MemoryLog::new());
+    let service = server(&log, &log);
 
     let caller = |attachment: Option<&str>| {
         let attachment = attachment.map(ZBytes::from);

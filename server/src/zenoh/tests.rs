@@ -22,8 +22,7 @@ use crate::{
     identity::Identities,
     log::MemoryLog,
     observe::Metrics,
-    registry::{Registry, RegistryOptions},
-    service::{Limits, Service},
+    service::Service,
     testing::{arm, log_with, server},
     verbs::Verb,
 };
@@ -188,10 +187,8 @@ async fn every_key_refuses_a_query_without_a_right_token() {
     let robot = "[[identity]]\nname = \"robot\"\nrole = \"admin\"\nindexes = [\"*\"]\n";
     fs::write(file.path(), format!("{robot}token_sha256 = \"{digest}\"\n")).unwrap();
     let identities = Identities::open(Some(file.path())).unwrap();
-    let registry = Registry::new(Arc::new(MemoryLog::new()), RegistryOptions::default());
-    let service = Service::new(registry, Limits::default());
-    service.set_ready();
-    let (face, robot, _) = face_and_robot(service, identities).await;
+    let log = Arc::new(MemoryLog::new());
+    let (face, robot, _) = face_and_robot(server(&log, &log), identities).await;
     let of_index = Verb::OF_INDEX.map(|(verb, _)| format!("arm/{verb}"));
     let of_server = Verb::OF_SERVER.map(|(verb, _)| verb.to_owned());
     let wildcards = ["**", "*/info", "arm/*"].map(str::to_owned);
