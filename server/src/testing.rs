@@ -1,4 +1,4 @@
-//! Logs and servers for unit tests, and the number of their cases.
+//! Logs, servers and admissions for unit tests, and the number of their cases.
 
 use std::{sync::Arc, time::SystemTime};
 
@@ -6,6 +6,8 @@ use proptest::{prelude::ProptestConfig, test_runner::RngSeed};
 use wayfold_index::PointRef;
 
 use crate::{
+    admission::{Admission, AdmissionConfig},
+    config::Config,
     log::{
         Catalogue, Effects, Entry, Journal, Log, MemoryLog, Operation, Origin, Outcome, PointStore,
         Record, RecordPosition, Retention, Sessions, StoredPoint, Uid,
@@ -160,6 +162,15 @@ pub(crate) fn server(journal: &Arc<impl Journal + 'static>, local: &Arc<MemoryLo
     let service = Service::new(registry, Limits::default());
     service.set_ready();
     service
+}
+
+/// An admission whose calls and unread answers hold at most this many bytes.
+pub(crate) fn admission(max_bytes: usize) -> Admission {
+    let config = AdmissionConfig {
+        max_bytes,
+        ..Config::default().admission
+    };
+    Admission::new(&config, 1, 0)
 }
 
 /// Property tests run `cases` cases, the same ones in every run.

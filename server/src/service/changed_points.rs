@@ -123,10 +123,8 @@ mod tests {
 
     use super::*;
     use crate::{
-        admission::{Admission, AdmissionConfig},
-        config::Config,
         log::{LogError, RecordPosition, Sessions, View},
-        testing::{arm, log_with, server, submit},
+        testing::{admission, arm, log_with, server, submit},
     };
 
     const MIB: usize = 1024 * 1024;
@@ -139,11 +137,7 @@ mod tests {
             submit(&log, entry.uid);
         }
         let service = server(&log, &log);
-        let config = AdmissionConfig {
-            max_bytes: 64 * MIB,
-            ..Config::default().admission
-        };
-        let admission = Admission::new(&config, 1, 0);
+        let admission = admission(64 * MIB);
         let (other, flow) = (admission.open().hold(), admission.open());
         let call = Call {
             held: Some(Arc::new(flow.hold())),
@@ -238,12 +232,8 @@ mod tests {
         let hosted = service.registry().unwrap().get("arm").unwrap();
         let empty = hosted.published();
         let ids: Vec<u64> = (0..100_000).collect();
-        let config = AdmissionConfig {
-            max_bytes: 64 * MIB,
-            ..Config::default().admission
-        };
         // A connection has a quarter of these bytes.
-        let small = Arc::new(Admission::new(&config, 1, 0).open().hold());
+        let small = Arc::new(admission(64 * MIB).open().hold());
         for (payload_bytes, held, most) in [
             (64 * 1024, None, 1024),
             (64 * 1024, Some(&small), 256),

@@ -78,10 +78,8 @@ mod tests {
 
     use super::*;
     use crate::{
-        admission::{Admission, AdmissionConfig},
-        config::Config,
         log::{Catalogue, Entry, MemoryLog},
-        testing::{arm, server},
+        testing::{admission, arm, server},
     };
 
     #[tokio::test]
@@ -96,11 +94,7 @@ mod tests {
             log.create(entry).unwrap();
         }
         let service = server(&log, &log);
-        let config = AdmissionConfig {
-            max_bytes: MAX_BYTES,
-            ..Config::default().admission
-        };
-        let admission = Admission::new(&config, 1, 0);
+        let admission = admission(MAX_BYTES);
         let (other, flow) = (admission.open().hold(), admission.open());
         let call = Call {
             held: Some(Arc::new(flow.hold())),

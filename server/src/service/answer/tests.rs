@@ -4,10 +4,8 @@ use std::sync::Arc;
 
 use super::*;
 use crate::{
-    admission::{Admission, AdmissionConfig},
-    config::Config,
     service::Service,
-    testing::{arm, log_with, server, submit},
+    testing::{admission, arm, log_with, server, submit},
 };
 
 const MIB: usize = 1024 * 1024;
@@ -29,15 +27,6 @@ fn service() -> Service {
     server(&log, &log)
 }
 
-/// Room for 64 MiB.
-fn admission() -> Admission {
-    let config = AdmissionConfig {
-        max_bytes: 64 * MIB,
-        ..Config::default().admission
-    };
-    Admission::new(&config, 1, 0)
-}
-
 fn one_state() -> Option<v1::States> {
     Some(v1::States {
         row_count: 1,
@@ -47,7 +36,7 @@ fn one_state() -> Option<v1::States> {
 
 #[tokio::test]
 async fn large_answers_are_refused_without_room_and_give_everything_back() {
-    let (service, admission) = (service(), admission());
+    let (service, admission) = (service(), admission(64 * MIB));
     let (other, flow) = (admission.open().hold(), admission.open());
     let call = Call {
         held: Some(Arc::new(flow.hold())),
@@ -97,7 +86,7 @@ async fn large_answers_are_refused_without_room_and_give_everything_back() {
 
 #[tokio::test]
 async fn an_insert_without_room_for_its_answer_changes_nothing() {
-    let (service, admission) = (service(), admission());
+    let (service, admission) = (service(), admission(64 * MIB));
     let (other, flow) = (admission.open().hold(), admission.open());
     let call = Call {
         held: Some(Arc::new(flow.hold())),
