@@ -14,7 +14,8 @@ const FRAME_BYTES: usize = 256;
 /// The bytes left of an answer, and those that it holds. They are counted from above: an answer that fits here fits on the wire.
 pub(super) struct AnswerBudget {
     limit: usize,
-    left: usize,
+    /// The bytes left.
+    pub(super) left: usize,
     pub(super) held: AnswerBytes,
 }
 
@@ -25,11 +26,6 @@ impl AnswerBudget {
             left: limits.max_answer_bytes.saturating_sub(FRAME_BYTES),
             held: call.answer_bytes(),
         }
-    }
-
-    /// The bytes left.
-    pub(super) fn remaining(&self) -> usize {
-        self.left
     }
 
     /// Takes bytes of the answer, and holds them.
@@ -68,7 +64,7 @@ pub(super) fn missing(id: u64) -> Error {
 pub(super) struct NeighborColumns {
     include: v1::Include,
     width: usize,
-    budget: AnswerBudget,
+    pub(super) budget: AnswerBudget,
     columns: v1::Neighbors,
 }
 
@@ -121,11 +117,6 @@ impl NeighborColumns {
             }
         }
         Ok(())
-    }
-
-    /// The budget of the answer.
-    pub(super) fn budget(&mut self) -> &mut AnswerBudget {
-        &mut self.budget
     }
 
     /// The ids of added neighbours whose payloads are still missing; empty if the answer has no payloads.

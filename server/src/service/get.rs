@@ -55,7 +55,7 @@ impl Service {
         for ids in request.ids.chunks(BATCH_ROWS) {
             let mut payloads = match points.with_payloads() {
                 true => {
-                    let most = budget.remaining();
+                    let most = budget.left;
                     let payloads = view.payloads(ids.to_vec(), most, &mut budget.held);
                     payloads.await?
                 }

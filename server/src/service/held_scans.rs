@@ -65,14 +65,14 @@ impl Service {
         let caller = ScanCaller::of(call);
         let mut scan = self.scan(call, request).await?;
         let mut page = scan.part().await?;
-        if scan.is_done() {
+        if scan.done {
             held.0.lock().remove(&token);
         } else if token.is_empty() {
             let max = self.limits().max_held_scans;
             let kept = HeldScan {
                 caller,
-                uid: scan.hosted().uid(),
-                pinned_revision: scan.pinned_revision(),
+                uid: scan.hosted.uid(),
+                pinned_revision: Arc::clone(&scan.pinned_revision),
                 used: Instant::now(),
             };
             page.held_scan = held.hold(kept, max)?;

@@ -182,8 +182,8 @@ async fn read_payloads(view: &ReadView<'_>, found: &mut NeighborColumns) -> Resu
     while !found.without_payload().is_empty() {
         let batch = found.without_payload().iter().take(BATCH_ROWS);
         let batch = batch.copied().collect();
-        let budget = found.budget();
-        let most = budget.remaining();
+        let budget = &mut found.budget;
+        let most = budget.left;
         let payloads = view.payloads(batch, most, &mut budget.held).await?;
         for payload in payloads {
             found.push_payload(payload)?;

@@ -11,11 +11,12 @@ use crate::{
 
 /// The neighbours of rows in one revision of the index. No point is excluded, and the rows do not see each other.
 pub(super) struct Prefetch {
-    revision: u64,
+    /// The revision that was searched.
+    pub(super) revision: u64,
     /// The search for neighbours that was made.
     neighbors: Option<Search<'static>>,
     /// One a row; the last rows may be missing.
-    rows: Vec<PrefetchedRow>,
+    pub(super) rows: Vec<PrefetchedRow>,
     /// The bytes of the rows.
     held: AnswerBytes,
 }
@@ -86,20 +87,10 @@ impl Prefetch {
             .is_some_and(|found| found.k >= search.k && found.radius >= search.radius)
     }
 
-    /// The revision that was searched.
-    pub(super) fn revision(&self) -> u64 {
-        self.revision
-    }
-
     /// The ids of all neighbours found.
     pub(super) fn neighbor_ids(&self) -> Vec<u64> {
         let neighbors = self.rows.iter().flat_map(|row| &row.neighbors);
         neighbors.map(|neighbor| neighbor.id).collect()
-    }
-
-    /// The neighbours of a row, if it was searched for.
-    pub(super) fn row(&self, at: usize) -> Option<&PrefetchedRow> {
-        self.rows.get(at)
     }
 }
 

@@ -10,7 +10,8 @@ use crate::registry::Published;
 /// A pinned revision. A drop or the end of its time releases it, even if no reader returns.
 pub(super) struct RevisionPin {
     held: Arc<Mutex<Option<Arc<Published>>>>,
-    seconds: u64,
+    /// The seconds that it may be held.
+    pub(super) seconds: u64,
     /// The end of its time: a reader checks it, as the watching task may run late. None: beyond the clock's range.
     end: Option<Instant>,
     /// Its drop ends the watching task.
@@ -43,11 +44,6 @@ impl RevisionPin {
             self.release();
         }
         self.held.lock().clone()
-    }
-
-    /// The seconds that it may be held.
-    pub(super) fn seconds(&self) -> u64 {
-        self.seconds
     }
 
     /// Releases the revision.

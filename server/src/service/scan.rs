@@ -29,14 +29,15 @@ const DOING: &str = "while scanning";
 /// A running scan. It pins its revision until it ends, is dropped, or its time is up.
 pub struct Scan {
     call: Call,
-    hosted: Arc<Hosted>,
-    pinned_revision: Arc<RevisionPin>,
+    pub(super) hosted: Arc<Hosted>,
+    pub(super) pinned_revision: Arc<RevisionPin>,
     part_rows: usize,
     part_bytes: usize,
     filter: Filter,
     include: Option<v1::Include>,
     after: Option<u64>,
-    done: bool,
+    /// True if there are no further parts.
+    pub(super) done: bool,
 }
 
 impl Service {
@@ -108,20 +109,6 @@ impl Scan {
     pub(crate) fn window_start(&self) -> u64 {
         let newest = self.hosted.published().revision;
         newest.saturating_sub(self.hosted.window().records)
-    }
-
-    /// True if there are no further parts.
-    pub(super) fn is_done(&self) -> bool {
-        self.done
-    }
-
-    pub(super) fn hosted(&self) -> &Hosted {
-        &self.hosted
-    }
-
-    /// Its revision.
-    pub(super) fn pinned_revision(&self) -> Arc<RevisionPin> {
-        Arc::clone(&self.pinned_revision)
     }
 
     /// The next part, if it is not done. The revision stays held also after the last part.
@@ -205,7 +192,7 @@ impl Scan {
 
     fn still_held(&self) -> Result<Arc<Published>, Error> {
         self.pinned_revision.get().ok_or(Error::ScanTooLong {
-            max_scan_seconds: self.pinned_revision.seconds(),
+            max_scan_seconds: self.pinned_revision.seconds,
             after_id: self.after,
         })
     }

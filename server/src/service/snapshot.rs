@@ -194,7 +194,7 @@ impl Snapshot {
     fn published(&self) -> Result<Arc<Published>, Error> {
         self.pinned_revision.get().ok_or(Error::HeldTooLong {
             what: "snapshot",
-            max_scan_seconds: self.pinned_revision.seconds(),
+            max_scan_seconds: self.pinned_revision.seconds,
         })
     }
 }

@@ -21,7 +21,8 @@ use crate::{
 pub(super) struct Staging<'a> {
     /// Its pending records are indexed.
     writer: &'a Writer,
-    effects: Effects,
+    /// The accepted rows.
+    pub(super) effects: Effects,
     /// The number of accepted rows that are new points.
     inserted: usize,
     searched: Option<SearchState>,
@@ -164,11 +165,6 @@ impl<'a> Staging<'a> {
             searched.hidden.clear();
             searched.replaced |= outcome != Outcome::Inserted;
         }
-    }
-
-    /// The accepted rows.
-    pub(super) fn into_effects(self) -> Effects {
-        self.effects
     }
 
     /// The point with this id, the accepted rows included.

@@ -193,7 +193,7 @@ impl<'a> Evaluation<'a> {
             neighbors,
             ..self.response
         };
-        Ok((self.staging.into_effects(), response, held))
+        Ok((self.staging.effects, response, held))
     }
 }
 
@@ -205,7 +205,7 @@ fn known<'a>(
 ) -> Option<EarlierAnswer<'a>> {
     let prefetch = prefetch?;
     Some(EarlierAnswer {
-        revision: prefetch.revision(),
-        neighbors: neighbors(prefetch.row(at)?),
+        revision: prefetch.revision,
+        neighbors: neighbors(prefetch.rows.get(at)?),
     })
 }

@@ -9,9 +9,10 @@ use crate::{log::StoredPoint, service::Error};
 /// The progress of the pass.
 pub(super) struct Comparison {
     after: Option<u64>,
-    read: u64,
+    /// The number of points read.
+    pub(super) read: u64,
     hash: Sha256,
-    sampler: Sampler,
+    pub(super) sampler: Sampler,
 }
 
 impl Comparison {
@@ -80,19 +81,9 @@ impl Comparison {
         self.read += 1;
     }
 
-    /// The number of points read.
-    pub(super) fn read(&self) -> u64 {
-        self.read
-    }
-
     /// The hash of the content, at the end.
     pub(super) fn hash(&self) -> [u8; 32] {
         self.hash.clone().finalize().into()
-    }
-
-    /// The states to search for, at the end.
-    pub(super) fn sample(&mut self, states: usize) -> Vec<Vec<f64>> {
-        self.sampler.draw(states)
     }
 }
 

@@ -152,11 +152,11 @@ impl Verification {
         };
         if let Phase::Comparing(comparison) = &mut self.stage {
             if !comparison.go_on(&pass, &mut self.disagreements).await? {
-                return Ok(progress(comparison.read()));
+                return Ok(progress(comparison.read));
             }
-            let states = comparison.sample(self.queries);
+            let states = comparison.sampler.draw(self.queries);
             let searches = Searches::new(states, self.k);
-            let (read, hash) = (comparison.read(), comparison.hash());
+            let (read, hash) = (comparison.read, comparison.hash());
             self.stage = Phase::Searching(searches, read, hash);
         }
         let Phase::Searching(searches, stored, hash) = &mut self.stage else {
@@ -165,7 +165,7 @@ impl Verification {
             });
         };
         if !searches.go_on(&pass).await? {
-            return Ok(progress(*stored + searches.read()));
+            return Ok(progress(*stored + searches.read));
         }
         searches.compare(&mut self.disagreements);
         Ok(Answer::Report(v1::VerifyReport {
@@ -182,7 +182,7 @@ impl Verification {
 fn held(pinned_revision: &RevisionPin) -> Result<Arc<Published>, Error> {
     pinned_revision.get().ok_or(Error::HeldTooLong {
         what: "verification",
-        max_scan_seconds: pinned_revision.seconds(),
+        max_scan_seconds: pinned_revision.seconds,
     })
 }
 

@@ -14,7 +14,8 @@ pub(super) struct Searches {
     unasked: Vec<Vec<f64>>,
     queries: Vec<Query>,
     after: Option<u64>,
-    read: u64,
+    /// The number of points measured.
+    pub(super) read: u64,
 }
 
 struct Query {
@@ -86,11 +87,6 @@ impl Searches {
             self.read += page.len() as u64;
         }
         Ok(false)
-    }
-
-    /// The number of points measured.
-    pub(super) fn read(&self) -> u64 {
-        self.read
     }
 
     /// Compares the forest's answers with brute force, at the end.
