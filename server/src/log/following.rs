@@ -7,6 +7,17 @@ use tokio::sync::watch;
 
 use super::{LogError, Record, RecordStream};
 
+/// Announces to `newest` that the records up to this revision may be read, unless that is known or none comes any more.
+pub(super) fn announce(newest: &watch::Sender<Result<u64, LogError>>, revision: u64) {
+    newest.send_if_modified(|newest| {
+        let is_newer = newest.as_ref().is_ok_and(|newest| *newest < revision);
+        if is_newer {
+            *newest = Ok(revision);
+        }
+        is_newer
+    });
+}
+
 /// The records after the revision `after`. `newest` is the newest revision that may be read, or the error after which none
 /// comes; `failed` ends the stream once there is nothing more to read. `read` gets the revision before the records, and the
 /// newest one.

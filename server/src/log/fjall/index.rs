@@ -19,6 +19,7 @@ use super::{
 };
 use crate::log::{
     Entry, LogError, Operation, Origin, Record, RecordPosition, Retention, Sessions, Window,
+    following,
     record::time_ms,
     retention::{BoundedQueue, arrival_ms},
     unapplied::UnappliedQueue,
@@ -130,13 +131,7 @@ impl Index {
 
     /// Notes that `revision` is on disk.
     pub(super) fn set_durable(&self, revision: u64) {
-        self.durable.send_if_modified(|durable| {
-            let is_newer = durable.as_ref().is_ok_and(|durable| *durable < revision);
-            if is_newer {
-                *durable = Ok(revision);
-            }
-            is_newer
-        });
+        following::announce(&self.durable, revision);
     }
 
     /// Sets the state that recovery found. Recovery makes the found state durable before anyone reads it.

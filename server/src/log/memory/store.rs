@@ -89,7 +89,7 @@ impl Store {
         let revision = record.revision();
         state.unapplied.push(record, head);
         drop(state);
-        self.announce(revision);
+        following::announce(&self.newest, revision);
         Ok(())
     }
 
@@ -117,22 +117,12 @@ impl Store {
         }
         let head = state.head.clone();
         drop(state);
-        self.announce(last.revision());
+        following::announce(&self.newest, last.revision());
         Ok(Arc::new(head))
     }
 
     fn fenced(&self, expected: u64, state: &State) -> LogError {
         LogError::fenced(self.uid, expected, state.head.position.revision)
-    }
-
-    fn announce(&self, revision: u64) {
-        self.newest.send_if_modified(|newest| {
-            let is_newer = newest.as_ref().is_ok_and(|newest| *newest < revision);
-            if is_newer {
-                *newest = Ok(revision);
-            }
-            is_newer
-        });
     }
 
     /// Adds operations of records before the first one, oldest first.
