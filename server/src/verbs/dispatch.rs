@@ -24,10 +24,7 @@ pub(crate) async fn dispatch(
 ) -> Result<Vec<u8>, Error> {
     macro_rules! answer {
         ($verb:ident, $decode:ident) => {
-            encoded(
-                request,
-                boxed(service.$verb(call, request.$decode()?)).await,
-            )
+            request.encode(boxed(service.$verb(call, request.$decode()?)).await)
         };
     }
     // Several servers may take one query while links change: only a mutation that takes effect once is safe then.
@@ -37,18 +34,18 @@ pub(crate) async fn dispatch(
             if service.is_shared() && mutation.operation_id.is_empty() {
                 return Err(invalid("operation_id", "REQUIRED", NEEDS_OPERATION_ID));
             }
-            encoded(request, boxed(service.$verb(call, mutation)).await)
+            request.encode(boxed(service.$verb(call, mutation)).await)
         }};
     }
     request.check_growth(verb, service.limits())?;
     match verb {
         Verb::Knn => {
             let search = search(request, |it: &v1::KnnRequest| it.include).await?;
-            encoded(request, service.knn(call, search).await)
+            request.encode(service.knn(call, search).await)
         }
         Verb::Query => {
             let search = search(request, |it: &v1::QueryRequest| it.include).await?;
-            encoded(request, service.query(call, search).await)
+            request.encode(service.query(call, search).await)
         }
         Verb::Insert => mutate!(insert, InsertRequest),
         Verb::Update => mutate!(update, UpdateRequest),
@@ -61,12 +58,12 @@ pub(crate) async fn dispatch(
         Verb::Log => answer!(log, decode_for_index),
         Verb::Server => {
             let described = service.get_server(call, request.decode()?, max_message_bytes);
-            encoded(request, boxed(described).await)
+            request.encode(boxed(described).await)
         }
         Verb::Create => answer!(create_index, decode),
         Verb::List => {
             let listed = boxed(service.list_indexes(call, request.decode()?)).await;
-            encoded(request, listed.map(status::listing))
+            request.encode(listed.map(status::listing))
         }
         Verb::Delete => answer!(delete_index, decode),
     }
@@ -91,8 +88,4 @@ where
 /// Boxes the future of every verb but the searches: a search's future is moved often and must stay small.
 fn boxed<F: Future>(answering: F) -> Pin<Box<F>> {
     Box::pin(answering)
-}
-
-fn encoded<M: Name>(request: &Request<'_>, answer: Result<M, Error>) -> Result<Vec<u8>, Error> {
-    request.encode(&answer?)
 }

@@ -128,9 +128,9 @@ impl<'a> Request<'a> {
     }
 
     /// Encodes an answer in the form of the request.
-    pub(crate) fn encode<M: Name>(&self, answer: &M) -> Result<Vec<u8>, Error> {
-        let write = || self.form.write(answer);
-        at_length(answer.encoded_len(), write)
+    pub(super) fn encode<M: Name>(&self, answer: Result<M, Error>) -> Result<Vec<u8>, Error> {
+        let answer = answer?;
+        at_length(answer.encoded_len(), || self.form.write(&answer))
     }
 }
 
