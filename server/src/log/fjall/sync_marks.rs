@@ -45,19 +45,6 @@ pub(super) struct Mark {
     pub(super) deleted: bool,
 }
 
-impl Mark {
-    /// The mark of a deleted index.
-    pub(super) fn of_deleted() -> Self {
-        Self {
-            uid: Uid::from_bytes([0; 16]),
-            name: "".into(),
-            revision: 0,
-            digest: [0; 32],
-            deleted: true,
-        }
-    }
-}
-
 /// The slots of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Layout {
@@ -218,7 +205,14 @@ impl Marks {
     /// Marks an index as deleted, durably. Without the mark, a journal that is cut short would bring the index back
     /// unnoticed.
     pub(super) fn delete(&mut self, number: Number) -> io::Result<()> {
-        self.put(number, &encode(number, &Mark::of_deleted()))?;
+        let mark = Mark {
+            uid: Uid::from_bytes([0; 16]),
+            name: "".into(),
+            revision: 0,
+            digest: [0; 32],
+            deleted: true,
+        };
+        self.put(number, &encode(number, &mark))?;
         self.file.sync_data()
     }
 
