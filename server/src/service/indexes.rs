@@ -246,9 +246,7 @@ impl Service {
             uid: uid.to_string(),
         })
     }
-}
 
-impl Service {
     /// Creates, deletes or restores on a thread that may block. A change that waits for its thread does not begin once its
     /// caller has left; one that has begun completes.
     pub(super) async fn change<T: Send + 'static>(

@@ -162,9 +162,7 @@ impl NatsCatalogue {
         }
         claimed
     }
-}
 
-impl NatsCatalogue {
     /// Forgets what other servers published before they heard that the index was deleted.
     fn purge_again(&self, uid: Uid) {
         let connection = Arc::clone(&self.connection);
