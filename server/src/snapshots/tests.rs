@@ -64,10 +64,7 @@ fn a_directory_is_in_the_data_by_its_place_and_not_by_its_name() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_snapshot_leaves_the_room_of_the_disk_free() {
     let service = service();
-    let listed = service.listed().into_iter().next();
-    let Some((_, IndexState::Hosted(hosted))) = listed else {
-        panic!("an index");
-    };
+    let hosted = service.opened().unwrap().get("arm").unwrap();
     let directory = tempfile::tempdir().unwrap();
     let full = || {
         Ok(watermark::Usage {
@@ -93,10 +90,7 @@ async fn a_snapshot_leaves_the_room_of_the_disk_free() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn an_index_that_was_deleted_after_the_list_was_made_is_no_failure() {
     let service = service();
-    let listed = service.listed().into_iter().next();
-    let Some((_, IndexState::Hosted(hosted))) = listed else {
-        panic!("an index");
-    };
+    let hosted = service.opened().unwrap().get("arm").unwrap();
     let deletion = v1::DeleteIndexRequest {
         index_name: "arm".into(),
         ..Default::default()
