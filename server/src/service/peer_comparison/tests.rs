@@ -16,7 +16,6 @@ use wayfold_proto::v1;
 
 use super::*;
 use crate::{
-    identity::Caller,
     log::{Entry, Journal, LogError, MemoryLog, PointStore, Record, RecordStream, Uid},
     service::{
         Code, NotForwarded, Owners,
@@ -190,10 +189,6 @@ impl Server {
     }
 
     async fn insert_into(&self, index: &str) -> Result<u64, Error> {
-        let call = Call {
-            caller: Caller::default(),
-            ..Call::default()
-        };
         let states = v1::States {
             row_count: 1,
             coordinates: vec![0.5],
@@ -203,7 +198,7 @@ impl Server {
             states: Some(states),
             ..Default::default()
         };
-        let inserted = self.service.insert(&call, request).await?;
+        let inserted = self.service.insert(&Call::default(), request).await?;
         Ok(inserted.revision.unwrap().number)
     }
 }
