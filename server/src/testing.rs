@@ -106,6 +106,13 @@ pub(crate) fn submit(log: &MemoryLog, uid: Uid) {
     append(log, uid, &Arc::new(Record::made_by(run, position, effects)));
 }
 
+/// A log with an index that has this many records of [`submit`].
+pub(crate) fn engine(entry: &Entry, records: u64) -> Arc<MemoryLog> {
+    let engine = log_with(entry, &[]);
+    (0..records).for_each(|_| submit(&engine, entry.uid));
+    engine
+}
+
 /// A log whose index has a point that no index of the space can have, so that no server can read it.
 pub(crate) fn unreadable(entry: &Entry) -> Arc<MemoryLog> {
     let log = Arc::new(MemoryLog::new());

@@ -124,7 +124,7 @@ mod tests {
     use super::*;
     use crate::{
         log::{LogError, RecordPosition, Sessions, View},
-        testing::{admission, arm, log_with, server, submit},
+        testing::{admission, arm, engine, log_with, server},
     };
 
     const MIB: usize = 1024 * 1024;
@@ -132,10 +132,7 @@ mod tests {
     #[tokio::test]
     async fn the_points_that_a_call_changes_count_in_its_bytes() {
         let entry = arm();
-        let log = log_with(&entry, &[]);
-        for _ in 0..10 {
-            submit(&log, entry.uid);
-        }
+        let log = engine(&entry, 10);
         let service = server(&log, &log);
         let admission = admission(64 * MIB);
         let (other, flow) = (admission.open().hold(), admission.open());

@@ -81,16 +81,13 @@ mod tests {
     use crate::{
         admission::Admission,
         config::Config,
-        testing::{arm, log_with, server, submit},
+        testing::{arm, engine, server},
     };
 
     #[tokio::test]
     async fn records_are_read_while_there_is_room_and_count_until_the_answer() {
         let entry = arm();
-        let log = log_with(&entry, &[]);
-        for _ in 0..10 {
-            submit(&log, entry.uid);
-        }
+        let log = engine(&entry, 10);
         let service = server(&log, &log);
         let admission = Admission::new(&Config::default().admission, 1, 0);
         let (other, flow) = (admission.open().hold(), admission.open());

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::*;
 use crate::{
     service::Service,
-    testing::{admission, arm, log_with, server, submit},
+    testing::{admission, arm, engine, server},
 };
 
 const MIB: usize = 1024 * 1024;
@@ -19,11 +19,7 @@ const WITH_PAYLOADS: Option<v1::Include> = Some(v1::Include {
 
 /// A service whose index `arm` has ten points with 30,000 bytes of payload each.
 fn service() -> Service {
-    let entry = arm();
-    let log = log_with(&entry, &[]);
-    for _ in 0..10 {
-        submit(&log, entry.uid);
-    }
+    let log = engine(&arm(), 10);
     server(&log, &log)
 }
 

@@ -9,23 +9,16 @@ use futures_util::{FutureExt, future::BoxFuture, stream};
 
 use super::*;
 use crate::{
-    log::{Entry, Journal, MemoryLog, PointStore, RecordStream},
+    log::{Journal, MemoryLog, PointStore, RecordStream},
     registry::{Hosted, RegistryError},
     service::{
         CopyOutcome,
         member::{CopyPart, StoredRequest, StoredResponse, Unanswered},
     },
-    testing::{arm, forward_journal, log_with, server, submit, trim_all, unreadable},
+    testing::{arm, engine, forward_journal, log_with, server, submit, trim_all, unreadable},
 };
 
 const RECORDS: u64 = 20;
-
-/// A log with this many records.
-fn engine(entry: &Entry, records: u64) -> Arc<MemoryLog> {
-    let engine = log_with(entry, &[]);
-    (0..records).for_each(|_| submit(&engine, entry.uid));
-    engine
-}
 
 fn hosted(service: &Service) -> Arc<Hosted> {
     service.registry().unwrap().get("arm").unwrap()

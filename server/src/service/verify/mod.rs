@@ -236,15 +236,11 @@ impl Disagreements {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{arm, log_with, server, submit};
+    use crate::testing::{arm, engine, server};
 
     #[tokio::test]
     async fn a_page_of_large_payloads_has_few_points() {
-        let entry = arm();
-        let log = log_with(&entry, &[]);
-        for _ in 0..60 {
-            submit(&log, entry.uid);
-        }
+        let log = engine(&arm(), 60);
         let service = server(&log, &log);
         let request = v1::VerifyIndexRequest {
             index_name: "arm".into(),
