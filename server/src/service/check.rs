@@ -84,14 +84,8 @@ pub(super) async fn states(
         return Ok(checked);
     };
     let rows = states.row_count as usize;
-    if rows > limits.max_rows_per_call {
-        return Err(Error::LimitExceeded {
-            limit: "max_rows_per_call",
-            value: limits.max_rows_per_call as u64,
-            requested: rows as u64,
-            advice: "split the states over several calls",
-        });
-    }
+    let advice = "split the states over several calls";
+    at_most("max_rows_per_call", limits.max_rows_per_call, rows, advice)?;
     let found = states.coordinates.len();
     if found != rows * width {
         violations.add(
@@ -168,17 +162,29 @@ pub(super) async fn ids(
     Ok(())
 }
 
-/// Most ids of a call that names points by id.
-pub(super) fn id_count(ids: &[u64], limits: &Limits) -> Result<(), Error> {
-    if ids.len() <= limits.max_ids_per_call {
+/// Fails if `requested` exceeds the limit of this name.
+pub(super) fn at_most(
+    limit: &'static str,
+    max: usize,
+    requested: usize,
+    advice: &'static str,
+) -> Result<(), Error> {
+    if requested <= max {
         return Ok(());
     }
     Err(Error::LimitExceeded {
-        limit: "max_ids_per_call",
-        value: limits.max_ids_per_call as u64,
-        requested: ids.len() as u64,
-        advice: "split the ids over several calls",
+        limit,
+        value: max as u64,
+        requested: requested as u64,
+        advice,
     })
+}
+
+/// Most ids of a call that names points by id.
+pub(super) fn id_count(ids: &[u64], limits: &Limits) -> Result<(), Error> {
+    let (count, max) = (ids.len(), limits.max_ids_per_call);
+    let advice = "split the ids over several calls";
+    at_most("max_ids_per_call", max, count, advice)
 }
 
 /// A column has an entry for each row, or none at all.
@@ -250,15 +256,8 @@ pub(super) fn k(
 
 /// Fails if a number of neighbours exceeds `limit`.
 pub(super) fn k_limit(k: usize, limit: usize) -> Result<(), Error> {
-    if k <= limit {
-        return Ok(());
-    }
-    Err(Error::LimitExceeded {
-        limit: "max_k",
-        value: limit as u64,
-        requested: k as u64,
-        advice: "ask for fewer neighbours, or for all within a radius",
-    })
+    let advice = "ask for fewer neighbours, or for all within a radius";
+    at_most("max_k", limit, k, advice)
 }
 
 /// A filter of the points of `hosted`; `field` is its path.

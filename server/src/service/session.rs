@@ -95,14 +95,8 @@ fn ended(hosted: &Hosted, writer: &Writer, limits: &Limits) -> Result<Vec<u64>, 
         ended.extend(others);
     }
     let open = sessions.len() - ended.len();
-    if open >= limits.max_sessions {
-        return Err(Error::LimitExceeded {
-            limit: "max_sessions",
-            value: limits.max_sessions as u64,
-            requested: open as u64 + 1,
-            advice: "open one session a process, or wait until idle ones end",
-        });
-    }
+    let advice = "open one session a process, or wait until idle ones end";
+    check::at_most("max_sessions", limits.max_sessions, open + 1, advice)?;
     Ok(ended)
 }
 
@@ -121,15 +115,8 @@ const MAX_BLOCKS: usize = 1 << 20;
 
 /// Fails if an index may not have as many blocks.
 pub(super) fn block_count(count: usize) -> Result<(), Error> {
-    if count <= MAX_BLOCKS {
-        return Ok(());
-    }
-    Err(Error::LimitExceeded {
-        limit: "max_blocks",
-        value: MAX_BLOCKS as u64,
-        requested: count as u64,
-        advice: "reserve more ids at a time, or wait until idle sessions end",
-    })
+    let advice = "reserve more ids at a time, or wait until idle sessions end";
+    check::at_most("max_blocks", MAX_BLOCKS, count, advice)
 }
 
 /// The next `count` ids above all that were used or reserved, and above those that `effects` stores. The blocks of the

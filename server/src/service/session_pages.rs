@@ -2,7 +2,7 @@
 
 use wayfold_proto::v1;
 
-use super::{Error, Limits, session::block_count};
+use super::{Error, Limits, check, session::block_count};
 use crate::log::{Block, Session, Sessions};
 
 /// Approximate bytes of a session in a snapshot, without its response.
@@ -79,14 +79,8 @@ pub(super) fn add_restored(
 ) -> Result<(), Error> {
     block_count(sessions.block_count() + page.blocks.len())?;
     let count = sessions.len() + page.sessions.len();
-    if count > limits.max_sessions {
-        return Err(Error::LimitExceeded {
-            limit: "max_sessions",
-            value: limits.max_sessions as u64,
-            requested: count as u64,
-            advice: "raise it to restore this snapshot",
-        });
-    }
+    let advice = "raise it to restore this snapshot";
+    check::at_most("max_sessions", limits.max_sessions, count, advice)?;
     for session in page.sessions {
         let fingerprint = session.fingerprint[..].try_into();
         let restored = Session {

@@ -123,14 +123,8 @@ impl Steps {
         pace: &mut TimeSlicer,
     ) -> Result<Self, Error> {
         let count = request.kinds.len();
-        if count > limits.max_rows_per_call {
-            return Err(Error::LimitExceeded {
-                limit: "max_rows_per_call",
-                value: limits.max_rows_per_call as u64,
-                requested: count as u64,
-                advice: "split the steps over several batches",
-            });
-        }
+        let advice = "split the steps over several batches";
+        check::at_most("max_rows_per_call", limits.max_rows_per_call, count, advice)?;
         let mut violations = Violations::default();
         if request.uid.is_empty() {
             let text = "a session belongs to one uid: give the one that OpenSession returned";
