@@ -235,14 +235,9 @@ pub(super) fn find_damage(handles: &Handles) -> Result<Option<String>, LogError>
 }
 
 fn damage_in(
-    pairs: impl Iterator<Item = fjall::Result<KvPair>>,
+    mut pairs: impl Iterator<Item = fjall::Result<KvPair>>,
 ) -> Result<Option<String>, LogError> {
-    for pair in pairs {
-        if let Err(error) = pair {
-            return damage(error).map(Some);
-        }
-    }
-    Ok(None)
+    pairs.find_map(Result::err).map(damage).transpose()
 }
 
 /// The part of an index that a rebuilt store takes over.
