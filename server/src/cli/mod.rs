@@ -9,6 +9,7 @@ mod welcome;
 
 use std::{
     error::Error,
+    fmt::Display,
     io::{self, Write},
     path::Path,
     process::ExitCode,
@@ -45,7 +46,7 @@ pub fn main() -> ExitCode {
         Ok(config)
     }) {
         Ok(config) => config,
-        Err(error) => return fail(&*error, USAGE_STATUS),
+        Err(error) => return fail(error, USAGE_STATUS),
     };
     huge_pages::use_small_pages();
     // Data and snapshots hold the points of all indices: only the user of the server reads the files that it makes.
@@ -66,7 +67,7 @@ pub fn main() -> ExitCode {
                 Some(ServerError::Snapshots(SnapshotsError::InData { .. })) => USAGE_STATUS,
                 _ => FAILURE_STATUS,
             };
-            fail(&*error, status)
+            fail(error, status)
         }
     }
 }
@@ -78,13 +79,13 @@ fn print(text: &str, status: u8) -> ExitCode {
     match written {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
             let error = format!("cannot write to standard output: {error}");
-            fail(&*Box::<dyn Error>::from(error), FAILURE_STATUS)
+            fail(error, FAILURE_STATUS)
         }
         _ => ExitCode::from(status),
     }
 }
 
-fn fail(error: &dyn Error, status: u8) -> ExitCode {
+fn fail(error: impl Display, status: u8) -> ExitCode {
     // A closed standard error has no reader to report to.
     let _ = writeln!(io::stderr(), "wayfold-server: {error}");
     ExitCode::from(status)

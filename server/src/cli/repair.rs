@@ -17,7 +17,7 @@ const UNREPAIRED_STATUS: u8 = 3;
 pub(super) fn run(config: &Config, dry_run: bool) -> ExitCode {
     let Some(directory) = config.data.directory() else {
         let error = "there is nothing to repair in memory: name a data directory with --data";
-        return fail(&*Box::<dyn std::error::Error>::from(error), USAGE_STATUS);
+        return fail(error, USAGE_STATUS);
     };
     match repair(directory, dry_run) {
         Ok(report) => {
@@ -25,7 +25,7 @@ pub(super) fn run(config: &Config, dry_run: bool) -> ExitCode {
             let status = if is_damaged { DAMAGED_STATUS } else { 0 };
             print(&text(&report, directory, dry_run), status)
         }
-        Err(error) => fail(&error, UNREPAIRED_STATUS),
+        Err(error) => fail(error, UNREPAIRED_STATUS),
     }
 }
 

@@ -14,7 +14,7 @@ use crate::{
 /// Starts a new generation of the index of this name, with this uid if it is given.
 pub(super) fn run(config: &Config, name: &str, uid: Option<&str>) -> ExitCode {
     let uid = uid.map(str::parse::<Uid>).transpose();
-    let usage = |error: &str| fail(&*Box::<dyn Error>::from(error), USAGE_STATUS);
+    let usage = |error: &str| fail(error, USAGE_STATUS);
     let Ok(uid) = uid else {
         return usage("--uid is no uid");
     };
@@ -50,7 +50,7 @@ pub(super) fn run(config: &Config, name: &str, uid: Option<&str>) -> ExitCode {
             );
             print(&text, 0)
         }
-        Err(error) => fail(&*error, FAILURE_STATUS),
+        Err(error) => fail(error, FAILURE_STATUS),
     }
 }
 
