@@ -150,8 +150,12 @@ pub enum Caller {
 }
 
 impl Caller {
-    fn known(identity: &Arc<Identity>, certificate: Option<&ClientCertificate>) -> Self {
-        Self::Known(Arc::new(CountedCall::new(identity, certificate)))
+    /// The caller of a call with the credential of `identity`, if there is such an identity.
+    fn of(identity: Option<&Arc<Identity>>, certificate: Option<&ClientCertificate>) -> Self {
+        match identity {
+            Some(identity) => Self::Known(Arc::new(CountedCall::new(identity, certificate))),
+            None => Self::Unknown(IdentificationError::WrongCredential),
+        }
     }
 
     fn identity(&self) -> Option<&Identity> {

@@ -14,7 +14,7 @@ use subtle::ConstantTimeEq;
 use thiserror::Error;
 use time::{OffsetDateTime, format_description::well_known::Rfc3339};
 
-use super::{Caller, ClientCertificate, IdentificationError, Identity, Pattern, Role};
+use super::{Caller, ClientCertificate, Identity, Pattern, Role};
 use crate::redact;
 
 /// The SHA-256 of a token, in words, which are compared faster than bytes.
@@ -178,29 +178,20 @@ impl Table {
                 found = Some(identity);
             }
         }
-        found.map_or(
-            Caller::Unknown(IdentificationError::WrongCredential),
-            |it| Caller::known(it, None),
-        )
+        Caller::of(found, None)
     }
 
     /// The caller of this name.
     pub(super) fn of_name(&self, name: &str) -> Caller {
         let found = self.entries.get(name).map(|(_, identity)| identity);
-        found.map_or(
-            Caller::Unknown(IdentificationError::WrongCredential),
-            |it| Caller::known(it, None),
-        )
+        Caller::of(found, None)
     }
 
     /// The caller whose verified client certificate is for any of its names.
     pub(super) fn of_certificate(&self, certificate: &ClientCertificate) -> Caller {
         let names = &mut certificate.names.iter();
         let found = names.find_map(|name| self.certificates.get(name));
-        found.map_or(
-            Caller::Unknown(IdentificationError::WrongCredential),
-            |it| Caller::known(it, Some(certificate)),
-        )
+        Caller::of(found, Some(certificate))
     }
 }
 
@@ -226,6 +217,7 @@ fn instant(text: &str) -> Result<SystemTime, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::identity::{Denial, IdentificationError};
 
     const TOKEN: &str = "wayfold_of_a_test";
 
@@ -269,9 +261,9 @@ mod tests {
         caller.authorize(Role::Write, Some("arm-7")).unwrap();
         caller.authorize(Role::Read, None).unwrap();
         let admin = caller.authorize(Role::Admin, Some("arm-7")).unwrap_err();
-        assert!(matches!(admin, super::super::Denial::Role { .. }));
+        assert!(matches!(admin, Denial::Role { .. }));
         let leg = caller.authorize(Role::Read, Some("leg")).unwrap_err();
-        assert!(matches!(leg, super::super::Denial::Index { .. }));
+        assert!(matches!(leg, Denial::Index { .. }));
         let expired = table.of_certificate(&certificate(&["other", "gone.example"], 1));
         assert_eq!(expired.check(), Err(IdentificationError::Expired));
         for caller in [
