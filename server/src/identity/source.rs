@@ -135,7 +135,10 @@ impl Identities {
             (None, Some(certificate)) => source.table.read().of_certificate(certificate),
             (None, None) => Caller::Unknown(IdentificationError::NoCredential),
         };
-        source.count(caller)
+        if caller.is_excess() {
+            source.excess.fetch_add(1, Relaxed);
+        }
+        caller
     }
 
     /// The number of calls that exceeded the quota of their identity so far.
@@ -166,14 +169,6 @@ impl Identities {
 }
 
 impl Source {
-    /// Counts a call beyond the quota of its identity.
-    fn count(&self, caller: Caller) -> Caller {
-        if caller.is_excess() {
-            self.excess.fetch_add(1, Relaxed);
-        }
-        caller
-    }
-
     fn read_again(&self) -> Result<(), TableError> {
         let table = Table::read(&self.file)?;
         let mut current = self.table.write();
