@@ -45,19 +45,12 @@ struct CallLabels {
     outcome: &'static str,
 }
 
-#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-struct FaceLabels {
-    face: &'static str,
-}
+/// The name and the value of the only label of a metric.
+type Label = [(&'static str, &'static str); 1];
 
-/// The outcome of a snapshot that the server took.
-type SnapshotLabels = [(&'static str, &'static str); 1];
-
-const WRITTEN: SnapshotLabels = [("outcome", "written")];
-const FAILED: SnapshotLabels = [("outcome", "failed")];
-
-/// A file that the server reads again when it changes.
-type FileLabels = [(&'static str, &'static str); 1];
+/// The outcomes of the snapshots that the server takes.
+const WRITTEN: Label = [("outcome", "written")];
+const FAILED: Label = [("outcome", "failed")];
 
 /// The metrics of a server. Clones share them.
 #[derive(Clone, Debug)]
@@ -75,9 +68,11 @@ struct Inner {
     calls: Family<CallLabels, Histogram, fn() -> Histogram>,
     /// The series of `calls` by the name of their index.
     by_index: Mutex<HashMap<Arc<str>, IndexSeries>>,
-    queued: Family<FaceLabels, Histogram, fn() -> Histogram>,
-    snapshots: Family<SnapshotLabels, Counter>,
-    wrong_files: Family<FileLabels, Gauge>,
+    /// By face.
+    queued: Family<Label, Histogram, fn() -> Histogram>,
+    snapshots: Family<Label, Counter>,
+    /// By the name of a file that the server reads again when it changes.
+    wrong_files: Family<Label, Gauge>,
     no_index: Arc<str>,
 }
 
@@ -222,8 +217,7 @@ impl Metrics {
             None => self.0.add_series(labels).observe(seconds),
         }
         if let Some(queued) = ended.queued {
-            let labels = FaceLabels { face };
-            let queue = queues.get_or_create(&labels);
+            let queue = queues.get_or_create(&[("face", face)]);
             queue.observe(queued.as_secs_f64());
         }
     }
