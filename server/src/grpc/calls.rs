@@ -284,9 +284,7 @@ where
             held,
             arrived,
             call,
-            streams_requests: rpc.streams_requests,
-            streams_answers: rpc.streams_answers,
-            is_read: rpc.is_read(),
+            rpc,
             service: settings.shared.service.clone(),
             whole: Bytes::new(),
         };

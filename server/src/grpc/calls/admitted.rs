@@ -26,14 +26,13 @@ use crate::{
         connections::Activity,
         refusals,
         request_body::{HEADER_BYTES, RequestBody, RequestLimits},
+        rpcs::Rpc,
     },
     observe::{CallRecord, SlowCalls, Times},
     request_bounds::check_fields,
     service::{Call, Service},
     status,
 };
-
-const WRITE: &str = "/wayfold.v1.PointService/Write";
 
 /// A call that may wait for its turns.
 pub(super) struct Admitted<S> {
@@ -42,10 +41,7 @@ pub(super) struct Admitted<S> {
     pub(super) held: Arc<HeldBytes>,
     pub(super) arrived: Instant,
     pub(super) call: Call,
-    pub(super) streams_requests: bool,
-    pub(super) streams_answers: bool,
-    /// True if it reads points and has one answer.
-    pub(super) is_read: bool,
+    pub(super) rpc: Rpc,
     pub(super) service: Service,
     /// The request, unless it is a stream.
     pub(super) whole: Bytes,
@@ -64,8 +60,7 @@ where
         resources: CallResources,
         slow_calls: SlowCalls,
     ) -> Result<Response<Body>, Infallible> {
-        let (arrived, deadline) = (self.arrived, self.call.deadline);
-        let (streams_requests, streams_answers) = (self.streams_requests, self.streams_answers);
+        let (rpc, arrived, deadline) = (self.rpc, self.arrived, self.call.deadline);
         let mut received = None;
         let answer = async {
             let mut receiving = pin!(self.receive(request));
@@ -92,7 +87,7 @@ where
             Ok(Err(_panic)) => Err(refusals::panicked(record.rpc()).into()),
             Err(_) => Err(refusals::deadline_exceeded().into()),
         };
-        if !streams_requests && !streams_answers {
+        if rpc.is_unary() {
             let answered = arrived.elapsed();
             let (queued, computed) = turns.times();
             let times = Times {
@@ -104,7 +99,7 @@ where
             record.took(times, &slow_calls);
         }
         let (response, made) = answered.unwrap_or_else(|status: Status| (status.into_http(), None));
-        let turns = streams_answers.then_some(turns);
+        let turns = rpc.streams_answers.then_some(turns);
         Ok(CallBody::wrap(
             response, made, record, resources, deadline, turns,
         ))
@@ -122,7 +117,7 @@ where
         let activity = request.extensions().get::<Activity>().cloned();
         let (parts, body) = request.into_parts();
         let held = Arc::clone(&self.held);
-        let (is_stream, arrived) = (self.streams_requests, self.arrived);
+        let (is_stream, arrived) = (self.rpc.streams_requests, self.arrived);
         let service = self.service.clone();
         let body = RequestBody::new(
             body,
@@ -149,9 +144,9 @@ where
         mut request: Request<Body>,
     ) -> Result<(Response<Body>, Option<AnswerFrame>), Status> {
         self.check_room(0)?;
-        if !self.streams_requests {
+        if !self.rpc.streams_requests {
             let message = self.whole.get(HEADER_BYTES..).unwrap_or_default();
-            let is_write = request.uri().path() == WRITE;
+            let is_write = self.rpc.verb == "write";
             let limits = self.service.limits();
             if let Err(error) = check_fields(message, is_write, limits) {
                 return Err(status::from_error(&error).into());
@@ -170,7 +165,7 @@ where
             Poll::Pending => None,
         };
         // Only now its size is known. The answer to a mutation, which took place, is always given.
-        if self.is_read
+        if self.rpc.is_read()
             && let Some(Ok(frame)) = &made
             && let Some(bytes) = frame.data_ref()
         {
