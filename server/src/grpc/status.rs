@@ -64,39 +64,30 @@ pub(crate) trait Source: Send + Sized + 'static {
 }
 
 macro_rules! sources {
-    ($($source:ident: $message:ident, $bytes:expr;)*) => {
+    ($($source:ident: $message:ident { $($other:tt)* })*) => {
         $(impl Source for $source {
             type Message = v1::$message;
 
             async fn next_bytes(&mut self) -> Result<usize, Error> {
-                Ok($bytes(self))
+                Ok($source::next_bytes(self))
             }
 
             fn next(&mut self) -> impl Future<Output = Option<Result<Self::Message, Error>>> + Send {
                 $source::next(self)
             }
+
+            $($other)*
         })*
     };
 }
 
 sources! {
-    Scan: ScanResponse, |scan: &Scan| scan.next_bytes();
-    Snapshot: SnapshotIndexResponse, |snapshot: &Snapshot| snapshot.next_bytes();
-}
-
-impl Source for Verification {
-    type Message = v1::VerifyIndexResponse;
-
-    async fn next_bytes(&mut self) -> Result<usize, Error> {
-        Ok(Verification::next_bytes(self))
-    }
-
-    fn next(&mut self) -> impl Future<Output = Option<Result<Self::Message, Error>>> + Send {
-        Verification::next(self)
-    }
-
-    fn kept_bytes(&self) -> usize {
-        Verification::kept_bytes(self)
+    Scan: ScanResponse {}
+    Snapshot: SnapshotIndexResponse {}
+    Verification: VerifyIndexResponse {
+        fn kept_bytes(&self) -> usize {
+            Verification::kept_bytes(self)
+        }
     }
 }
 
