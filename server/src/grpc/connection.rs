@@ -71,7 +71,7 @@ pub(crate) fn incoming(
                     break (socket, own_cut, open);
                 }
             };
-            let client = Some(open.activity().client());
+            let client = open.activity().client();
             let read_queue = Arc::clone(connections.read_queue());
             let connection = Connection {
                 socket: Tls::accept(listener.tls.as_ref(), socket, client),
@@ -161,9 +161,7 @@ impl Connection {
         }
         Ok(())
     }
-}
 
-impl Connection {
     /// Sends what is left, and the end of this side.
     fn finish(&mut self, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         self.check(context)?;

@@ -140,9 +140,8 @@ impl Tls {
         })
     }
 
-    /// A connection that begins with a handshake if there is TLS. `client`, if there is one, gets the certificate of the
-    /// client.
-    pub(crate) fn accept(tls: Option<&Self>, socket: TcpStream, client: Option<Client>) -> Socket {
+    /// A connection that begins with a handshake if there is TLS. `client` gets the certificate of the client.
+    pub(crate) fn accept(tls: Option<&Self>, socket: TcpStream, client: Client) -> Socket {
         let Some(tls) = tls else {
             return Either::Left(socket);
         };
@@ -238,7 +237,7 @@ pub(crate) type Client = Arc<OnceLock<ClientCertificate>>;
 /// A connection with TLS, whose handshake takes place as it is first read or written.
 pub(crate) struct TlsSocket {
     state: State,
-    client: Option<Client>,
+    client: Client,
 }
 
 enum State {
@@ -254,10 +253,9 @@ impl TlsSocket {
         if let State::Shaking(handshake) = &mut self.state {
             let stream = ready!(Pin::new(handshake).poll(context))?;
             let chain = stream.get_ref().1.peer_certificates();
-            let certificate = chain.and_then(<[_]>::first).and_then(|it| read(it));
-            if let (Some(certificate), Some(client)) = (certificate, &self.client) {
+            if let Some(certificate) = chain.and_then(<[_]>::first).and_then(|it| read(it)) {
                 // A connection has one handshake.
-                let _ = client.set(certificate);
+                let _ = self.client.set(certificate);
             }
             self.state = State::Open(Box::new(stream));
         }

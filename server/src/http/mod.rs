@@ -216,11 +216,7 @@ impl Listener for PagesListener {
             let slot = self.slots.take().await;
             let calls = slot.calls.clone();
             let client = Client::default();
-            let socket = Tls::accept(
-                self.listener.tls.as_ref(),
-                socket,
-                Some(Arc::clone(&client)),
-            );
+            let socket = Tls::accept(self.listener.tls.as_ref(), socket, Arc::clone(&client));
             return (
                 BoundedConnection::new(socket, slot),
                 Connection {

@@ -25,7 +25,7 @@ async fn connect(
     let (socket, _) = listener.accept().await.unwrap();
     (
         client,
-        BoundedConnection::new(Tls::accept(None, socket, None), slot),
+        BoundedConnection::new(Tls::accept(None, socket, Arc::default()), slot),
     )
 }
 
@@ -139,7 +139,7 @@ async fn unread_connection() -> (BoundedConnection, TlsStream<TcpStream>) {
     let listener = listen().await;
     let client = TcpStream::connect(listener.local_addr().unwrap()).await;
     let (socket, _) = listener.accept().await.unwrap();
-    let socket = Tls::accept(Some(&tls), socket, None);
+    let socket = Tls::accept(Some(&tls), socket, Arc::default());
     let mut bounded = BoundedConnection::new(socket, ConnectionSlots::new(1).take().await);
     let opening = async {
         let mut client = tls_testing::connect(&connector, client.unwrap()).await;
