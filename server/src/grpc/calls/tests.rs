@@ -50,15 +50,23 @@ async fn call_path(
     under_way: &TaskTracker,
     answer: fn() -> Response<Body>,
 ) -> Response<Body> {
+    let request = Request::post(path).body(Body::empty());
+    let mut calls = calls(shared, under_way, answer);
+    calls.call(request.unwrap()).await.unwrap()
+}
+
+fn calls(
+    shared: &FaceContext,
+    under_way: &TaskTracker,
+    answer: fn() -> Response<Body>,
+) -> Calls<Answering> {
     let layer = CallsLayer::new(
         &Config::default().grpc,
         shared.clone(),
         Callers::Clients,
         under_way.clone(),
     );
-    let request = Request::post(path).body(Body::empty());
-    let answer = layer.layer(Answering(answer)).call(request.unwrap()).await;
-    answer.unwrap()
+    layer.layer(Answering(answer))
 }
 
 #[test]
@@ -133,19 +141,13 @@ async fn a_request_for_health_that_does_not_arrive_is_counted() {
     let shared = shared();
     let connections = Connections::new(1, 1, shared.admission.clone());
     let connection = connections.open(None, CancellationToken::new()).await;
-    let layer = CallsLayer::new(
-        &Config::default().grpc,
-        shared.clone(),
-        Callers::Clients,
-        TaskTracker::new(),
-    );
     let never = Body::new(StreamBody::new(stream::pending::<
         Result<Frame<Bytes>, Status>,
     >()));
     let request = Request::post("/grpc.health.v1.Health/Check")
         .extension(connection.unwrap().activity().clone())
         .body(never);
-    let mut calls = layer.layer(Answering(|| panic!("a request")));
+    let mut calls = calls(&shared, &TaskTracker::new(), || panic!("a request"));
     let answer = calls.call(request.unwrap()).await.unwrap();
     let status = Status::from_header_map(answer.headers()).unwrap();
     let reason = status.get_details_error_info().unwrap().reason;
@@ -159,13 +161,8 @@ async fn the_flow_of_calls_with_short_deadlines_is_hurried() {
     let connections = Connections::new(1, 1, shared.admission.clone());
     let connection = connections.open(None, CancellationToken::new()).await;
     let connection = connection.unwrap();
-    let layer = CallsLayer::new(
-        &Config::default().grpc,
-        shared.clone(),
-        Callers::Clients,
-        TaskTracker::new(),
-    );
-    let mut calls = layer.layer(Answering(|| Response::new(Body::empty())));
+    let empty = || Response::new(Body::empty());
+    let mut calls = calls(&shared, &TaskTracker::new(), empty);
     for (timeout, is_hurried) in [(Some("500m"), true), (Some("5S"), false), (None, false)] {
         let mut request = Request::post("/wayfold.v1.PointService/Knn");
         if let Some(timeout) = timeout {
@@ -206,17 +203,11 @@ async fn all_bytes_of_a_connection_are_late_while_it_asks_for_no_frame_of_an_ans
         let connections = Connections::new(1, 1, shared.admission.clone());
         let cut = CancellationToken::new();
         let connection = connections.open(None, cut.clone()).await.unwrap();
-        let layer = CallsLayer::new(
-            &Config::default().grpc,
-            shared.clone(),
-            Callers::Clients,
-            TaskTracker::new(),
-        );
-        let mut calls = layer.layer(Answering(|| {
+        let mut calls = calls(&shared, &TaskTracker::new(), || {
             let frame = Ok::<_, Status>(Frame::data(Bytes::from_static(b"part")));
             let parts = stream::iter([frame]).chain(stream::pending());
             Response::new(Body::new(StreamBody::new(parts)))
-        }));
+        });
         let request = Request::post("/wayfold.v1.PointService/Scan")
             .extension(connection.activity().clone())
             .body(Body::empty());
