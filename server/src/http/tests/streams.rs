@@ -2,10 +2,23 @@
 
 use std::time::Duration;
 
+use axum::body::BodyDataStream;
+use bytes::Bytes;
+use futures_util::StreamExt;
 use tokio::time::{Instant, timeout};
 
 use super::*;
 use crate::{extremes::EXTREMES, quiet::quietly};
+
+async fn open(router: &mut Router, path: &str) -> BodyDataStream {
+    let answer = ask(router, Request::post(format!("/api/v1/{path}")), "").await;
+    assert_eq!(answer.status(), StatusCode::OK);
+    answer.into_body().into_data_stream()
+}
+
+async fn next(body: &mut BodyDataStream) -> Bytes {
+    body.next().await.unwrap().unwrap()
+}
 
 #[tokio::test]
 async fn all_points_are_sent_once_with_their_columns() {
@@ -88,13 +101,10 @@ async fn the_overview_has_each_second_what_list_and_metrics_have() {
     let service = service().await;
     let mut router = router(&service, Identities::default());
     let began = Instant::now();
-    let answer = ask(&mut router, Request::post("/api/v1/overview"), "").await;
-    assert_eq!(answer.status(), StatusCode::OK);
-    let mut body = answer.into_body().into_data_stream();
+    let mut body = open(&mut router, "overview").await;
     for points in [POINTS, POINTS + 1] {
-        let next = futures_util::StreamExt::next(&mut body).await;
+        let sent = next(&mut body).await;
         assert_eq!(began.elapsed().as_secs(), points - POINTS);
-        let sent = next.unwrap().unwrap();
         let frames = heads(&sent);
         assert_eq!(frames.len(), 1);
         let head = &frames[0].0;
@@ -122,24 +132,14 @@ async fn a_stream_goes_on_after_the_revision_of_its_caller() {
     let begun = &begun[0].0["revision"];
     let uid = begun["uid"].as_str().unwrap();
     remove(&service, 3).await;
-    let request = Request::post(format!(
-        "/api/v1/arm/points?follow=true&after={uid}:{}",
-        POINTS - 1
-    ));
-    let mut body = ask(&mut router, request, "")
-        .await
-        .into_body()
-        .into_data_stream();
+    let path = format!("arm/points?follow=true&after={uid}:{}", POINTS - 1);
+    let mut body = open(&mut router, &path).await;
     let mut seen = Vec::new();
     while seen
         .last()
         .is_none_or(|(head, ..): &(Value, _, _)| head["revision"]["number"] != POINTS + 1)
     {
-        let next = futures_util::StreamExt::next(&mut body)
-            .await
-            .unwrap()
-            .unwrap();
-        seen.extend(frames(&next));
+        seen.extend(frames(&next(&mut body).await));
     }
     let kinds: Vec<&Value> = seen.iter().map(|(head, ..)| &head["kind"]).collect();
     assert_eq!(kinds, ["at", "points", "removed", "at"]);
@@ -149,26 +149,13 @@ async fn a_stream_goes_on_after_the_revision_of_its_caller() {
     }
 
     // Another uid begins anew.
-    let request = Request::post(
-        "/api/v1/arm/points?follow=true&after=00000000-0000-0000-0000-000000000000:7",
-    );
-    let mut body = ask(&mut router, request, "")
-        .await
-        .into_body()
-        .into_data_stream();
-    let next = futures_util::StreamExt::next(&mut body)
-        .await
-        .unwrap()
-        .unwrap();
+    let path = "arm/points?follow=true&after=00000000-0000-0000-0000-000000000000:7";
+    let mut body = open(&mut router, path).await;
     assert_eq!(
-        frames(&next)[0].0,
+        frames(&next(&mut body).await)[0].0,
         json!({ "kind": "reset", "reason": "UID_CHANGED" })
     );
-    let next = futures_util::StreamExt::next(&mut body)
-        .await
-        .unwrap()
-        .unwrap();
-    assert_eq!(frames(&next)[0].0["kind"], "begin");
+    assert_eq!(frames(&next(&mut body).await)[0].0["kind"], "begin");
 }
 
 /// The page draws a picture now and then: it must not look like a subscriber that is behind.
@@ -176,16 +163,11 @@ async fn a_stream_goes_on_after_the_revision_of_its_caller() {
 async fn the_page_is_no_subscriber() {
     let service = service().await;
     let mut router = router(&service, Identities::default());
-    let request = Request::post("/api/v1/arm/points?follow=true");
-    let mut body = ask(&mut router, request, "")
-        .await
-        .into_body()
-        .into_data_stream();
+    let mut body = open(&mut router, "arm/points?follow=true").await;
     for revision in [POINTS, POINTS + 1] {
         let mut reached = Value::Null;
         while reached != revision {
-            let next = futures_util::StreamExt::next(&mut body).await;
-            let sent = next.unwrap().unwrap();
+            let sent = next(&mut body).await;
             reached = heads(&sent).last().unwrap().0["revision"]["number"].clone();
         }
         insert(&service, revision).await;
@@ -198,13 +180,10 @@ async fn the_page_is_no_subscriber() {
 #[tokio::test(start_paused = true)]
 async fn a_stream_without_mutations_says_that_it_lives() {
     let mut router = router(&service().await, Identities::default());
-    let request = Request::post("/api/v1/arm/points?follow=true");
-    let answer = ask(&mut router, request, "").await;
-    let mut body = answer.into_body().into_data_stream();
+    let mut body = open(&mut router, "arm/points?follow=true").await;
     let mut ends = 0;
     while ends < 4 {
-        let next = futures_util::StreamExt::next(&mut body).await;
-        let frames = frames(&next.unwrap().unwrap());
+        let frames = frames(&next(&mut body).await);
         ends += frames.iter().filter(|it| it.0["kind"] == "at").count();
     }
 }
@@ -230,16 +209,12 @@ async fn more_points_than_asked_for_are_sampled() {
     // The same sample is followed from the beginning, and from a revision on.
     let mut sampled: Vec<u64> = frames.iter().flat_map(|it| it.1.clone()).collect();
     let (uid, share) = (begin["revision"]["uid"].as_str().unwrap(), &begin["share"]);
-    let request = Request::post(format!("/api/v1/arm/points?after={uid}:0&share={share}"));
-    let mut body = ask(&mut router, request, "")
-        .await
-        .into_body()
-        .into_data_stream();
+    let path = format!("arm/points?after={uid}:0&share={share}");
+    let mut body = open(&mut router, &path).await;
     let mut followed = Vec::new();
     let mut reached = Value::Null;
     while reached != 1000 {
-        let next = futures_util::StreamExt::next(&mut body).await;
-        for (head, ids, _) in self::frames(&next.unwrap().unwrap()) {
+        for (head, ids, _) in self::frames(&next(&mut body).await) {
             followed.extend(ids);
             reached = head["revision"]["number"].clone();
         }
@@ -294,13 +269,11 @@ async fn a_stream_tells_which_points_are_replaced() {
     let (_, described) = post(&mut router, "arm/info", json!({})).await;
     let uid = described["index"]["revision"]["uid"].as_str().unwrap();
     let newest = POINTS + 3;
-    let request = Request::post(format!("/api/v1/arm/points?after={uid}:{POINTS}"));
-    let answer = ask(&mut router, request, "").await;
-    let mut body = answer.into_body().into_data_stream();
+    let path = format!("arm/points?after={uid}:{POINTS}");
+    let mut body = open(&mut router, &path).await;
     let (mut seen, mut reached) = (Vec::new(), Value::Null);
     while reached != newest {
-        let next = futures_util::StreamExt::next(&mut body).await;
-        for (head, body) in heads(&next.unwrap().unwrap()) {
+        for (head, body) in heads(&next(&mut body).await) {
             match body.first_chunk() {
                 Some(id) => {
                     let kind = head["kind"].as_str().unwrap().to_owned();
