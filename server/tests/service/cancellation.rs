@@ -84,10 +84,7 @@ async fn a_deadline_is_kept_inside_a_long_batch() {
     assert_eq!(refusal(answer).0, Code::DeadlineExceeded);
     assert_eq!(info(&service, "arm").await.revision.number(), 0);
 
-    service
-        .insert(&CALL, insertion(&cube(3, 20_000), &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &cube(3, 20_000), &[]).await;
     let request = knn(&cube(4, 60_000), 1);
     let (call, deadline) = in_20_ms();
     let answer = past(deadline, service.knn(&call, request)).await;
@@ -133,10 +130,7 @@ async fn a_call_whose_deadline_has_passed_does_nothing() {
 #[tokio::test(flavor = "current_thread")]
 async fn long_batches_let_short_calls_pass() {
     let (service, _) = arm("R3").await;
-    service
-        .insert(&CALL, insertion(&cube(3, 1000), &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &cube(3, 1000), &[]).await;
     let inserting = tokio::spawn({
         let service = service.clone();
         async move { service.insert(&CALL, long_insertion()).await }

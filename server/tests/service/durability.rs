@@ -268,10 +268,7 @@ async fn an_index_whose_log_fails_takes_no_more_and_still_answers() {
     let service = service_with(log.clone(), Limits::default());
     create(&service, "arm", "R1").await;
     log.synced.send_replace(1);
-    service
-        .insert(&CALL, insertion(&[[1.0]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[1.0]], &[]).await;
     log.fails.store(true, Ordering::Relaxed);
     for _ in 0..2 {
         let answer = service.insert(&CALL, insertion(&[[2.0]], &[])).await;

@@ -3,10 +3,7 @@
 use std::{sync::Arc, time::Duration};
 
 use wayfold_proto::v1;
-use wayfold_server::{
-    log::MemoryLog,
-    service::{Call, ClientPermits, Code, Error, Limits, Service},
-};
+use wayfold_server::service::{Call, ClientPermits, Code, Error, Limits, Service};
 
 use crate::support::*;
 
@@ -101,8 +98,7 @@ async fn a_revision_is_held_for_its_time_while_its_index_lasts() {
         max_scan_seconds: 100,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    create(&service, "arm", "R3").await;
+    let (service, _) = arm_with("R3", limits).await;
     let request = insertion(&cube(1, 10), &[]);
     service.insert(&CALL, request).await.unwrap();
     let request = first_page(3);
@@ -141,8 +137,7 @@ async fn held_revisions_are_limited_and_idle_ones_make_room() {
         max_held_scans: 2,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    create(&service, "arm", "R3").await;
+    let (service, _) = arm_with("R3", limits).await;
     let request = insertion(&cube(1, 10), &[]);
     service.insert(&CALL, request).await.unwrap();
     let request = first_page(4);
@@ -174,8 +169,7 @@ async fn one_caller_does_not_keep_others_from_scanning() {
         max_held_scans: 4,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    create(&service, "arm", "R3").await;
+    let (service, _) = arm_with("R3", limits).await;
     let request = insertion(&cube(1, 10), &[]);
     service.insert(&CALL, request).await.unwrap();
     let request = first_page(4);

@@ -254,10 +254,7 @@ async fn the_log_forgets_deleted_indices() {
 #[tokio::test]
 async fn a_deleted_index_is_gone_and_its_name_starts_a_new_history() {
     let (service, uid) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[1.0]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[1.0]], &[]).await;
     let delete = |uid: &str| v1::DeleteIndexRequest {
         index_name: "arm".into(),
         uid: uid.into(),

@@ -17,18 +17,12 @@ fn outcomes(response: &v1::InsertResponse) -> Vec<Outcome> {
 #[tokio::test]
 async fn assigned_ids_run_upwards_and_are_never_used_again() {
     let (service, uid) = arm("R1").await;
-    let first = service
-        .insert(&CALL, insertion(&[[1.0], [2.0]], &[]))
-        .await
-        .unwrap();
+    let first = insert_rows(&service, &[[1.0], [2.0]], &[]).await;
     assert_eq!(
         (first.ids, first.revision.number(), first.revision.uid()),
         (vec![0, 1], 1, uid)
     );
-    service
-        .insert(&CALL, insertion(&[[3.0]], &[40]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[3.0]], &[40]).await;
     service.remove(&CALL, removal(&[40])).await.unwrap();
     // A row that is left out takes no id.
     let request = v1::InsertRequest {
@@ -47,10 +41,7 @@ async fn assigned_ids_run_upwards_and_are_never_used_again() {
 async fn ids_end_below_2_to_the_63() {
     let (service, _) = arm("R1").await;
     let last = (1 << 63) - 1;
-    service
-        .insert(&CALL, insertion(&[[1.0]], &[last]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[1.0]], &[last]).await;
     let before = everything(&service).await;
     let error = service
         .insert(&CALL, insertion(&[[2.0]], &[]))
@@ -65,10 +56,7 @@ async fn ids_end_below_2_to_the_63() {
     assert_eq!(error.code(), Code::ResourceExhausted);
     assert_eq!(everything(&service).await, before);
     // Ids chosen by the caller stay taken.
-    service
-        .insert(&CALL, insertion(&[[2.0]], &[5]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[2.0]], &[5]).await;
 }
 
 #[tokio::test]
@@ -135,10 +123,7 @@ async fn the_same_point_again_is_unchanged_and_makes_no_revision() {
 #[tokio::test]
 async fn conflicts_are_named_all_and_nothing_is_stored() {
     let (service, _) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[1.0], [2.0], [3.0]], &[1, 2, 3]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[1.0], [2.0], [3.0]], &[1, 2, 3]).await;
     let before = everything(&service).await;
     let request = insertion(&[[9.0], [1.0], [2.5], [3.5]], &[9, 1, 2, 3]);
     let error = service.insert(&CALL, request).await.unwrap_err();
@@ -153,10 +138,7 @@ async fn conflicts_are_named_all_and_nothing_is_stored() {
 #[tokio::test]
 async fn separation_is_strict_and_counts_the_rows_before() {
     let (service, _) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[0.0]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[0.0]], &[]).await;
     let request = v1::InsertRequest {
         min_separation: 1.0,
         ..insertion(&[[0.75], [1.0], [1.75], [2.0], [1.0]], &[])
@@ -174,10 +156,7 @@ async fn separation_is_strict_and_counts_the_rows_before() {
 #[tokio::test]
 async fn a_replaced_point_is_neither_in_its_own_way_nor_its_own_neighbour() {
     let (service, _) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[0.0], [5.0]], &[1, 2]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[0.0], [5.0]], &[1, 2]).await;
     let request = v1::InsertRequest {
         on_conflict: v1::OnConflict::Replace.into(),
         min_separation: 1.0,
@@ -206,19 +185,9 @@ async fn a_replaced_point_is_neither_in_its_own_way_nor_its_own_neighbour() {
 #[tokio::test]
 async fn neighbours_since_a_revision_are_what_came_meanwhile_and_the_same_call() {
     let (service, uid) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[0.0]], &[]))
-        .await
-        .unwrap();
-    let checked_at = service
-        .insert(&CALL, insertion(&[[1.0]], &[]))
-        .await
-        .unwrap()
-        .revision;
-    service
-        .insert(&CALL, insertion(&[[2.0]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[0.0]], &[]).await;
+    let checked_at = insert_rows(&service, &[[1.0]], &[]).await.revision;
+    insert_rows(&service, &[[2.0]], &[]).await;
     let request = v1::InsertRequest {
         uid,
         neighbor_spec: Some(v1::NeighborSpec {

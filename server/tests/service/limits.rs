@@ -1,14 +1,9 @@
 //! Answers stay below their limit, and the refusal of a request that exceeds a limit names the limit.
 
-use std::sync::Arc;
-
 use bytes::Bytes;
 use prost::Message;
 use wayfold_proto::v1;
-use wayfold_server::{
-    log::MemoryLog,
-    service::{Code, Error, Limits, Service},
-};
+use wayfold_server::service::{Code, Error, Limits, Service};
 
 use crate::support::*;
 
@@ -23,8 +18,7 @@ async fn small() -> Service {
         max_indexes: 2,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    create(&service, "arm", "R3").await;
+    let (service, _) = arm_with("R3", limits).await;
     service
 }
 
@@ -81,10 +75,7 @@ async fn exceeding_a_limit_is_refused_with_its_name_and_value() {
 /// Fifty points with payloads, stored at a revision that takes two bytes.
 async fn fill(service: &Service, rows: &[[f64; 3]]) {
     for _ in 0..100 {
-        service
-            .insert(&CALL, insertion(&[[0.0; 3]], &[77]))
-            .await
-            .unwrap();
+        insert_rows(service, &[[0.0; 3]], &[77]).await;
         service.remove(&CALL, removal(&[77])).await.unwrap();
     }
     let request = v1::InsertRequest {
@@ -98,8 +89,7 @@ async fn fill(service: &Service, rows: &[[f64; 3]]) {
 #[tokio::test]
 async fn answers_of_every_size_up_to_the_limit() {
     let service = small().await;
-    let generous = service_with(Arc::new(MemoryLog::new()), Limits::default());
-    create(&generous, "arm", "R3").await;
+    let (generous, _) = arm("R3").await;
     let rows = cube(1, 50);
     fill(&service, &rows).await;
     fill(&generous, &rows).await;
@@ -140,10 +130,7 @@ async fn oversize_answers_of_every_verb_are_refused() {
     let service = small().await;
     for start in [0, 50, 100, 150, 200, 250] {
         let ids: Vec<u64> = (start..start + 50).collect();
-        service
-            .insert(&CALL, insertion(&cube(start, 50), &ids))
-            .await
-            .unwrap();
+        insert_rows(&service, &cube(start, 50), &ids).await;
     }
     let before = info(&service, "arm").await;
     let whole = v1::QueryRequest {
@@ -197,12 +184,8 @@ async fn an_insert_whose_outcomes_alone_are_too_many_is_refused() {
         max_answer_bytes: 600,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    create(&service, "arm", "R3").await;
-    service
-        .insert(&CALL, insertion(&cube(1, 30), &[]))
-        .await
-        .unwrap();
+    let (service, _) = arm_with("R3", limits).await;
+    insert_rows(&service, &cube(1, 30), &[]).await;
     let many = service.insert(&CALL, insertion(&cube(2, 60), &[])).await;
     assert_eq!(exceeded(many), ("max_answer_bytes", 600));
     assert_eq!(info(&service, "arm").await.point_count, 30);

@@ -1,13 +1,8 @@
 //! A client that missed mutations asks for them, and receives what a watch would have sent.
 
-use std::sync::Arc;
-
 use prost::Message;
 use wayfold_proto::v1::{self, ResetReason};
-use wayfold_server::{
-    log::MemoryLog,
-    service::{Code, Limits, Service},
-};
+use wayfold_server::service::{Code, Limits, Service};
 
 use crate::support::*;
 
@@ -40,8 +35,7 @@ async fn answers_that_fit_amount_to_what_a_watch_tells() {
         max_payload_bytes: 100,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    let uid = create(&service, "arm", "R3").await;
+    let (service, uid) = arm_with("R3", limits).await;
     for seed in 0..40 {
         let request = v1::InsertRequest {
             payloads: vec![vec![seed as u8; 100].into(); 9],
@@ -120,8 +114,7 @@ async fn a_mutation_that_no_answer_holds_is_refused_and_not_cut() {
         max_payload_bytes: 100,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    let uid = create(&service, "arm", "R3").await;
+    let (service, uid) = arm_with("R3", limits).await;
     for rows in [1, 100, 1] {
         let request = insertion(&cube(rows, rows as usize), &[]);
         service.insert(&CALL, request).await.unwrap();

@@ -1,13 +1,8 @@
 //! Calls with an operation id take effect once.
 
-use std::sync::Arc;
-
 use prost::Message;
 use wayfold_proto::v1;
-use wayfold_server::{
-    log::MemoryLog,
-    service::{Code, Error, Limits},
-};
+use wayfold_server::service::{Code, Error, Limits};
 
 use crate::support::*;
 
@@ -25,15 +20,9 @@ fn once(id: &str, row: f64) -> v1::InsertRequest {
 #[tokio::test]
 async fn a_retry_gets_the_original_response_bit_for_bit() {
     let (service, _) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[0.0], [1.0]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[0.0], [1.0]], &[]).await;
     let first = service.insert(&CALL, once("op", 0.1)).await.unwrap();
-    service
-        .insert(&CALL, insertion(&[[0.2]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[0.2]], &[]).await;
     let retry = service.insert(&CALL, once("op", 0.1)).await.unwrap();
     assert_eq!(retry.encode_to_vec(), first.encode_to_vec());
     assert_eq!(info(&service, "arm").await.point_count, 4);
@@ -92,10 +81,7 @@ async fn a_call_that_changed_nothing_is_remembered_too() {
     };
     let first = service.remove(&CALL, removal.clone()).await.unwrap();
     assert_eq!((first.removed_count, first.revision.number()), (0, 0));
-    service
-        .insert(&CALL, insertion(&[[1.0]], &[5]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[1.0]], &[5]).await;
     assert_eq!(service.remove(&CALL, removal).await.unwrap(), first);
     assert_eq!(info(&service, "arm").await.point_count, 1);
 }
@@ -103,10 +89,7 @@ async fn a_call_that_changed_nothing_is_remembered_too() {
 #[tokio::test]
 async fn a_call_that_failed_is_not_remembered() {
     let (service, _) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[1.0]], &[5]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[1.0]], &[5]).await;
     let request = v1::InsertRequest {
         operation_id: "op".into(),
         ..insertion(&[[2.0]], &[5])
@@ -141,8 +124,7 @@ async fn the_window_ends_and_a_new_past_starts_an_empty_one() {
         max_operations: 2,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    create(&service, "arm", "R1").await;
+    let (service, _) = arm_with("R1", limits).await;
     for (at, id) in ["a", "b", "c"].into_iter().enumerate() {
         service.insert(&CALL, once(id, at as f64)).await.unwrap();
     }

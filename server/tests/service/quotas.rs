@@ -42,10 +42,7 @@ async fn quotas_of_an_index_are_exact_also_after_a_restart() {
     let two = service.insert(&CALL, insertion(&cube(2, 2), &[])).await;
     assert_eq!(two.clone().unwrap_err().reason(), "QUOTA_EXCEEDED");
     assert_eq!(quota(two.unwrap_err()), expected);
-    service
-        .insert(&CALL, insertion(&cube(2, 1), &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &cube(2, 1), &[]).await;
     // A full index still takes what makes it no larger.
     service.insert(&CALL, insert).await.unwrap();
     let replacing = v1::InsertRequest {
@@ -56,10 +53,7 @@ async fn quotas_of_an_index_are_exact_also_after_a_restart() {
     let third = service.insert(&CALL, insertion(&cube(3, 1), &[]));
     assert_eq!(quota(third.await.unwrap_err()), expected);
     service.remove(&CALL, removal(&[0])).await.unwrap();
-    service
-        .insert(&CALL, insertion(&cube(3, 1), &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &cube(3, 1), &[]).await;
     // Every index has its own quota.
     create(&service, "leg", "R3").await;
     let elsewhere = v1::InsertRequest {
@@ -72,15 +66,11 @@ async fn quotas_of_an_index_are_exact_also_after_a_restart() {
         max_state_bytes_per_index: 24 * 10,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    create(&service, "arm", "R3").await;
+    let (service, _) = arm_with("R3", limits).await;
     let eleven = service.insert(&CALL, insertion(&cube(1, 11), &[])).await;
     let expected = ("arm".to_owned(), "max_state_bytes_per_index", 240, 264);
     assert_eq!(quota(eleven.unwrap_err()), expected);
-    service
-        .insert(&CALL, insertion(&cube(1, 10), &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &cube(1, 10), &[]).await;
 }
 
 #[tokio::test]

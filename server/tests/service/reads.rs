@@ -105,10 +105,7 @@ async fn filters_by_tag_and_by_revision() {
 #[tokio::test]
 async fn the_ball_is_closed_and_both_limits_hold() {
     let (service, _) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[0.0], [1.0], [2.0]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[0.0], [1.0], [2.0]], &[]).await;
     let query = |radius| v1::QueryRequest {
         index_name: "arm".into(),
         states: states(&[[0.0]]),
@@ -175,10 +172,7 @@ async fn a_read_waits_for_the_revision_it_asks_after() {
         (response.revision.number(), response.neighbors.unwrap().ids),
         (2, vec![])
     );
-    service
-        .insert(&CALL, insertion(&[[3.0]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[3.0]], &[]).await;
     let response = service.knn(&CALL, request).await.unwrap();
     assert_eq!(response.neighbors.unwrap().ids, [2]);
 }

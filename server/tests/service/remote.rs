@@ -325,10 +325,7 @@ async fn no_mutation_is_refused_for_what_another_server_has_changed() {
     let (one, ..) = server(&stream, &entry);
     let (other, _, behind) = server(&stream, &entry);
     one.insert(&CALL, insertion(&[[7.0]], &[7])).await.unwrap();
-    other
-        .insert(&CALL, insertion(&[[8.0]], &[8]))
-        .await
-        .unwrap();
+    insert_rows(&other, &[[8.0]], &[8]).await;
     behind.fall_behind();
     one.remove(&CALL, removal(&[7])).await.unwrap();
     one.insert(&CALL, insertion(&[[9.0]], &[9])).await.unwrap();

@@ -186,10 +186,7 @@ async fn a_restored_index_answers_as_the_other_did_and_goes_on_as_it_does() {
 #[tokio::test]
 async fn an_index_without_points_is_restored() {
     let (source, _) = arm("SO3").await;
-    source
-        .insert(&CALL, insertion(&[[0.0, 0.0, 0.0, 1.0]], &[7]))
-        .await
-        .unwrap();
+    insert_rows(&source, &[[0.0, 0.0, 0.0, 1.0]], &[7]).await;
     source.remove(&CALL, removal(&[7])).await.unwrap();
     create(&source, "fresh", "R1").await;
     let target = service();
@@ -252,10 +249,7 @@ async fn an_incomplete_restore_leaves_nothing() {
     let source = service();
     create(&source, "arm", "R3").await;
     for seed in 0..4 {
-        source
-            .insert(&CALL, insertion(&cube(seed, 4000), &[]))
-            .await
-            .unwrap();
+        insert_rows(&source, &cube(seed, 4000), &[]).await;
     }
     let parts = snapshot(&source, "arm").await;
     assert!(parts.len() > 4);

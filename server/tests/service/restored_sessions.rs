@@ -136,8 +136,7 @@ async fn many_sessions_take_several_parts() {
         max_answer_bytes: 2048,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    create(&service, "arm", "R1").await;
+    let (service, _) = arm_with("R1", limits).await;
     let mut expected = v1::SnapshotSessions::default();
     for at in 0..40 {
         let session = open(&service, 2).await.session;

@@ -141,10 +141,7 @@ async fn a_filter_does_not_change_how_many_points_there_are() {
         ..insertion(&rows, &[])
     };
     service.insert(&CALL, request).await.unwrap();
-    service
-        .insert(&CALL, insertion(&[[100.0], [101.0], [102.0]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[100.0], [101.0], [102.0]], &[]).await;
     for (filter, expected) in [
         // ceil(2 ln 103) = 10
         (v1::Filter::default(), (0..10).collect::<Vec<u64>>()),
@@ -224,10 +221,7 @@ async fn the_limits_of_k_and_of_an_answer_hold_for_scaled_searches() {
     };
     for start in [0, 50] {
         let ids: Vec<u64> = (start..start + 50).collect();
-        service
-            .insert(&CALL, insertion(&cube(start, 50), &ids))
-            .await
-            .unwrap();
+        insert_rows(&service, &cube(start, 50), &ids).await;
     }
     let ask = |k_factor, rows: usize| v1::KnnRequest {
         k_form: by(k_factor).map(Into::into),
@@ -267,10 +261,7 @@ const INFINITE: f64 = f64::INFINITY;
 #[tokio::test]
 async fn invalid_scalings_are_named() {
     let (service, _) = arm("R3").await;
-    service
-        .insert(&CALL, insertion(&[[0.0; 3]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[0.0; 3]], &[]).await;
     let invalid = |reason, field: String| (Code::InvalidArgument, reason, field);
     let (factor, max) = ("scaled_radius.factor", "scaled_radius.max");
     for (count, radius_form, reason, field) in [

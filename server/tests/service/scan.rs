@@ -1,13 +1,10 @@
 //! Scans: parts, the pinned revision, and the maximum time that it is held.
 
-use std::{sync::Arc, time::Duration};
+use std::time::Duration;
 
 use bytes::Bytes;
 use wayfold_proto::v1;
-use wayfold_server::{
-    log::MemoryLog,
-    service::{Error, Limits},
-};
+use wayfold_server::service::{Error, Limits};
 
 use crate::support::*;
 
@@ -125,12 +122,8 @@ async fn a_scan_that_holds_its_snapshot_too_long_ends_and_another_goes_on() {
         max_scan_seconds: 10,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    create(&service, "arm", "R3").await;
-    service
-        .insert(&CALL, insertion(&cube(1, 9000), &[]))
-        .await
-        .unwrap();
+    let (service, _) = arm_with("R3", limits).await;
+    insert_rows(&service, &cube(1, 9000), &[]).await;
 
     let mut scan = service.scan(&CALL, scanning()).await.unwrap();
     let first = scan.next().await.unwrap().unwrap().points.unwrap();
@@ -169,9 +162,6 @@ async fn a_scan_waits_for_the_revision_it_asks_after() {
     };
     let mut scanning = std::pin::pin!(service.scan(&CALL, request));
     assert!((&mut scanning).now_or_never().is_none());
-    service
-        .insert(&CALL, insertion(&[[1.0]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[1.0]], &[]).await;
     scanning.await.unwrap();
 }

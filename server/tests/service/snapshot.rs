@@ -1,14 +1,11 @@
 //! Snapshots have one pinned revision, unaffected by later mutations, and everything that a restore needs.
 
-use std::{sync::Arc, time::Duration};
+use std::time::Duration;
 
 use bytes::Bytes;
 use prost::Message;
 use wayfold_proto::{snapshot::Reader, v1};
-use wayfold_server::{
-    log::MemoryLog,
-    service::{Code, Error, Limits},
-};
+use wayfold_server::service::{Code, Error, Limits};
 
 use crate::support::{snapshots::*, *};
 
@@ -49,10 +46,7 @@ async fn a_snapshot_has_one_revision_despite_later_writes() {
             ..Default::default()
         };
         service.update(&CALL, update).await.unwrap();
-        service
-            .insert(&CALL, insertion(&[[0.5; 3]], &[]))
-            .await
-            .unwrap();
+        insert_rows(&service, &[[0.5; 3]], &[]).await;
     }
     assert!(parts.len() > 4, "{} parts", parts.len());
     let held = read(&parts);
@@ -68,10 +62,7 @@ async fn a_snapshot_has_one_revision_despite_later_writes() {
 #[tokio::test]
 async fn it_tells_which_revision_changed_a_point_last_and_which_ids_were_used() {
     let (service, _) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[0.0], [1.0], [2.0]], &[1, 2, 90]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[0.0], [1.0], [2.0]], &[1, 2, 90]).await;
     let update = v1::UpdateRequest {
         index_name: "arm".into(),
         ids: vec![2],
@@ -153,12 +144,8 @@ async fn one_that_is_not_read_ends_and_is_no_snapshot() {
         max_scan_seconds: 10,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    create(&service, "arm", "R3").await;
-    service
-        .insert(&CALL, insertion(&cube(1, 9000), &[]))
-        .await
-        .unwrap();
+    let (service, _) = arm_with("R3", limits).await;
+    insert_rows(&service, &cube(1, 9000), &[]).await;
     let mut snapshot = service.snapshot_index(&CALL, request()).await.unwrap();
     let mut reader = Reader::new();
     for _ in 0..2 {

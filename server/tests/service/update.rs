@@ -78,10 +78,7 @@ async fn tags_and_payloads_change_and_the_state_keeps_its_revision() {
 #[tokio::test]
 async fn if_revision_compares_with_the_last_change_of_the_whole_point() {
     let (service, uid) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[1.0], [2.0], [3.0]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[1.0], [2.0], [3.0]], &[]).await;
     let set = |ids: &[u64], tag, if_revision| v1::UpdateRequest {
         tags: vec![tag],
         if_revision: revision(&uid, if_revision),
@@ -114,10 +111,7 @@ async fn if_revision_compares_with_the_last_change_of_the_whole_point() {
 #[tokio::test]
 async fn one_of_concurrent_compare_and_sets_wins() {
     let (service, uid) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[1.0]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[1.0]], &[]).await;
     let mut calls = tokio::task::JoinSet::new();
     for tag in 1..=20 {
         let service = service.clone();
@@ -140,10 +134,7 @@ async fn one_of_concurrent_compare_and_sets_wins() {
 #[tokio::test]
 async fn missing_points_are_named_and_nothing_is_updated() {
     let (service, _) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[1.0]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[1.0]], &[]).await;
     let request = v1::UpdateRequest {
         tags: vec![1],
         ..update(&[0, 8, 9])
@@ -164,10 +155,7 @@ async fn missing_points_are_named_and_nothing_is_updated() {
 #[tokio::test]
 async fn removals_count_missing_points() {
     let (service, _) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[1.0], [2.0]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[1.0], [2.0]], &[]).await;
     let response = service.remove(&CALL, removal(&[1, 7])).await.unwrap();
     assert_eq!(
         (

@@ -89,17 +89,11 @@ async fn the_hash_is_the_contents_and_not_the_pasts() {
     one.insert(&CALL, insertion(&[[0.0], [1.0]], &[4, 5]))
         .await
         .unwrap();
-    other
-        .insert(&CALL, insertion(&[[1.0], [7.0]], &[5, 9]))
-        .await
-        .unwrap();
+    insert_rows(&other, &[[1.0], [7.0]], &[5, 9]).await;
     other.remove(&CALL, removal(&[9])).await.unwrap();
     let hash = async |service| verify(service, verification()).await.unwrap().content_hash;
     assert_ne!(hash(&one).await, hash(&other).await);
-    other
-        .insert(&CALL, insertion(&[[0.0]], &[4]))
-        .await
-        .unwrap();
+    insert_rows(&other, &[[0.0]], &[4]).await;
     assert_eq!(hash(&one).await, hash(&other).await);
     let tagged = v1::UpdateRequest {
         index_name: "arm".into(),

@@ -149,8 +149,7 @@ async fn a_large_mutation_comes_in_pieces_that_fit() {
         max_answer_bytes: 20_000,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    let uid = create(&service, "arm", "R3").await;
+    let (service, uid) = arm_with("R3", limits).await;
     let large = v1::InsertRequest {
         payloads: (0..300u32)
             .map(|at| vec![at as u8; at as usize].into())
@@ -160,10 +159,7 @@ async fn a_large_mutation_comes_in_pieces_that_fit() {
     service.insert(&CALL, large).await.unwrap();
     let ids: Vec<u64> = (0..300).filter(|id| id % 7 > 0).collect();
     service.remove(&CALL, removal(&ids)).await.unwrap();
-    service
-        .insert(&CALL, insertion(&cube(2, 1), &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &cube(2, 1), &[]).await;
     let mut watch = service.watch(&CALL, watching(&uid, 0)).await.unwrap();
     let mut subscriber = Subscriber::default();
     let mut pieces = 0;
@@ -188,10 +184,7 @@ async fn forgotten_records_become_a_reset() {
     let service = restart();
     let uid = create(&service, "arm", "R1").await;
     for id in 0..4 {
-        service
-            .insert(&CALL, insertion(&[[1.0]], &[id]))
-            .await
-            .unwrap();
+        insert_rows(&service, &[[1.0]], &[id]).await;
     }
     // A subscriber that starts again receives only the newest mutation.
     let service = restart();

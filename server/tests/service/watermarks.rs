@@ -153,10 +153,7 @@ async fn above_a_watermark_only_growth_is_refused_until_the_low_one() {
         used.set(LOW + 1);
         full(service.insert(&CALL, insertion(&[[0.1; 3]], &[])).await);
         used.set(LOW);
-        service
-            .insert(&CALL, insertion(&[[0.1; 3]], &[]))
-            .await
-            .unwrap();
+        insert_rows(&service, &[[0.1; 3]], &[]).await;
         used.set(HIGH - 10_000);
         service.update(&CALL, update).await.unwrap();
         // The refused batch is the next one of its session.
@@ -209,10 +206,7 @@ async fn a_mutation_is_refused_by_its_own_size() {
     create(&service, "arm", "R3").await;
     memory.set(HIGH - 20_000);
     full(service.insert(&CALL, insertion(&cube(1, 1000), &[])).await);
-    service
-        .insert(&CALL, insertion(&cube(1, 10), &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &cube(1, 10), &[]).await;
 }
 
 /// The writer sessions of a snapshot count like its points.

@@ -53,10 +53,7 @@ const BAD_QUERIES: [Fault<v1::QueryRequest>; 4] = [
 #[tokio::test]
 async fn bad_reads() {
     let (service, uid) = arm("R3").await;
-    service
-        .insert(&CALL, insertion(&[[0.0; 3]], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[0.0; 3]], &[]).await;
     let search = async |request| service.knn(&CALL, request).await;
     assert_faults(&knn(&[[0.0; 3]], 1), &BAD_SEARCHES, search).await;
     let query = v1::QueryRequest {

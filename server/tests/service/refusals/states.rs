@@ -44,10 +44,7 @@ fn bad_states() -> Vec<(Option<v1::States>, &'static str, &'static str)> {
 #[tokio::test]
 async fn bad_states_are_refused_by_every_call_that_takes_states() {
     let (service, _) = arm("R3*SO3:0.15").await;
-    service
-        .insert(&CALL, insertion(&[GOOD], &[]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[GOOD], &[]).await;
     let before = everything(&service).await;
     for (states, reason, field) in bad_states() {
         let insert = v1::InsertRequest {

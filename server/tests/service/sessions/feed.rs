@@ -1,8 +1,6 @@
 //! A watch says which batch made a mutation, and leaves out the effects of the caller's own session.
 
-use std::sync::Arc;
-
-use wayfold_server::{log::MemoryLog, service::Limits};
+use wayfold_server::service::Limits;
 
 use super::*;
 
@@ -37,8 +35,7 @@ async fn a_watch_leaves_out_the_points_of_its_own_session() {
         max_answer_bytes: 20_000,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    let uid = create(&service, "arm", "R1").await;
+    let (service, uid) = arm_with("R1", limits).await;
     let (one, _) = open(&service, &uid, 2_000).await;
     let (other, _) = open(&service, &uid, 2_000).await;
     for (number, rows) in [(1, 1), (2, 1_000), (3, 2)] {

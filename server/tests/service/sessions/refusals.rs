@@ -15,8 +15,7 @@ async fn wrong_fields_are_named_and_change_nothing() {
         max_payload_bytes: 3,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    let uid = create(&service, "arm", "R1").await;
+    let (service, uid) = arm_with("R1", limits).await;
     let (session, _) = open(&service, &uid, 2).await;
     let good = batch(&session, 1, &[Put(session.first, 0.5), Remove(9)]);
     let broken = |change: fn(&mut v1::WriteRequest)| {
@@ -119,8 +118,7 @@ async fn limits_are_named_with_their_values() {
         max_sessions: 2,
         ..Limits::default()
     };
-    let service = service_with(Arc::new(MemoryLog::new()), limits);
-    let uid = create(&service, "arm", "R1").await;
+    let (service, uid) = arm_with("R1", limits).await;
     let limit = |error: Error| match error {
         Error::LimitExceeded {
             limit,

@@ -163,10 +163,7 @@ async fn a_retry_of_an_opening_gets_the_same_session() {
 #[tokio::test]
 async fn every_batch_makes_a_revision_also_without_a_change() {
     let (service, uid) = arm("R1").await;
-    service
-        .insert(&CALL, insertion(&[[0.0]], &[7]))
-        .await
-        .unwrap();
+    insert_rows(&service, &[[0.0]], &[7]).await;
     let (session, _) = open(&service, &uid, 0).await;
     let before = everything(&service).await;
     let batches: [(&[Step], u64); 4] = [

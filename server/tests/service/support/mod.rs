@@ -64,7 +64,11 @@ pub(crate) fn restarted_with(
 
 /// A service with one index, `arm`, and that index's uid.
 pub(crate) async fn arm(space: &str) -> (Service, String) {
-    let service = service();
+    arm_with(space, Limits::default()).await
+}
+
+pub(crate) async fn arm_with(space: &str, limits: Limits) -> (Service, String) {
+    let service = service_with(Arc::new(MemoryLog::new()), limits);
     let uid = create(&service, "arm", space).await;
     (service, uid)
 }
@@ -117,6 +121,15 @@ pub(crate) fn insertion<const N: usize>(rows: &[[f64; N]], ids: &[u64]) -> v1::I
         ids: ids.into(),
         ..Default::default()
     }
+}
+
+pub(crate) async fn insert_rows<const N: usize>(
+    service: &Service,
+    rows: &[[f64; N]],
+    ids: &[u64],
+) -> v1::InsertResponse {
+    let inserted = service.insert(&CALL, insertion(rows, ids)).await;
+    inserted.unwrap()
 }
 
 /// `rows` random states of R3 in [0, 1)^3, the same for the same seed.
