@@ -120,11 +120,7 @@ async fn a_revision_is_held_for_its_time_while_its_index_lasts() {
         ..next.clone()
     };
     assert_eq!(refused(&service, &of_another).await, ENDED);
-    let deletion = v1::DeleteIndexRequest {
-        index_name: "arm".into(),
-        ..Default::default()
-    };
-    service.delete_index(&CALL, deletion).await.unwrap();
+    delete(&service, "arm").await;
     assert_eq!(refused(&service, &next).await.0, Code::NotFound);
     create(&service, "arm", "R3").await;
     assert_eq!(refused(&service, &next).await, ENDED);

@@ -171,11 +171,7 @@ async fn pages_are_in_order_and_survive_a_delete_between_them() {
         }
         if names.len() == 2 {
             // The index that the token names.
-            let request = v1::DeleteIndexRequest {
-                index_name: "b".into(),
-                ..Default::default()
-            };
-            service.delete_index(&CALL, request).await.unwrap();
+            delete(&service, "b").await;
         }
     }
     assert_eq!(names, ["a", "b", "c", "d", "e"]);
@@ -243,11 +239,7 @@ async fn the_log_forgets_deleted_indices() {
     let service = service_with(log.clone(), Limits::default());
     create(&service, "arm", "R1").await;
     assert_eq!(log.indexes().unwrap().len(), 1);
-    let request = v1::DeleteIndexRequest {
-        index_name: "arm".into(),
-        ..Default::default()
-    };
-    service.delete_index(&CALL, request).await.unwrap();
+    delete(&service, "arm").await;
     assert_eq!(log.indexes().unwrap(), []);
 }
 

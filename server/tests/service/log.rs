@@ -141,11 +141,7 @@ async fn subscribers_of_the_list_of_indices_receive_each_change() {
         now.into_iter().collect::<Vec<_>>(),
         [("arm".to_owned(), uid.clone())]
     );
-    let deletion = v1::DeleteIndexRequest {
-        index_name: "arm".into(),
-        ..Default::default()
-    };
-    service.delete_index(&CALL, deletion).await.unwrap();
+    delete(&service, "arm").await;
     let other = create(&service, "arm", "R1").await;
     assert_ne!(uid, other);
     assert_eq!(catalog.changed().await.unwrap()["arm"], other);

@@ -157,11 +157,7 @@ async fn the_window_ends_and_a_new_past_starts_an_empty_one() {
         4
     );
 
-    let delete = v1::DeleteIndexRequest {
-        index_name: "arm".into(),
-        ..Default::default()
-    };
-    service.delete_index(&CALL, delete).await.unwrap();
+    delete(&service, "arm").await;
     let uid = create(&service, "arm", "R1").await;
     let repeated = service.insert(&CALL, once("a", 0.0)).await.unwrap();
     assert_eq!(repeated.revision, revision(&uid, 1));

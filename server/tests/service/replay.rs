@@ -166,11 +166,7 @@ async fn a_damaged_index_says_so_and_leaves_the_others_alone() {
     assert_eq!(refusal(again).0, Code::DataLoss);
     // The other indices are served, and the damaged one can be deleted and created anew.
     assert_eq!(info(&service, "other").await.point_count, 0);
-    let deletion = v1::DeleteIndexRequest {
-        index_name: "damaged".into(),
-        ..Default::default()
-    };
-    service.delete_index(&CALL, deletion).await.unwrap();
+    delete(&service, "damaged").await;
     create(&service, "damaged", "R1").await;
 }
 

@@ -200,11 +200,7 @@ async fn forgotten_records_become_a_reset() {
     );
     assert!(watch.next().await.is_none());
 
-    let deletion = v1::DeleteIndexRequest {
-        index_name: "arm".into(),
-        ..Default::default()
-    };
-    service.delete_index(&CALL, deletion).await.unwrap();
+    delete(&service, "arm").await;
     let other = create(&service, "arm", "R1").await;
     let mut watch = service.watch(&CALL, watching(&uid, 4)).await.unwrap();
     let reset = message(&mut watch).await;
@@ -246,11 +242,7 @@ async fn a_watch_ends_with_its_index_its_deadline_and_its_server() {
     {
         let mut next = pin!(waiting[0].next());
         assert!(poll!(&mut next).is_pending());
-        let deletion = v1::DeleteIndexRequest {
-            index_name: "arm".into(),
-            ..Default::default()
-        };
-        service.delete_index(&CALL, deletion).await.unwrap();
+        delete(&service, "arm").await;
         assert_eq!(refusal(next.await.unwrap()).0, Code::NotFound);
     }
     create(&service, "arm", "R1").await;

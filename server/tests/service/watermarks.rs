@@ -161,11 +161,7 @@ async fn above_a_watermark_only_growth_is_refused_until_the_low_one() {
 
         used.set(HIGH + 1);
         full(service.create_index(&CALL, creation("leg", "R3")).await);
-        let deletion = v1::DeleteIndexRequest {
-            index_name: "arm".into(),
-            ..Default::default()
-        };
-        service.delete_index(&CALL, deletion).await.unwrap();
+        delete(&service, "arm").await;
     }
 }
 

@@ -97,11 +97,7 @@ async fn a_session_ends_with_its_index() {
     let (session, _) = open(&service, &uid, 1).await;
     let first = batch(&session, 1, &[Put(session.first, 0.5)]);
     write(&service, first.clone()).await;
-    let delete = v1::DeleteIndexRequest {
-        index_name: "arm".into(),
-        ..Default::default()
-    };
-    service.delete_index(&CALL, delete).await.unwrap();
+    delete(&service, "arm").await;
     let new = create(&service, "arm", "R1").await;
     let (reopened, _) = open(&service, &new, 1).await;
     assert_eq!(reopened.id, session.id);

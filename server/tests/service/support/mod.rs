@@ -78,6 +78,14 @@ pub(crate) async fn create(service: &Service, name: &str, space: &str) -> String
     created.unwrap().index.unwrap().revision.uid()
 }
 
+pub(crate) async fn delete(service: &Service, name: &str) {
+    let request = v1::DeleteIndexRequest {
+        index_name: name.into(),
+        ..Default::default()
+    };
+    service.delete_index(&CALL, request).await.unwrap();
+}
+
 pub(crate) fn creation(name: &str, space: &str) -> v1::CreateIndexRequest {
     v1::CreateIndexRequest {
         name: name.into(),

@@ -60,11 +60,7 @@ async fn a_start_without_memory_lists_and_deletes_and_loads_the_rest_later() {
             "{error}"
         );
     }
-    let deletion = v1::DeleteIndexRequest {
-        index_name: "leg".into(),
-        ..Default::default()
-    };
-    service.delete_index(&CALL, deletion).await.unwrap();
+    delete(&service, "leg").await;
     registry.load_rest();
     service
         .knn(&CALL, knn(&[[0.5; 3]], 9))
