@@ -18,7 +18,7 @@ use wayfold_proto::v1;
 use wayfold_server::identity::Role;
 
 use crate::{
-    harness::{TestServer, insert, reason},
+    harness::{TestServer, creation, insert, reason},
     raw::Raw,
 };
 
@@ -262,12 +262,7 @@ async fn whoever_may_read_an_index_finds_it_by_creating_it() {
     let directory = tempfile::tempdir().unwrap();
     let server = start(&directory.path().join("identities.toml")).await;
     let create = async |token: &str, name: &str, space: &str| {
-        let request = v1::CreateIndexRequest {
-            name: name.into(),
-            space_form: Some(v1::create_index_request::SpaceForm::SpaceText(space.into())),
-            ..Default::default()
-        };
-        let request = with_token(token, request);
+        let request = with_token(token, creation(name, space));
         server.indices().create_index(request).await
     };
     let created = create("admin", "arm", "R1").await.unwrap().into_inner();
@@ -301,12 +296,7 @@ async fn lists_show_what_the_identity_may_see_and_streams_end_with_its_rights() 
     let file = directory.path().join("identities.toml");
     let server = start(&file).await;
     for (token, name) in [("admin", "arm"), ("admin of the leg", "leg")] {
-        let request = v1::CreateIndexRequest {
-            name: name.into(),
-            space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
-            ..Default::default()
-        };
-        let request = with_token(token, request);
+        let request = with_token(token, creation(name, "R1"));
         server.indices().create_index(request).await.unwrap();
     }
     for (token, expected) in [

@@ -81,13 +81,8 @@ impl TestServer {
 
     /// An index over the real line.
     pub async fn create_line(&self, name: &str) -> v1::Index {
-        let request = v1::CreateIndexRequest {
-            name: name.into(),
-            space_form: Some(v1::create_index_request::SpaceForm::SpaceText("R1".into())),
-            ..Default::default()
-        };
-        let response = self.indices().create_index(request).await.unwrap();
-        response.into_inner().index.unwrap()
+        let created = self.indices().create_index(creation(name, "R1")).await;
+        created.unwrap().into_inner().index.unwrap()
     }
 
     /// An index over the real line with the points 0, 1, …, `count` − 1, each under the id of the same number.
@@ -115,6 +110,14 @@ pub async fn connect(address: SocketAddr) -> Channel {
     endpoint.connect().await.unwrap()
 }
 
+pub fn creation(name: &str, space: &str) -> v1::CreateIndexRequest {
+    v1::CreateIndexRequest {
+        name: name.into(),
+        space_form: Some(v1::create_index_request::SpaceForm::SpaceText(space.into())),
+        ..Default::default()
+    }
+}
+
 pub fn insert(index: &str, coordinates: &[f64]) -> v1::InsertRequest {
     v1::InsertRequest {
         index_name: index.into(),
@@ -133,6 +136,14 @@ pub fn knn(index: &str, coordinates: &[f64], k: u32) -> v1::KnnRequest {
         states: Some(column(coordinates)),
         k_form: Some(v1::knn_request::KForm::K(k)),
         ..Default::default()
+    }
+}
+
+/// The id of the nearest point of a ruler, whose points are at the whole numbers.
+pub fn nearest(answer: v1::StreamKnnResponse) -> u64 {
+    match answer.result.unwrap() {
+        v1::stream_knn_response::Result::Knn(answer) => answer.neighbors.unwrap().ids[0],
+        v1::stream_knn_response::Result::Error(status) => panic!("{status:?}"),
     }
 }
 

@@ -155,10 +155,6 @@ async fn a_call_that_waits_for_too_long_is_refused_and_health_and_administration
             }
         };
         expect_overloaded(&status);
-        let text = "admission.queue_target_ms = 1";
-        assert!(status.message().contains(text), "{status}");
-        let retry = status.get_details_retry_info().unwrap();
-        assert!(retry.retry_delay.is_some_and(|delay| !delay.is_zero()));
         let check = server.health().check(HealthCheckRequest::default()).await;
         assert_eq!(check.unwrap().into_inner().status(), ServingStatus::Serving);
         for _ in 0..20 {

@@ -2,7 +2,7 @@
 
 use crate::{
     bare::{Connection, frame},
-    harness::{TestServer, connect, insert, knn, reason},
+    harness::{TestServer, connect, insert, knn, nearest, reason},
 };
 use bytes::Bytes;
 use futures_util::{StreamExt, stream};
@@ -33,13 +33,6 @@ fn scan(index: &str) -> v1::ScanRequest {
 fn nearest_to(at: f64) -> v1::StreamKnnRequest {
     v1::StreamKnnRequest {
         knn: Some(knn("line", &[at], 1)),
-    }
-}
-
-fn nearest(answer: v1::StreamKnnResponse) -> u64 {
-    match answer.result.unwrap() {
-        Answer::Knn(answer) => answer.neighbors.unwrap().ids[0],
-        Answer::Error(status) => panic!("{status:?}"),
     }
 }
 

@@ -1,7 +1,7 @@
 //! `StreamKnn`: answers come in the order of the requests, and a bad request costs its own answer only.
 
 use crate::{
-    harness::{TestServer, knn, reason},
+    harness::{TestServer, knn, nearest, reason},
     raw::Raw,
 };
 use futures_util::{StreamExt, stream};
@@ -15,14 +15,6 @@ const COUNT: u64 = 100;
 
 fn request(knn: v1::KnnRequest) -> v1::StreamKnnRequest {
     v1::StreamKnnRequest { knn: Some(knn) }
-}
-
-/// The id of the nearest point of the ruler, whose points are at the whole numbers.
-fn nearest(answer: v1::StreamKnnResponse) -> u64 {
-    match answer.result.unwrap() {
-        Answer::Knn(answer) => answer.neighbors.unwrap().ids[0],
-        Answer::Error(status) => panic!("{status:?}"),
-    }
 }
 
 /// The status inside an answer, as a failed call would return it.
