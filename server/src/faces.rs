@@ -9,7 +9,8 @@ use crate::{
     config::{AdmissionConfig, Config, OFF},
     identity::Identities,
     observe::{Metrics, SlowCalls},
-    service::Service,
+    service::{Error, Service},
+    status::{Status, from_error},
 };
 
 /// The parts of the server that every face needs. Clones are cheap and share one state.
@@ -42,6 +43,20 @@ impl FaceContext {
             metrics: Metrics::new(config.http.listen != OFF),
         }
     }
+}
+
+/// The status of a call that made the server panic.
+pub(crate) fn panicked(rpc: &str) -> Status {
+    from_error(&Error::Internal {
+        what: format!("{rpc} panicked"),
+    })
+}
+
+/// The status of a call whose deadline passed.
+pub(crate) fn deadline_exceeded() -> Status {
+    from_error(&Error::DeadlineExceeded {
+        doing: "before the call was done",
+    })
 }
 
 /// The addresses that a server listens on.

@@ -18,11 +18,11 @@ use tonic::{Code, Status, body::Body};
 
 use super::{
     connections::{ActiveCall, Activity, PausedAnswer, Sending},
-    refusals,
     status::ending,
 };
 use crate::{
     admission::{CallTurns, HeldBytes},
+    faces,
     observe::CallRecord,
     status,
 };
@@ -151,7 +151,7 @@ impl CallBody {
             })),
             // It waited for its first turn for too long.
             Ok(Poll::Ready(Err(overloaded))) => self.end(status::overloaded(overloaded).into()),
-            Err(_panic) => self.end(refusals::panicked(self.record.rpc()).into()),
+            Err(_panic) => self.end(faces::panicked(self.record.rpc()).into()),
         }
     }
 
@@ -205,7 +205,7 @@ impl HttpBody for CallBody {
         this.paused = None;
         match this.poll_made(context) {
             Poll::Pending if this.deadline_passed(context) => {
-                this.end(refusals::deadline_exceeded().into())
+                this.end(faces::deadline_exceeded().into())
             }
             Poll::Ready(Some(Ok(frame))) => {
                 match frame.trailers_ref().and_then(code_in) {

@@ -181,20 +181,6 @@ pub(crate) fn too_many_waiting(max_bytes: usize) -> Refusal {
     busy("TOO_MANY_CALLS", message, ARRIVING, max_bytes)
 }
 
-/// The answer to a call that made the server panic.
-pub(crate) fn panicked(rpc: &str) -> Refusal {
-    from_error(&Error::Internal {
-        what: format!("{rpc} panicked"),
-    })
-}
-
-/// The answer to a call whose deadline passed.
-pub(crate) fn deadline_exceeded() -> Refusal {
-    from_error(&Error::DeadlineExceeded {
-        doing: "before the call was done",
-    })
-}
-
 /// The end of a stream at the server's shutdown.
 pub(crate) fn stopping() -> Refusal {
     from_error(&Error::Unavailable {
@@ -207,6 +193,7 @@ mod tests {
     use tonic_types::StatusExt;
 
     use super::*;
+    use crate::faces::panicked;
 
     fn rewritten(status: Status) -> Status {
         let response = rewrite(status.into_http(), MessageLimit::of_setting(1000));

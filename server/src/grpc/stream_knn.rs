@@ -29,6 +29,7 @@ use super::{
 };
 use crate::{
     admission::{Admission, Flow, HeldBytes},
+    faces::panicked,
     latency_gate::LatencyGate,
     lifecycle::PhaseWatch,
     service::{Call, Service},
@@ -197,7 +198,7 @@ impl Searches {
                 result: Some(v1::stream_knn_response::Result::Knn(answer)),
             },
             Ok(Err(error)) => refused(&from_error(&error)),
-            Err(_panic) => refused(&refusals::panicked("PointService/StreamKnn")),
+            Err(_panic) => refused(&panicked("PointService/StreamKnn")),
         })
     }
 }

@@ -24,7 +24,7 @@ use tracing::Instrument;
 use super::{Pages, streams::MAX_STREAMS};
 use crate::{
     admission::{CALL_BYTES, CallTurns, Flow, HeldBytes},
-    faces::{Addresses, FaceContext},
+    faces::{self, Addresses, FaceContext},
     identity::Denial,
     observe::{CallRecord, Ending, Times},
     service::{Call, Code, Error},
@@ -193,12 +193,8 @@ pub(super) async fn answer(State(api): State<Arc<Api>>, request: HttpRequest) ->
     let in_time = tokio::time::timeout(MAX_TIME, AssertUnwindSafe(answering).catch_unwind());
     let answered = match in_time.instrument(span).await {
         Ok(Ok(answered)) => answered,
-        Ok(Err(_panic)) => Err(status::from_error(&Error::Internal {
-            what: format!("Http/{verb} panicked"),
-        })),
-        Err(_) => Err(status::from_error(&Error::DeadlineExceeded {
-            doing: "before the call was done",
-        })),
+        Ok(Err(_panic)) => Err(faces::panicked(record.rpc())),
+        Err(_) => Err(faces::deadline_exceeded()),
     };
     let (queued, computed) = turns.times();
     let times = Times {

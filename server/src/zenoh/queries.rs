@@ -29,7 +29,7 @@ use super::{
 };
 use crate::{
     admission::{CALL_BYTES, CallPlace, CallPlaces, CallTurns, HeldBytes, NoPlace},
-    faces::FaceContext,
+    faces::{self, FaceContext},
     identity::{Caller, Denial, Identities},
     observe::{CallRecord, Ending, Times},
     service::{Call, Error, Peer, Unavailability},
@@ -254,12 +254,8 @@ impl Queries {
         let result = match answered {
             Some(Ok(Ok(Ok(answer)))) => answer,
             Some(Ok(Ok(Err(late)))) => Err(status::overloaded(late)),
-            Some(Ok(Err(_panic))) => Err(status::from_error(&Error::Internal {
-                what: format!("Zenoh/{rpc} panicked"),
-            })),
-            Some(Err(_elapsed)) => Err(status::from_error(&Error::DeadlineExceeded {
-                doing: "before the call was done",
-            })),
+            Some(Ok(Err(_panic))) => Err(faces::panicked(record.rpc())),
+            Some(Err(_elapsed)) => Err(faces::deadline_exceeded()),
             None => Err(self.too_many_calls(LOST_PLACE)),
         };
         let (queued, computed) = turns.times();

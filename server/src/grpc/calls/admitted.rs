@@ -21,6 +21,7 @@ use tonic::{Status, body::Body};
 
 use crate::{
     admission::{CallTurns, HeldBytes},
+    faces,
     grpc::{
         body::{AnswerFrame, CallBody, CallResources, frame_bytes},
         connections::Activity,
@@ -84,8 +85,8 @@ where
         };
         let answered = match answered {
             Ok(Ok(answered)) => answered,
-            Ok(Err(_panic)) => Err(refusals::panicked(record.rpc()).into()),
-            Err(_) => Err(refusals::deadline_exceeded().into()),
+            Ok(Err(_panic)) => Err(faces::panicked(record.rpc()).into()),
+            Err(_) => Err(faces::deadline_exceeded().into()),
         };
         if rpc.is_unary() {
             let answered = arrived.elapsed();
