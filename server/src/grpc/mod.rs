@@ -42,7 +42,7 @@ pub use in_process::InProcess;
 use index_service::IndexFace;
 pub(crate) use member_client::MemberClient;
 use member_service::MemberFace;
-use point_service::{PointFace, TolerantPointServer};
+use point_service::TolerantPointServer;
 use stream_knn::KnnStreams;
 pub use tls::TlsError;
 #[cfg(test)]
@@ -152,15 +152,12 @@ pub(crate) async fn serve(
 
 /// The service of the points.
 fn points(config: &GrpcConfig, shared: &FaceContext, phases: &PhaseWatch) -> TolerantPointServer {
-    TolerantPointServer::new(PointFace {
+    TolerantPointServer::new(KnnStreams {
         service: shared.service.clone(),
-        streams: KnnStreams {
-            service: shared.service.clone(),
-            admission: shared.admission.clone(),
-            phases: phases.clone(),
-            window: config.stream_window,
-            max_message_bytes: config.max_message_bytes,
-        },
+        admission: shared.admission.clone(),
+        phases: phases.clone(),
+        window: config.stream_window,
+        max_message_bytes: config.max_message_bytes,
     })
 }
 

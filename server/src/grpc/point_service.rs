@@ -6,15 +6,14 @@ use std::{
     task::{Context, Poll},
 };
 
-use futures_util::StreamExt;
-use tonic::{Request, Response, Streaming, body::Body, server::NamedService};
+use tonic::{Request, Status, Streaming, body::Body, server::NamedService};
 use wayfold_proto::v1::{
     self,
     point_service_server::{PointService, PointServiceServer},
 };
 
 use super::{
-    calls::{call_of, flow_of, into_call},
+    calls::{flow_of, into_call},
     status::{Answer, Messages, respond, respond_all},
     stream_knn::{Answers, KnnStreams},
 };
@@ -22,9 +21,8 @@ use crate::service::Service;
 
 /// The gRPC face of the points.
 #[derive(Clone)]
-pub(crate) struct PointFace {
-    pub(crate) service: Service,
-    pub(crate) streams: KnnStreams,
+struct PointFace {
+    service: Service,
 }
 
 #[tonic::async_trait]
@@ -74,14 +72,9 @@ impl PointService for PointFace {
 
     type StreamKnnStream = Answers;
 
-    /// Reached only if the generated server is used alone: see [`TolerantPointServer`].
-    async fn stream_knn(
-        &self,
-        request: Request<Streaming<v1::StreamKnnRequest>>,
-    ) -> Answer<Answers> {
-        let (call, flow) = (call_of(&request), self.streams.flow_of(&request));
-        let messages = request.into_inner().map(|message| message.map(Ok));
-        Ok(Response::new(self.streams.answer(call, flow, messages)))
+    /// Never reached: see [`TolerantPointServer`].
+    async fn stream_knn(&self, _: Request<Streaming<v1::StreamKnnRequest>>) -> Answer<Answers> {
+        Err(Status::unimplemented("KnnStreams serves this call"))
     }
 
     type ScanStream = Messages<v1::ScanResponse>;
@@ -116,11 +109,11 @@ pub(crate) struct TolerantPointServer {
 }
 
 impl TolerantPointServer {
-    /// Serves `face`.
-    pub(crate) fn new(face: PointFace) -> Self {
-        let streams = face.streams.clone();
-        let generated =
-            PointServiceServer::new(face).max_decoding_message_size(streams.max_message_bytes);
+    /// Serves the points of the service of `streams`.
+    pub(crate) fn new(streams: KnnStreams) -> Self {
+        let service = streams.service.clone();
+        let generated = PointServiceServer::new(PointFace { service })
+            .max_decoding_message_size(streams.max_message_bytes);
         Self { generated, streams }
     }
 }

@@ -7,7 +7,7 @@ use std::{
     future::poll_fn, panic::AssertUnwindSafe, pin::Pin, sync::Arc, task::Poll, time::Duration,
 };
 
-use futures_util::{FutureExt, Stream, StreamExt, stream, stream::BoxStream};
+use futures_util::{FutureExt, StreamExt, stream, stream::BoxStream};
 use http::{Request, Response};
 use prost::{DecodeError, Message};
 use tokio::time::Interval;
@@ -39,8 +39,8 @@ use crate::{
 /// Answers to the requests of one stream, in their order.
 pub(crate) type Answers = BoxStream<'static, Result<v1::StreamKnnResponse, Status>>;
 
-/// One message of a stream: a request, or its refusal.
-pub(crate) type Incoming = Result<v1::StreamKnnRequest, DecodeError>;
+/// The messages of one stream: each is a request, or its refusal.
+type Messages = BoxStream<'static, Result<Result<v1::StreamKnnRequest, DecodeError>, Status>>;
 
 /// While recent searches take less time, they do not get tasks of their own.
 const MAX_SEARCH_TIME: Duration = Duration::from_micros(20);
@@ -77,18 +77,10 @@ impl KnnStreams {
             .await
     }
 
-    /// The flow of a stream; one of its own if the layer around all calls is missing.
-    pub(crate) fn flow_of<T>(&self, request: &tonic::Request<T>) -> Arc<Flow> {
-        flow_of(request).unwrap_or_else(|| self.admission.open())
-    }
-
     /// Reads `messages` until they end, the server stops or a read fails; answers those read, then sends the cause of
     /// the end. It reads at most `window` requests ahead of the answers: a client that reads no answers is slowed down,
     /// not buffered for.
-    pub(crate) fn answer<M>(&self, call: Call, flow: Arc<Flow>, messages: M) -> Answers
-    where
-        M: Stream<Item = Result<Incoming, Status>> + Send + Unpin + 'static,
-    {
+    fn answer(&self, call: Call, flow: Arc<Flow>, messages: Messages) -> Answers {
         let reader = Reader {
             messages,
             call: call.clone(),
@@ -216,8 +208,8 @@ enum ReadOutcome {
     End(Box<Status>),
 }
 
-struct Reader<M> {
-    messages: M,
+struct Reader {
+    messages: Messages,
     call: Call,
     /// A stream ends with the rights of its caller, also without a request.
     checks: Interval,
@@ -226,7 +218,7 @@ struct Reader<M> {
     ended: bool,
 }
 
-impl<M: Stream<Item = Result<Incoming, Status>> + Unpin> Reader<M> {
+impl Reader {
     async fn next(mut self) -> Option<(ReadOutcome, Self)> {
         if self.ended {
             return None;
@@ -270,7 +262,7 @@ impl<M: Stream<Item = Result<Incoming, Status>> + Unpin> Reader<M> {
 struct TolerantStreamKnn {
     streams: KnnStreams,
     /// Taken by the only call.
-    messages: Option<BoxStream<'static, Result<Incoming, Status>>>,
+    messages: Option<Messages>,
 }
 
 impl StreamingService<v1::StreamKnnRequest> for TolerantStreamKnn {
@@ -282,9 +274,10 @@ impl StreamingService<v1::StreamKnnRequest> for TolerantStreamKnn {
         &mut self,
         request: tonic::Request<tonic::Streaming<v1::StreamKnnRequest>>,
     ) -> Self::Future {
-        let (call, flow) = (call_of(&request), self.streams.flow_of(&request));
-        let messages = stream::iter(self.messages.take()).flatten();
-        let answers = self.streams.answer(call, flow, messages);
+        // It has a flow of its own if the layer around all calls is missing.
+        let flow = flow_of(&request).unwrap_or_else(|| self.streams.admission.open());
+        let messages = stream::iter(self.messages.take()).flatten().boxed();
+        let answers = self.streams.answer(call_of(&request), flow, messages);
         std::future::ready(Ok(tonic::Response::new(answers)))
     }
 }
