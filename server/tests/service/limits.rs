@@ -142,10 +142,8 @@ async fn oversize_answers_of_every_verb_are_refused() {
     let refused = ("max_answer_bytes", ANSWER_BYTES as u64);
     assert_eq!(exceeded(service.query(&CALL, whole).await), refused);
     let update = v1::UpdateRequest {
-        index_name: "arm".into(),
-        ids: (0..3).collect(),
         payloads: vec![Bytes::from(vec![1; 2000]); 3],
-        ..Default::default()
+        ..updating(&[0, 1, 2])
     };
     service.update(&CALL, update).await.unwrap();
     assert_eq!(

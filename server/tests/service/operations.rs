@@ -34,11 +34,9 @@ async fn a_retry_gets_the_original_response_bit_for_bit() {
     let first = service.remove(&CALL, removal.clone()).await.unwrap();
     assert_eq!(service.remove(&CALL, removal).await.unwrap(), first);
     let update = v1::UpdateRequest {
-        index_name: "arm".into(),
-        ids: vec![1],
         tags: vec![4],
         operation_id: "update".into(),
-        ..Default::default()
+        ..updating(&[1])
     };
     let first = service.update(&CALL, update.clone()).await.unwrap();
     assert_eq!(first.updated_count, 1);

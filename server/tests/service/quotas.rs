@@ -112,10 +112,8 @@ async fn the_quota_of_payloads_follows_their_sizes() {
             }
             1 if sizes.contains_key(&id) => {
                 let update = v1::UpdateRequest {
-                    index_name: "arm".into(),
-                    ids: vec![id],
                     payloads,
-                    ..Default::default()
+                    ..updating(&[id])
                 };
                 service.update(&CALL, update).await.map(drop)
             }

@@ -333,10 +333,8 @@ async fn no_mutation_is_refused_for_what_another_server_has_changed() {
     let mut updated = Box::pin(other.update(
         &CALL,
         v1::UpdateRequest {
-            index_name: "arm".into(),
-            ids: vec![9],
             tags: vec![1],
-            ..Default::default()
+            ..updating(&[9])
         },
     ));
     assert!(futures_util::poll!(inserted.as_mut()).is_pending());

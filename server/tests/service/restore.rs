@@ -92,11 +92,9 @@ async fn go_on(service: &Service, space: &Space) -> Vec<Vec<u8>> {
     let mut encoded = Vec::new();
     for if_revision in 0..=index.revision.number() {
         let update = v1::UpdateRequest {
-            index_name: "arm".into(),
-            ids: ids.clone(),
             tags: vec![if_revision],
             if_revision: revision(&index.revision.uid(), if_revision),
-            ..Default::default()
+            ..updating(&ids)
         };
         // The error names the points that changed later.
         encoded.push(match service.update(&CALL, update).await {

@@ -36,10 +36,8 @@ async fn parts_add_up_to_the_pinned_revision_despite_later_writes() {
         let (gone, left) = ids[parts * 3000..][..3000].split_at(2900);
         service.remove(&CALL, removal(gone)).await.unwrap();
         let update = v1::UpdateRequest {
-            index_name: "arm".into(),
-            ids: left.into(),
             payloads: vec![Bytes::from_static(b"other"); left.len()],
-            ..Default::default()
+            ..updating(left)
         };
         service.update(&CALL, update).await.unwrap();
         parts += 1;

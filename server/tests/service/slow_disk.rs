@@ -171,12 +171,10 @@ const READING: [(&str, Reading); 11] = [
     ("Update", |service, uid| {
         Box::pin(async move {
             let request = v1::UpdateRequest {
-                index_name: "arm".into(),
-                ids: vec![3, 4],
                 payloads: vec![payload(3), "new".into()],
                 if_revision: revision(&uid, 1),
                 uid,
-                ..Default::default()
+                ..updating(&[3, 4])
             };
             let answer = service.update(&CALL, request).await?;
             assert_eq!((answer.updated_count, answer.unchanged_count), (1, 1));

@@ -39,11 +39,9 @@ async fn a_snapshot_has_one_revision_despite_later_writes() {
         let (gone, left) = ids[parts.len() * 1000..][..1000].split_at(900);
         service.remove(&CALL, removal(gone)).await.unwrap();
         let update = v1::UpdateRequest {
-            index_name: "arm".into(),
-            ids: left.into(),
             payloads: vec![Bytes::from_static(b"other"); left.len()],
             tags: vec![5],
-            ..Default::default()
+            ..updating(left)
         };
         service.update(&CALL, update).await.unwrap();
         insert_rows(&service, &[[0.5; 3]], &[]).await;
@@ -64,10 +62,8 @@ async fn it_tells_which_revision_changed_a_point_last_and_which_ids_were_used() 
     let (service, _) = arm("R1").await;
     insert_rows(&service, &[[0.0], [1.0], [2.0]], &[1, 2, 90]).await;
     let update = v1::UpdateRequest {
-        index_name: "arm".into(),
-        ids: vec![2],
         tags: vec![8],
-        ..Default::default()
+        ..updating(&[2])
     };
     service.update(&CALL, update).await.unwrap();
     service.remove(&CALL, removal(&[90])).await.unwrap();

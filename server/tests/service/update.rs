@@ -6,14 +6,6 @@ use wayfold_server::service::{Code, Error};
 
 use crate::support::*;
 
-fn update(ids: &[u64]) -> v1::UpdateRequest {
-    v1::UpdateRequest {
-        index_name: "arm".into(),
-        ids: ids.into(),
-        ..Default::default()
-    }
-}
-
 #[tokio::test]
 async fn tags_and_payloads_change_and_the_state_keeps_its_revision() {
     let (service, _) = arm("R1").await;
@@ -26,7 +18,7 @@ async fn tags_and_payloads_change_and_the_state_keeps_its_revision() {
     let masked = v1::UpdateRequest {
         tags: vec![0b0101],
         tag_mask: Some(0b0111),
-        ..update(&[0, 1])
+        ..updating(&[0, 1])
     };
     let response = service.update(&CALL, masked.clone()).await.unwrap();
     assert_eq!(
@@ -48,7 +40,7 @@ async fn tags_and_payloads_change_and_the_state_keeps_its_revision() {
     );
     let payloads = v1::UpdateRequest {
         payloads: vec![Bytes::from_static(b"c"), Bytes::from_static(b"b")],
-        ..update(&[0, 1])
+        ..updating(&[0, 1])
     };
     let response = service.update(&CALL, payloads).await.unwrap();
     assert_eq!(
@@ -82,7 +74,7 @@ async fn if_revision_compares_with_the_last_change_of_the_whole_point() {
     let set = |ids: &[u64], tag, if_revision| v1::UpdateRequest {
         tags: vec![tag],
         if_revision: revision(&uid, if_revision),
-        ..update(ids)
+        ..updating(ids)
     };
     service.update(&CALL, set(&[1], 5, 1)).await.unwrap();
     // Only the tag of 1 has changed, at revision 2.
@@ -118,7 +110,7 @@ async fn one_of_concurrent_compare_and_sets_wins() {
         let request = v1::UpdateRequest {
             tags: vec![tag],
             if_revision: revision(&uid, 1),
-            ..update(&[0])
+            ..updating(&[0])
         };
         calls.spawn(async move { service.update(&CALL, request).await });
     }
@@ -137,7 +129,7 @@ async fn missing_points_are_named_and_nothing_is_updated() {
     insert_rows(&service, &[[1.0]], &[]).await;
     let request = v1::UpdateRequest {
         tags: vec![1],
-        ..update(&[0, 8, 9])
+        ..updating(&[0, 8, 9])
     };
     let error = service.update(&CALL, request).await.unwrap_err();
     let missing = Error::PointsNotFound {

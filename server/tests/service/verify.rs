@@ -96,10 +96,8 @@ async fn the_hash_is_the_contents_and_not_the_pasts() {
     insert_rows(&other, &[[0.0]], &[4]).await;
     assert_eq!(hash(&one).await, hash(&other).await);
     let tagged = v1::UpdateRequest {
-        index_name: "arm".into(),
-        ids: vec![4],
         tags: vec![1],
-        ..Default::default()
+        ..updating(&[4])
     };
     other.update(&CALL, tagged).await.unwrap();
     assert_ne!(hash(&one).await, hash(&other).await);

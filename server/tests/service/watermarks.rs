@@ -127,10 +127,8 @@ async fn above_a_watermark_only_growth_is_refused_until_the_low_one() {
         assert_eq!((found.resource, found.high), (resource, HIGH));
         assert!(found.used > HIGH && found.used < HIGH + 1000, "{found:?}");
         let update = v1::UpdateRequest {
-            index_name: "arm".into(),
-            ids: vec![0],
             tags: vec![7],
-            ..Default::default()
+            ..updating(&[0])
         };
         full(service.update(&CALL, update.clone()).await);
         let second = write(2, v1::StepKind::Put, 21, &[[0.6; 3]]);

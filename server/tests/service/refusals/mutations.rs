@@ -153,11 +153,7 @@ async fn the_first_few_of_many_violations_are_named() {
 #[tokio::test]
 async fn bad_updates() {
     let (service, before) = three_points().await;
-    let good = v1::UpdateRequest {
-        index_name: "arm".into(),
-        ids: vec![0, 1, 2],
-        ..Default::default()
-    };
+    let good = updating(&[0, 1, 2]);
     let update = async |request| service.update(&CALL, request).await;
     assert_faults(&good, &BAD_UPDATES, update).await;
     let other = v1::UpdateRequest {

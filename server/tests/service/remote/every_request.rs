@@ -43,16 +43,14 @@ async fn script(service: &Service, uid: &str) -> BTreeMap<u64, f64> {
     assert_eq!(service.remove(&CALL, removing).await.unwrap(), removed);
     assert_eq!(insert(4.0, "four").await.unwrap(), once);
 
-    let updating = v1::UpdateRequest {
-        index_name: "arm".into(),
-        ids: once.ids.clone(),
+    let update = v1::UpdateRequest {
         tags: vec![4],
         operation_id: "update".into(),
-        ..Default::default()
+        ..updating(&once.ids)
     };
-    let updated = service.update(&CALL, updating.clone()).await.unwrap();
+    let updated = service.update(&CALL, update.clone()).await.unwrap();
     assert_eq!(updated.updated_count, 1);
-    assert_eq!(service.update(&CALL, updating).await.unwrap(), updated);
+    assert_eq!(service.update(&CALL, update).await.unwrap(), updated);
     let latest = v1::GetRequest {
         latest: true,
         ..getting(&once.ids)

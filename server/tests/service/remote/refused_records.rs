@@ -155,11 +155,9 @@ async fn a_record_that_the_journal_never_takes_is_refused_only_after_a_record() 
     service.insert(&CALL, stored).await.unwrap();
     journal.max_points.store(2, Relaxed);
     let tagging = |ids: &[u64]| v1::UpdateRequest {
-        index_name: "arm".into(),
-        ids: ids.into(),
         tags: vec![7],
         operation_id: "tags".into(),
-        ..Default::default()
+        ..updating(ids)
     };
     let refused = refusal(service.update(&CALL, tagging(&[1, 2, 3])).await);
     let expected = (Code::ResourceExhausted, "LIMIT_EXCEEDED", String::new());

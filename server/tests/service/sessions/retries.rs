@@ -182,11 +182,9 @@ async fn every_batch_makes_a_revision_also_without_a_change() {
     assert_eq!(after.revision.number(), 6);
     // Nothing changed after revision 2.
     let update = v1::UpdateRequest {
-        index_name: "arm".into(),
-        ids: vec![7],
         tags: vec![1],
         if_revision: revision(&uid, 2),
-        ..Default::default()
+        ..updating(&[7])
     };
     service.update(&CALL, update).await.unwrap();
 }

@@ -49,11 +49,9 @@ async fn overtaken<T>(
 
 fn update(tags: &[u64], payloads: &[&'static str]) -> v1::UpdateRequest {
     v1::UpdateRequest {
-        index_name: "arm".into(),
-        ids: vec![3],
         tags: tags.into(),
         payloads: payloads.iter().map(|payload| (*payload).into()).collect(),
-        ..Default::default()
+        ..updating(&[3])
     }
 }
 

@@ -147,6 +147,14 @@ pub(crate) fn cube(seed: u64, rows: usize) -> Vec<[f64; 3]> {
     (0..rows).map(|_| random.random()).collect()
 }
 
+pub(crate) fn updating(ids: &[u64]) -> v1::UpdateRequest {
+    v1::UpdateRequest {
+        index_name: "arm".into(),
+        ids: ids.into(),
+        ..Default::default()
+    }
+}
+
 pub(crate) fn removal(ids: &[u64]) -> v1::RemoveRequest {
     v1::RemoveRequest {
         index_name: "arm".into(),
