@@ -6,18 +6,9 @@ use wayfold_server::service::{Code, Limits, Service};
 
 use crate::support::*;
 
-fn after(uid: &str, number: u64) -> v1::WatchRequest {
-    v1::WatchRequest {
-        index_name: "arm".into(),
-        after_revision: revision(uid, number),
-        include: ALL,
-        own_session: 0,
-    }
-}
-
 /// The mutations that a watch sends up to `revision`.
 async fn watched(service: &Service, uid: &str, revision: u64) -> Vec<v1::Mutation> {
-    let mut watch = service.watch(&CALL, after(uid, 0)).await.unwrap();
+    let mut watch = service.watch(&CALL, watching(uid, 0)).await.unwrap();
     let mut mutations: Vec<v1::Mutation> = Vec::new();
     while mutations
         .last()
@@ -53,7 +44,7 @@ async fn answers_that_fit_amount_to_what_a_watch_tells() {
         let from = received
             .last()
             .map_or(0, |mutation| mutation.revision.number());
-        let answer = service.log(&CALL, after(&uid, from)).await.unwrap();
+        let answer = service.log(&CALL, watching(&uid, from)).await.unwrap();
         assert_eq!(
             (answer.revision.uid(), answer.revision.number()),
             (uid.clone(), last)
@@ -75,7 +66,7 @@ async fn it_waits_for_nothing_and_says_when_it_can_not_tell() {
     let (service, uid) = arm("R1").await;
     let newest = v1::WatchRequest {
         after_revision: None,
-        ..after("", 0)
+        ..watching("", 0)
     };
     let head = service.log(&CALL, newest.clone()).await.unwrap();
     assert_eq!(head.revision, revision(&uid, 0));
@@ -83,9 +74,9 @@ async fn it_waits_for_nothing_and_says_when_it_can_not_tell() {
     service.insert(&CALL, request).await.unwrap();
     for (request, mutations) in [
         (newest, 0),
-        (after(&uid, 0), 1),
-        (after(&uid, 1), 0),
-        (after(&uid, 9), 0),
+        (watching(&uid, 0), 1),
+        (watching(&uid, 1), 0),
+        (watching(&uid, 9), 0),
     ] {
         let answer = service.log(&CALL, request).await.unwrap();
         assert_eq!(
@@ -93,10 +84,10 @@ async fn it_waits_for_nothing_and_says_when_it_can_not_tell() {
             (1, mutations)
         );
     }
-    let strange = service.log(&CALL, after("strange", 0)).await.unwrap();
+    let strange = service.log(&CALL, watching("strange", 0)).await.unwrap();
     assert_eq!(strange.reset(), ResetReason::UidChanged);
     assert_eq!(strange.revision.uid(), uid);
-    let unnamed = service.log(&CALL, after("", 0)).await;
+    let unnamed = service.log(&CALL, watching("", 0)).await;
     assert_eq!(
         refusal(unnamed),
         (
@@ -119,14 +110,14 @@ async fn a_mutation_that_no_answer_holds_is_refused_and_not_cut() {
         let request = insertion(&cube(rows, rows as usize), &[]);
         service.insert(&CALL, request).await.unwrap();
     }
-    let before = service.log(&CALL, after(&uid, 0)).await.unwrap();
+    let before = service.log(&CALL, watching(&uid, 0)).await.unwrap();
     assert_eq!(before.mutations.len(), 1);
-    let refused = refusal(service.log(&CALL, after(&uid, 1)).await);
+    let refused = refusal(service.log(&CALL, watching(&uid, 1)).await);
     assert_eq!(
         (refused.0, refused.1),
         (Code::ResourceExhausted, "LIMIT_EXCEEDED")
     );
-    let behind = service.log(&CALL, after(&uid, 2)).await.unwrap();
+    let behind = service.log(&CALL, watching(&uid, 2)).await.unwrap();
     assert_eq!(behind.mutations[0].revision.number(), 3);
 }
 

@@ -131,13 +131,7 @@ const READING: [(&str, Reading); 11] = [
     }),
     ("Watch", |service, uid| {
         Box::pin(async move {
-            let request = v1::WatchRequest {
-                index_name: "arm".into(),
-                after_revision: revision(&uid, 0),
-                include: ALL,
-                own_session: 0,
-            };
-            let mut watch = service.watch(&CALL, request).await?;
+            let mut watch = service.watch(&CALL, watching(&uid, 0)).await?;
             watch.next().await.unwrap()?;
             let mutations = watch.next().await.unwrap()?.mutations;
             let stored = mutations[0].stored.as_ref().unwrap();

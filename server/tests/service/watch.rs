@@ -15,15 +15,6 @@ use wayfold_server::{
 
 use crate::{random::Requests, support::*};
 
-fn watching(uid: &str, after_revision: u64) -> v1::WatchRequest {
-    v1::WatchRequest {
-        index_name: "arm".into(),
-        after_revision: revision(uid, after_revision),
-        include: ALL,
-        own_session: 0,
-    }
-}
-
 async fn message(watch: &mut Watch) -> v1::WatchResponse {
     watch.next().await.unwrap().unwrap()
 }
@@ -214,7 +205,7 @@ async fn forgotten_records_become_a_reset() {
 #[tokio::test]
 async fn a_watch_ends_with_its_index_its_deadline_and_its_server() {
     let (service, uid) = arm("R1").await;
-    let unnamed = v1::WatchRequest { ..watching("", 0) };
+    let unnamed = watching("", 0);
     let refused = service.watch(&CALL, unnamed).await;
     assert_eq!(refused.err().unwrap().reason(), "REQUIRED");
     let now = v1::WatchRequest {

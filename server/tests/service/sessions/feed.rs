@@ -12,10 +12,8 @@ async fn watched(
     last: u64,
 ) -> Vec<v1::WatchResponse> {
     let request = v1::WatchRequest {
-        index_name: "arm".into(),
-        after_revision: revision(uid, 0),
-        include: ALL,
         own_session,
+        ..watching(uid, 0)
     };
     let mut watch = service.watch(&CALL, request).await.unwrap();
     let mut messages = Vec::new();

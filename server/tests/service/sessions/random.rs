@@ -147,10 +147,8 @@ async fn feed(
     let mut mutations = Vec::new();
     while mutations.len() + 1 < history.len() {
         let request = v1::WatchRequest {
-            index_name: "arm".into(),
-            after_revision: revision(uid, mutations.len() as u64),
-            include: ALL,
             own_session,
+            ..watching(uid, mutations.len() as u64)
         };
         mutations.extend(service.log(&CALL, request).await.unwrap().mutations);
     }

@@ -190,6 +190,16 @@ pub(crate) fn scanning() -> v1::ScanRequest {
     }
 }
 
+/// Asks for the mutations of `arm` after a revision.
+pub(crate) fn watching(uid: &str, after_revision: u64) -> v1::WatchRequest {
+    v1::WatchRequest {
+        index_name: "arm".into(),
+        after_revision: revision(uid, after_revision),
+        include: ALL,
+        own_session: 0,
+    }
+}
+
 /// Everything in `arm`, as one part.
 pub(crate) async fn everything(service: &Service) -> v1::ScanResponse {
     let mut scan = service.scan(&CALL, scanning()).await.unwrap();
