@@ -70,12 +70,11 @@ impl Journal for SetBack {
 }
 
 impl SetBack {
-    /// A journal that has all records of `local`, and other servers.
-    fn whole(local: &Arc<MemoryLog>) -> Arc<dyn Journal> {
+    fn new(local: &Arc<MemoryLog>, is_other: bool, head: u64) -> Arc<Self> {
         Arc::new(Self {
             local: Arc::clone(local),
-            is_other: false,
-            head: AtomicU64::new(APPLIED),
+            is_other,
+            head: AtomicU64::new(head),
             follows: AtomicU64::new(0),
         })
     }
@@ -84,12 +83,7 @@ impl SetBack {
 /// A server whose index has applied more than its journal has, once it has stopped.
 async fn stopped(is_other: bool) -> (Arc<SetBack>, Arc<Registry>, Arc<Hosted>) {
     let local = recorded(APPLIED);
-    let journal = Arc::new(SetBack {
-        local: Arc::clone(&local),
-        is_other,
-        head: AtomicU64::new(1),
-        follows: AtomicU64::new(0),
-    });
+    let journal = SetBack::new(&local, is_other, 1);
     let registry = testing::registry(&journal, &local, RegistryOptions::default());
     let registry = Arc::new(registry);
     let hosted = registry.get("arm").unwrap();
@@ -216,7 +210,7 @@ fn is_of_copy(why: &RegistryError) -> bool {
 async fn an_index_that_the_store_lacks_is_not_deleted() {
     let named = recorded(APPLIED);
     let log = Log {
-        journal: SetBack::whole(&named),
+        journal: SetBack::new(&named, false, APPLIED),
         points: Arc::new(MemoryLog::new()),
         catalogue: named,
     };
@@ -234,7 +228,7 @@ async fn without_its_store_a_server_refuses_restores_and_deletes_as_unreadable()
     let store = directory.path().join("store");
     fs::rename(store, elsewhere.path().join("store")).unwrap();
     let log = Log {
-        journal: SetBack::whole(&Arc::new(MemoryLog::new())),
+        journal: SetBack::new(&Arc::new(MemoryLog::new()), false, APPLIED),
         ..Log::from(Arc::new(open()))
     };
     let registry = Registry::new(log, RegistryOptions::default());
@@ -281,14 +275,8 @@ async fn a_restore_holds_no_lock_while_its_name_is_claimed() {
         local: Arc::clone(&local),
         registry: OnceLock::new(),
     });
-    let journal = SetBack {
-        local: Arc::clone(&local),
-        is_other: false,
-        head: AtomicU64::new(0),
-        follows: AtomicU64::new(0),
-    };
     let log = Log {
-        journal: Arc::new(journal),
+        journal: SetBack::new(&local, false, 0),
         points: local,
         catalogue: Arc::clone(&catalogue) as Arc<dyn Catalogue>,
     };
