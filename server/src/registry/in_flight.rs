@@ -70,13 +70,7 @@ impl InFlight {
 
     /// Takes back the last record, which the journal did not take.
     pub(super) fn take_back(&mut self, position: RecordPosition) {
-        if self
-            .records
-            .back()
-            .is_some_and(|last| last.position == position)
-        {
-            self.records.pop_back();
-        }
+        self.records.pop_back_if(|last| last.position == position);
     }
 
     /// Waits for the record `position`, which was submitted when the refusals were at this number.

@@ -12,16 +12,11 @@ impl Host {
     /// The greatest number of points that a merge may copy in its share of the memory that is left, above the
     /// watermarks too: the old levels, their points as rows and the new level exist at a time.
     pub(super) fn merge_rows(&self, space: &Space) -> usize {
-        let left = self
-            .watermarks
-            .memory
-            .as_ref()
-            .and_then(|it| it.remaining());
+        let memory = self.watermarks.memory.as_ref();
+        let left = memory.and_then(|it| it.remaining());
         let bytes = 3 * point_bytes(space) * self.options.merge_threads.max(1);
-        let rows = |left: u64| left / bytes as u64;
-        left.map_or(usize::MAX, |left| {
-            usize::try_from(rows(left)).unwrap_or(usize::MAX)
-        })
+        let rows = left.map_or(u64::MAX, |left| left / bytes as u64);
+        usize::try_from(rows).unwrap_or(usize::MAX)
     }
 }
 
