@@ -32,8 +32,8 @@ use std::{
 use parking_lot::Mutex;
 use tokio::sync::oneshot;
 
-pub(super) use queue::{MAKES_LONG_NS, Stage};
 use queue::{Flow, SHORT_TURNS, State, Waiter};
+pub(super) use queue::{MAKES_LONG_NS, Stage};
 use trend::Trend;
 
 /// A call was refused because it waited for its first turn for too long, by the target that it carries.

@@ -206,7 +206,7 @@ impl NearestNeighbors for SharedIndex {
         let width = self.core.space.coordinates();
         let count = rows.len() / width;
         if count == 0 {
-            self.core.room(0, 0)?;
+            drop(self.core.room(0, 0)?);
         }
         let (mut ids, mut refusals) = (Vec::with_capacity(count), None);
         let step_bytes = Batch::step_bytes(&plain_put(rows.get(..width).unwrap_or_default()));
