@@ -13,6 +13,7 @@ use crate::{
 };
 
 const NEEDS_OPERATION_ID: &str = "several servers answer here: over Zenoh each mutation needs an operation_id, so that it takes effect once";
+const NEEDS_UID: &str = "several servers answer here: over Zenoh a deletion needs the uid of its index, so that it deletes no later index of the name";
 
 /// Calls `verb` and returns its answer in the form of the request. `max_message_bytes` is the face's limit.
 pub(crate) async fn dispatch(
@@ -27,7 +28,8 @@ pub(crate) async fn dispatch(
             request.encode(boxed(service.$verb(call, request.$decode()?)).await)
         };
     }
-    // Several servers may take one query while links change: only a mutation that takes effect once is safe then.
+    // Several servers may take one query while links change, one of them late: only a mutation that takes effect once is
+    // safe then. A late deletion is one if it names the uid.
     macro_rules! mutate {
         ($verb:ident, $request:ident) => {{
             let mutation: v1::$request = request.decode_for_index()?;
@@ -65,7 +67,13 @@ pub(crate) async fn dispatch(
             let listed = boxed(service.list_indexes(call, request.decode()?)).await;
             request.encode(listed.map(status::listing))
         }
-        Verb::Delete => answer!(delete_index, decode),
+        Verb::Delete => {
+            let deletion: v1::DeleteIndexRequest = request.decode()?;
+            if service.is_shared() && deletion.uid.is_empty() {
+                return Err(invalid("uid", "REQUIRED", NEEDS_UID));
+            }
+            request.encode(boxed(service.delete_index(call, deletion)).await)
+        }
     }
 }
 

@@ -34,11 +34,13 @@ async fn several_servers_answer_as_one() {
         session: session("peer", &[], &locators).await,
     };
     let space = json!({ "name": "arm", "space_text": "R1" });
-    robot.json("create", space).await.unwrap();
+    let created = robot.json("create", space).await.unwrap();
     for (server, _) in &servers {
         Stubs::connect(server.uri()).await.find("arm").await;
     }
 
+    let refused = robot.json("delete", json!({ "index_name": "arm" })).await;
+    assert_eq!(reason(&refused.unwrap_err()), (3, "REQUIRED"));
     let refused = robot.json("arm/insert", json!({ "states": [[0.0]] })).await;
     assert_eq!(reason(&refused.unwrap_err()), (3, "REQUIRED"));
 
@@ -67,6 +69,11 @@ async fn several_servers_answer_as_one() {
         stubs.latest("arm").await.unwrap();
         assert_eq!(stubs.describe("arm").await.point_count, inserted);
     }
+
+    let uid = &created["index"]["revision"]["uid"];
+    let deletion = json!({ "index_name": "arm", "uid": uid });
+    let deleted = robot.json("delete", deletion).await.unwrap();
+    assert_eq!(deleted["uid"], *uid);
 }
 
 #[ignore = "needs nats-server"]
