@@ -157,7 +157,8 @@ pub trait Journal: Send + Sync {
         Ok(0)
     }
 
-    /// True if the next [`Journal::submit`] may block on the store; call it from a blocking thread then.
+    /// True if the next [`Journal::submit`], or [`PointStore::apply`] of records that are not in the store yet, may block on
+    /// the store; call it from a blocking thread then.
     fn is_busy(&self) -> bool {
         false
     }
@@ -177,7 +178,8 @@ pub trait Journal: Send + Sync {
 /// [`Journal`] side returns the newest applied records, also those that came from a shared journal.
 pub trait PointStore: Journal {
     /// Applies consecutive records of an index, and returns its points as of the last of them. A record that was
-    /// submitted to this engine is in the store already and is not applied again. `records` is not empty.
+    /// submitted to this engine is in the store already and is not applied again. `records` is not empty. May block as
+    /// [`Journal::submit`] does.
     fn apply(&self, uid: Uid, records: &[Arc<Record>]) -> Result<Arc<dyn View>, LogError>;
 
     /// The points as they are stored now, pinned.

@@ -151,18 +151,27 @@ impl Hosted {
         });
         let mut all = records.iter().map(|record| record.effects());
         let ends_sessions = all.any(Effects::ends_sessions);
+        let may_block = self.is_shared() && self.store_may_block(&records);
         let hosted = Arc::clone(self);
         let applying = move || {
             hosted.apply_now(applied, &records, |records| {
                 hosted.host.log.points.apply(hosted.uid(), records)
             })
         };
-        if points <= MAX_INLINE_POINTS && bytes <= MAX_INLINE_BYTES && !ends_sessions {
+        let is_small = points <= MAX_INLINE_POINTS && bytes <= MAX_INLINE_BYTES;
+        if is_small && !ends_sessions && !may_block {
             return applying();
         }
         tokio::task::spawn_blocking(applying)
             .await
             .map_err(|_| RegistryError::Stopped)?
+    }
+
+    /// True if the point store may wait for its disk while it writes these records, which it does not have yet: it may have
+    /// to catch up, and it reads a point before it replaces or removes it.
+    fn store_may_block(&self, records: &[Arc<Record>]) -> bool {
+        let mut all = records.iter();
+        self.host.log.points.is_busy() || !all.all(|record| record.effects().only_adds())
     }
 
     /// Applies consecutive records that lead to the points of `view`, which gets the last of them.

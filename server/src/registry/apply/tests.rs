@@ -1,5 +1,7 @@
 //! A shared journal that acknowledges every record, unless a test has it refused, and brings what a test sends.
 
+mod busy_store;
+
 use std::{collections::VecDeque, future::ready, slice};
 
 use futures_util::FutureExt;
@@ -23,6 +25,7 @@ use crate::{
 
 type Sent = Result<Vec<Arc<Record>>, LogError>;
 
+#[derive(Default)]
 struct RemoteJournal {
     submitted: Mutex<Vec<Arc<Record>>>,
     /// The ends at which it refuses the next records.
@@ -76,12 +79,7 @@ impl Server {
 
     /// A server that keeps records of this many bytes.
     fn keeping(window_bytes: usize) -> Self {
-        let journal = Arc::new(RemoteJournal {
-            submitted: Mutex::default(),
-            ends: Mutex::default(),
-            brings: Mutex::default(),
-            followed: watch::Sender::default(),
-        });
+        let journal = Arc::<RemoteJournal>::default();
         let options = RegistryOptions {
             window_bytes,
             ..RegistryOptions::default()
