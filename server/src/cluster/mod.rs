@@ -137,13 +137,14 @@ impl Owners for Cluster {
     fn forward<'a>(
         &'a self,
         owner: &'a str,
+        uid: Uid,
         rpc: &'static str,
         call: &'a Call,
         request: Bytes,
     ) -> BoxFuture<'a, Result<Bytes, NotForwarded>> {
         Box::pin(async move {
             tokio::select! {
-                answered = self.client.forward(owner, rpc, call, request) => answered,
+                answered = self.client.forward(owner, uid, rpc, call, request) => answered,
                 () = self.members.silence(owner) => {
                     self.client.forget(owner);
                     Err(NotForwarded::Unknown { what: "it is not heard any more".into() })

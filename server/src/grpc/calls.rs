@@ -10,6 +10,7 @@ use std::{
     convert::Infallible,
     future::{pending, ready},
     pin::Pin,
+    str::FromStr,
     sync::Arc,
     task::{Context, Poll},
     time::{Duration, Instant},
@@ -117,9 +118,12 @@ pub(super) const IDENTITY: &str = "wayfold-identity";
 /// The header of a forwarded call with the number of its client at the server that forwards it.
 pub(super) const CLIENT: &str = "wayfold-client";
 
-/// The number of the client of a forwarded call.
-pub(super) fn forwarded_client(headers: &HeaderMap) -> Option<u64> {
-    headers.get(CLIENT)?.to_str().ok()?.parse().ok()
+/// The header of a forwarded call with the uid of its index at the server that forwards it.
+pub(super) const UID: &str = "wayfold-uid";
+
+/// The value of a header of a forwarded call; None if it is missing or malformed.
+pub(super) fn forwarded<T: FromStr>(headers: &HeaderMap, name: &str) -> Option<T> {
+    headers.get(name)?.to_str().ok()?.parse().ok()
 }
 
 /// The callers of a listener.
@@ -313,7 +317,8 @@ impl CallsLayer {
             peer: peer.map(Peer::Address),
             trace: traceparent(headers).map(Arc::from),
             is_forwarded,
-            forwarded_client: forwarded_client(headers).filter(|_| is_forwarded),
+            forwarded_client: forwarded(headers, CLIENT).filter(|_| is_forwarded),
+            forwarded_uid: forwarded(headers, UID).filter(|_| is_forwarded),
             permits: Some(flow.permits()),
             ..Call::default()
         }

@@ -15,9 +15,10 @@ use tonic::{Request, client::Grpc, metadata::MetadataMap, transport::Channel};
 use tonic_prost::ProstCodec;
 
 use self::channels::{Channels, PAUSE, Raw, refusal};
-use super::calls::{CLIENT, IDENTITY};
+use super::calls::{CLIENT, IDENTITY, UID};
 use crate::{
     config::TlsConfig,
+    log::Uid,
     observe::trace_ids,
     service::{
         COPY, Call, CopyPart, CopyParts, CopyRequest, NotForwarded, STORED, StoredRequest,
@@ -37,16 +38,17 @@ impl MemberClient {
         Self { channels }
     }
 
-    /// Sends a mutation, encoded already, in the name of its caller.
+    /// Sends a mutation of the index with this uid, encoded already, in the name of its caller.
     pub(crate) async fn forward(
         &self,
         member: &str,
+        uid: Uid,
         rpc: &'static str,
         call: &Call,
         request: Bytes,
     ) -> Result<Bytes, NotForwarded> {
         let mut channel = self.channels.get(member, PAUSE).await?;
-        let metadata = MetadataMap::from_headers(headers(call)?);
+        let metadata = MetadataMap::from_headers(headers(call, uid)?);
         let mut request = Request::from_parts(metadata, Default::default(), request);
         if let Some(deadline) = call.deadline {
             request.set_timeout(deadline.saturating_duration_since(Instant::now()));
@@ -108,10 +110,12 @@ impl MemberClient {
     }
 }
 
-/// The headers of a forwarded call: the identity of its caller, the number of its client, and its trace unless that is
-/// malformed.
-fn headers(call: &Call) -> Result<HeaderMap, NotForwarded> {
+/// The headers of a forwarded call: the uid of its index, the identity of its caller, the number of its client, and its trace
+/// unless that is malformed.
+fn headers(call: &Call, uid: Uid) -> Result<HeaderMap, NotForwarded> {
     let mut headers = HeaderMap::new();
+    let uid = HeaderValue::from_str(&uid.to_string());
+    headers.insert(UID, uid.map_err(|_| NotForwarded::Unsent)?);
     if let Some(name) = call.caller.name() {
         let name = HeaderValue::from_bytes(name.as_bytes());
         headers.insert(IDENTITY, name.map_err(|_| NotForwarded::Unsent)?);
@@ -137,7 +141,7 @@ mod tests {
     use std::{fs, sync::Arc};
 
     use super::*;
-    use crate::{grpc::calls::forwarded_client, identity::Identities, service::ClientPermits};
+    use crate::{grpc::calls::forwarded, identity::Identities, service::ClientPermits};
 
     #[test]
     fn a_name_beyond_ascii_and_a_malformed_trace_let_a_call_be_forwarded() {
@@ -163,7 +167,7 @@ mod tests {
                 trace: Some(trace.into()),
                 ..Call::default()
             };
-            let headers = headers(&call).unwrap();
+            let headers = headers(&call, Uid::unique()).unwrap();
             assert_eq!(headers[IDENTITY].as_bytes(), NAME.as_bytes());
             let found = headers.get("traceparent").map(HeaderValue::as_bytes);
             assert_eq!(found, sent.map(str::as_bytes), "{trace}");
@@ -177,10 +181,18 @@ mod tests {
                 permits: Some(Arc::new(ClientPermits::new(1))),
                 ..Call::default()
             };
-            forwarded_client(&headers(&call).unwrap()).unwrap()
+            let headers = headers(&call, Uid::unique()).unwrap();
+            forwarded::<u64>(&headers, CLIENT).unwrap()
         });
         assert_ne!(first, second);
-        let unknown = headers(&Call::default()).unwrap();
-        assert_eq!(forwarded_client(&unknown), None);
+        let unknown = headers(&Call::default(), Uid::unique()).unwrap();
+        assert_eq!(forwarded::<u64>(&unknown, CLIENT), None);
+    }
+
+    #[test]
+    fn the_owner_gets_the_uid_of_the_index_of_a_forwarded_call() {
+        let uid = Uid::unique();
+        let headers = headers(&Call::default(), uid).unwrap();
+        assert_eq!(forwarded::<Uid>(&headers, UID), Some(uid));
     }
 }

@@ -12,6 +12,7 @@ use super::Error;
 use crate::{
     admission::{AnswerBytes, CallPlace, ClientPermits, HeldBytes, PlaceWait, end_slice},
     identity::{Caller, Denial},
+    log::Uid,
 };
 
 /// The time that a call computes before it yields.
@@ -52,6 +53,8 @@ pub struct Call {
     pub is_forwarded: bool,
     /// The number of its client at the server that forwarded it. None if none did, or if that one does not send it.
     pub forwarded_client: Option<u64>,
+    /// The uid of its index at the server that forwarded it. None if none did, or if that one does not send it.
+    pub forwarded_uid: Option<Uid>,
     /// The permits of its connection; None: those of the server alone bound it.
     pub permits: Option<Arc<ClientPermits>>,
     /// The bytes of the call, if its answer counts while it is made; None: nothing bounds that, or a stream counts each part.

@@ -24,11 +24,12 @@ pub trait Owners: Send + Sync {
     /// index may have another owner, or the journal may lack records.
     fn changes(&self) -> u64;
 
-    /// Sends a request, encoded, to `owner`, in the name of the caller and with the deadline of `call`. Returns the encoded
-    /// answer.
+    /// Sends a request for the index with `uid`, encoded, to `owner`, in the name of the caller and with the deadline of
+    /// `call`. Returns the encoded answer.
     fn forward<'a>(
         &'a self,
         owner: &'a str,
+        uid: Uid,
         rpc: &'static str,
         call: &'a Call,
         request: Bytes,
@@ -146,9 +147,10 @@ impl Service {
             // Every server refuses the call with the reason.
             return None;
         }
-        let owner = owners.owner(hosted.uid())?;
+        let uid = hosted.uid();
+        let owner = owners.owner(uid)?;
         let request_bytes = request.encode_to_vec().into();
-        let answered = owners.forward(&owner, R::RPC, call, request_bytes);
+        let answered = owners.forward(&owner, uid, R::RPC, call, request_bytes);
         let answered = match call
             .bound("while the owner of the index answered", answered)
             .await

@@ -21,7 +21,7 @@ use crate::{
 
 impl Service {
     /// Accepts a call of an index, as [`Service::accept`] does, and finds the index, which must have `uid` unless that
-    /// is empty.
+    /// is empty. A forwarded call finds no index that may be older than the one at the server that forwarded it.
     pub(super) fn index(
         &self,
         call: &Call,
@@ -31,6 +31,14 @@ impl Service {
     ) -> Result<Arc<Hosted>, Error> {
         let hosted = self.index_named(call, role, name, uid)?;
         check_uid(&hosted, uid)?;
+        if let Some(uid) = call.forwarded_uid.filter(|uid| *uid != hosted.uid()) {
+            // If the other index may be the later one, the server that has it evaluates the call. If this one is later, that
+            // server has not heard of it.
+            let uid = uid.to_string();
+            if !hosted.is_past(&uid) {
+                return Err(unknown(name, &uid));
+            }
+        }
         Ok(hosted)
     }
 

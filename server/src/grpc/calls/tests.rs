@@ -10,7 +10,7 @@ use tonic::Code;
 use tonic_types::StatusExt;
 
 use super::*;
-use crate::{admission::CallTurns, config::Config, grpc::connections::Connections};
+use crate::{admission::CallTurns, config::Config, grpc::connections::Connections, log::Uid};
 
 /// Answers with the result of a function, or panics as it does.
 #[derive(Clone)]
@@ -92,6 +92,23 @@ fn long_headers_and_paths_count() {
     assert!(bytes > CALL_BYTES + 14_000);
     let path = format!("/wayfold.v1.{long}?{long}").parse().unwrap();
     assert!(call_bytes(&path, &HeaderMap::new()) > CALL_BYTES + 14_000);
+}
+
+#[tokio::test]
+async fn only_a_member_names_the_index_of_a_forwarded_call() {
+    let (shared, uid) = (shared(), Uid::unique());
+    let mut headers = HeaderMap::new();
+    headers.insert(UID, uid.to_string().parse().unwrap());
+    for (callers, named) in [(Callers::Clients, None), (Callers::Members, Some(uid))] {
+        let layer = CallsLayer::new(
+            &Config::default().grpc,
+            shared.clone(),
+            callers,
+            TaskTracker::new(),
+        );
+        let call = layer.context(&headers, None, &layer.flow(false, None));
+        assert_eq!(call.forwarded_uid, named);
+    }
 }
 
 #[tokio::test]

@@ -159,6 +159,28 @@ async fn a_server_that_is_behind_does_not_judge_a_uid() {
     }
 }
 
+/// The server that forwarded the call has another index of the name, and evaluates it there.
+#[tokio::test]
+async fn a_forwarded_mutation_of_an_index_that_is_unknown_here_is_refused() {
+    let service = service_behind(&Arc::new(MemoryLog::new()), || ());
+    create(&service, "arm", "R1").await.unwrap();
+    let uid = service.registry().unwrap().get("arm").unwrap().uid();
+    for (uid, refusal) in [(uid, None), (Uid::unique(), Some("UID_UNKNOWN"))] {
+        let call = Call {
+            is_forwarded: true,
+            forwarded_uid: Some(uid),
+            ..Call::default()
+        };
+        let removal = v1::RemoveRequest {
+            index_name: "arm".into(),
+            ids: vec![7],
+            ..Default::default()
+        };
+        let removed = service.remove(&call, removal).await;
+        assert_eq!(removed.err().map(|error| error.reason()), refusal);
+    }
+}
+
 #[tokio::test]
 async fn an_index_that_exists_is_found_while_another_is_created() {
     let known = Arc::new(OnceLock::<Weak<Inner>>::new());

@@ -53,6 +53,7 @@ impl Owners for OtherMembers {
     fn forward<'a>(
         &'a self,
         _: &'a str,
+        _: Uid,
         _: &'static str,
         _: &'a Call,
         _: Bytes,

@@ -137,6 +137,18 @@ async fn an_index_that_cannot_be_read_here_is_to_be_asked_for_at_another_server(
     assert_eq!(find(true).reason(), "INDEX_NOT_FOUND");
 }
 
+/// This server knows that the other index was deleted: the server that forwarded the call has not heard of it.
+#[tokio::test]
+async fn a_forwarded_call_finds_the_index_that_took_the_place_of_its_own() {
+    let (service, _) = server(0, None);
+    let call = Call {
+        is_forwarded: true,
+        forwarded_uid: Some(Uid::unique()),
+        ..Call::default()
+    };
+    assert!(service.index(&call, Role::Write, "arm", "").is_ok());
+}
+
 #[tokio::test]
 async fn another_uid_is_refused_with_the_one_of_the_index() {
     let (service, _) = server(0, None);
