@@ -152,7 +152,8 @@ pub trait Journal: Send + Sync {
     }
 
     /// Submits again the newest records that a shared journal has lost and that this server has applied. Returns their
-    /// number. [`LogError::Contradicted`] if they do not follow what the journal has. Blocks.
+    /// number. [`LogError::Contradicted`] if they do not follow what the journal has, [`LogError::UnknownIndex`] if another
+    /// server has deleted the index. Blocks.
     fn repair(&self, _: Uid) -> Result<u64, LogError> {
         Ok(0)
     }

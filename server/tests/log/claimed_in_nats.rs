@@ -1,4 +1,4 @@
-//! The names of indices that a server claims: NATS answers late, or another server has claimed them meanwhile.
+//! The names of indices that a server claims: NATS answers late, or another server has claimed or deleted them meanwhile.
 
 use std::{slice::from_ref, sync::Arc};
 
@@ -61,6 +61,28 @@ fn a_repeated_claim_leaves_an_index_whose_claim_was_taken_late() {
     for log in [&log, &other] {
         assert_eq!(log.catalogue.indexes().unwrap(), from_ref(&first));
     }
+}
+
+/// A delete purges the records, which looks as if NATS had lost them.
+#[ignore = "needs nats-server"]
+#[test]
+fn a_server_that_learns_late_of_a_delete_publishes_no_record_again_in_nats() {
+    let (nats, [log, other]) = blind_and_other();
+    let entry = entry("arm");
+    let uid = entry.uid;
+    log.catalogue.create(entry.clone()).unwrap();
+    let record = Record::after(RecordPosition::START, effects(1, &[1], &[]));
+    let record = Arc::new(record);
+    nats.publish(&log, uid, &record);
+    log.points.submit(uid, Arc::clone(&record)).unwrap();
+    log.points.apply(uid, from_ref(&record)).unwrap();
+    nats.until(&other, |it| it.indexes().unwrap() == from_ref(&entry));
+    other.catalogue.delete(uid).unwrap();
+
+    assert_eq!(log.journal.repair(uid), Err(LogError::UnknownIndex { uid }));
+    assert_eq!(other.journal.newest(uid), Ok(0));
+    // It has learnt of the delete by that.
+    assert!(log.catalogue.indexes().unwrap().is_empty());
 }
 
 /// A purge may take seconds, and creates may get no answer any number of times.

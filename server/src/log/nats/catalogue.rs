@@ -87,6 +87,23 @@ impl NatsCatalogue {
         known.values().find(|(named, _)| named.is(uid)).cloned()
     }
 
+    /// True if the bucket's leader names the index as deleted, which this server then knows too. Blocks.
+    pub(super) fn is_deleted(&self, uid: Uid) -> Result<bool, LogError> {
+        let text = uid.to_string();
+        let has = |named: &CatalogueValue| named.is(uid) || named.deleted.contains(&text);
+        let name = {
+            let known = self.bucket.known();
+            let mut known = known.iter();
+            let found = known.find(|(_, (named, _))| has(named));
+            found.map(|(name, _)| name.clone())
+        };
+        let Some(name) = name else {
+            return Ok(false);
+        };
+        let named = self.runtime.block_on(self.bucket.refresh(&name))?;
+        Ok(named.is_some_and(|named| named.deleted.contains(&text)))
+    }
+
     /// Changes an entry, and tries again while other changes come first and it may still be changed.
     fn until_unchanged(
         &self,

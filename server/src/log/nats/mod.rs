@@ -156,13 +156,15 @@ pub(crate) async fn open<Store: PointStore + Catalogue + 'static>(
     let runtime = Handle::current();
     let connection = Arc::new(Connection::open(options).await?);
     let catalogue = NatsCatalogue::open(Arc::clone(&connection), runtime.clone(), local.clone());
+    let catalogue = Arc::new(catalogue.await?);
     let client = connection.context.client();
     let log = Log {
-        catalogue: Arc::new(catalogue.await?),
+        catalogue: catalogue.clone(),
         journal: Arc::new(NatsJournal {
             connection,
             runtime,
             publishers: Mutex::default(),
+            catalogue,
             local: local.clone(),
         }),
         points: local,
@@ -175,6 +177,7 @@ struct NatsJournal {
     connection: Arc<Connection>,
     runtime: Handle,
     publishers: Mutex<BTreeMap<Uid, UnboundedSender<Submission>>>,
+    catalogue: Arc<NatsCatalogue>,
     /// The records that this server has applied, as far as it keeps them.
     local: Arc<dyn Journal>,
 }
@@ -268,15 +271,18 @@ impl Journal for NatsJournal {
 
     /// Every record is fenced by the one before it: if NATS has answered with stale data, or another server was first,
     /// nothing is published. A subject that NATS has lost whole begins again at the oldest record that this server keeps,
-    /// fenced by its emptiness.
+    /// fenced by its emptiness. A delete leaves such a subject too, so the catalogue is asked first.
     fn repair(&self, uid: Uid) -> Result<u64, LogError> {
         let newest = self.runtime.block_on(self.connection.last(uid))?;
         let mut position = newest.last_record;
         let (mut after, mut begins, mut repaired) = (position.revision, false, 0);
-        if newest == PackPosition::START
-            && let Some(oldest) = self.local.oldest(uid)?
-        {
-            (after, begins) = (oldest - 1, true);
+        if newest == PackPosition::START {
+            if self.catalogue.is_deleted(uid)? {
+                return Err(LogError::UnknownIndex { uid });
+            }
+            if let Some(oldest) = self.local.oldest(uid)? {
+                (after, begins) = (oldest - 1, true);
+            }
         }
         loop {
             let records = self.local.read(uid, Some(after), REPAIR_BYTES)?;
