@@ -23,6 +23,7 @@ mod nats;
 mod pin;
 mod rebuilt;
 mod remote;
+mod renumbered_in_nats;
 mod replaced;
 mod replaced_in_nats;
 mod restored_in_nats;

@@ -14,7 +14,7 @@ use tokio::{
     time::timeout,
 };
 use wayfold_server::log::{
-    Catalogue, Log, MemoryLog, NatsOptions, Receipt, Record, Uid, connect_nats,
+    Catalogue, Log, LogError, MemoryLog, NatsOptions, Receipt, Record, Uid, connect_nats,
 };
 
 /// A server of NATS with JetStream, on a port of its own of the loopback interface. It is killed when it is dropped.
@@ -119,12 +119,17 @@ impl Nats {
         connect_nats(options, local).unwrap().0
     }
 
-    /// Submits a record, and waits until the journal has it.
-    pub(crate) fn publish(&self, log: &Log, uid: Uid, record: &Arc<Record>) {
-        let Receipt::Awaited(receipt) = log.journal.submit(uid, Arc::clone(record)).unwrap() else {
+    /// Submits a record, and waits for its receipt.
+    pub(crate) fn submit(&self, log: &Log, uid: Uid, record: &Arc<Record>) -> Result<(), LogError> {
+        let Receipt::Awaited(receipt) = log.journal.submit(uid, Arc::clone(record))? else {
             panic!("a journal elsewhere accepts nothing at once");
         };
-        self.runtime.block_on(receipt).unwrap();
+        self.runtime.block_on(receipt)
+    }
+
+    /// Submits a record, and waits until the journal has it.
+    pub(crate) fn publish(&self, log: &Log, uid: Uid, record: &Arc<Record>) {
+        self.submit(log, uid, record).unwrap();
     }
 
     /// Waits until a server knows of a change.

@@ -1,6 +1,6 @@
 //! The connection to NATS: the streams, and the places of messages in them.
 
-use std::{error::Error as _, io, time::Duration};
+use std::{error::Error as _, io, sync::atomic::Ordering::Relaxed, time::Duration};
 
 use async_nats::{
     ConnectError, ConnectErrorKind, ConnectOptions, ServerAddr,
@@ -164,6 +164,12 @@ impl Connection {
             description: Some("the records of Wayfold's indices".into()),
             ..Config::default()
         }
+    }
+
+    /// The number of times that the client has connected to a server of NATS.
+    pub(super) fn connects(&self) -> u64 {
+        let statistics = self.context.client().statistics();
+        statistics.connects.load(Relaxed)
     }
 
     /// The name of the bucket of the catalogue.

@@ -69,6 +69,7 @@ pub(super) fn start(
         uid,
         connection,
         newest: None,
+        connects: 0,
         writers: 1,
         linger: Duration::ZERO,
     };
@@ -81,6 +82,8 @@ struct Publisher {
     connection: Arc<Connection>,
     /// The newest message of the index, if it is known. Another server may have published since.
     newest: Option<PackPosition>,
+    /// The number of connects of the client when `newest` was learnt, or a lower one. With another one it is unknown.
+    connects: u64,
     /// An estimate of the number of writers: the records in the last message and those that waited for its end.
     writers: usize,
     /// The longest wait until each writer has a record in the message.
@@ -175,6 +178,8 @@ impl Publisher {
                 false => MESSAGE_TIMEOUT * (1 + payload.len() / BYTES_PER_TIMEOUT) as u32,
             };
             let sent = timeout(limit, sent).await;
+            // Without an acknowledgement the message may be in the stream, or come to it.
+            self.newest = None;
             let acknowledged = sent.map_err(|_| Refusal::Unconfirmed {
                 what: "no acknowledgement in time".into(),
             })?;
@@ -189,7 +194,6 @@ impl Publisher {
                 }
                 Err(error) => error,
             };
-            self.newest = None;
             match error.kind() {
                 // The newest message may be this one, if an earlier acknowledgement was lost.
                 PublishErrorKind::WrongLastSequence => {
@@ -275,6 +279,11 @@ impl Publisher {
         record: &Record,
         begins: bool,
     ) -> Result<PackPosition, Refusal> {
+        let connects = self.connection.connects();
+        if connects != self.connects {
+            // NATS may have lost its newest messages meanwhile, and gives their sequence numbers to others.
+            (self.newest, self.connects) = (None, connects);
+        }
         if let Some(newest) = self.newest
             && record.follows(newest.last_record)
         {
