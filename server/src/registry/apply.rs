@@ -3,6 +3,7 @@
 //! the index changes nowhere else.
 
 use std::{
+    panic::AssertUnwindSafe,
     sync::{Arc, Weak, atomic::Ordering::Relaxed},
     time::{Duration, Instant, SystemTime},
 };
@@ -43,21 +44,46 @@ pub(super) struct AwaitedReceipt {
     pub(super) outcome: BoxFuture<'static, Result<(), LogError>>,
 }
 
-/// Runs the apply loop of this number until the index is dropped or its journal fails.
+/// Runs the apply loop of this number until the index is dropped or its journal fails. A panic closes the index too: nothing
+/// would decide its records any more.
 pub(super) async fn run(
     hosted: Weak<Hosted>,
     number: u64,
+    records: RecordStream,
+    receipts: mpsc::UnboundedReceiver<AwaitedReceipt>,
+) {
+    let applying = apply_all(Weak::clone(&hosted), records, receipts);
+    let ended = AssertUnwindSafe(applying).catch_unwind().await;
+    // The panic hook has printed the panic.
+    let outcome = ended.unwrap_or(Err(RegistryError::Stopped));
+    if let Err(error) = outcome
+        && let Some(hosted) = hosted.upgrade()
+    {
+        // The log reports its failure once, so an index logs it at debug level only.
+        match is_damage(&error) && !hosted.is_reported.swap(true, Relaxed) {
+            true => {
+                error!(index = hosted.name(), %error, "no further record is applied");
+            }
+            false => debug!(index = hosted.name(), %error, "cannot follow the log"),
+        }
+        hosted.end_loop(number, error);
+    }
+}
+
+/// Applies the records of the journal until the index is dropped. An error ends it.
+async fn apply_all(
+    hosted: Weak<Hosted>,
     mut records: RecordStream,
     mut receipts: mpsc::UnboundedReceiver<AwaitedReceipt>,
-) {
+) -> Result<(), RegistryError> {
     // A receipt counts after those of the records before its own: a lost record is settled before the next one.
     let (mut awaited, mut arrivals) = (FuturesOrdered::new(), FuturesUnordered::new());
     let mut void = None;
     loop {
-        let outcome = tokio::select! {
+        let applied = tokio::select! {
             batch = records.next() => {
                 let Some(hosted) = hosted.upgrade() else {
-                    return;
+                    return Ok(());
                 };
                 match batch {
                     Some(Ok(records)) => {
@@ -85,7 +111,7 @@ pub(super) async fn run(
             }
             Some(receipt) = awaited.next() => {
                 let Some(hosted) = hosted.upgrade() else {
-                    return;
+                    return Ok(());
                 };
                 // The journal has the acknowledged records: they do not wait until it brings them.
                 let (mut acknowledged, mut next) = (Vec::new(), Some(receipt));
@@ -104,19 +130,7 @@ pub(super) async fn run(
             }
             Some(arrived) = arrivals.next() => arrived,
         };
-        if let Err(error) = outcome {
-            if let Some(hosted) = hosted.upgrade() {
-                // The log reports its failure once, so an index logs it at debug level only.
-                match is_damage(&error) && !hosted.is_reported.swap(true, Relaxed) {
-                    true => {
-                        error!(index = hosted.name(), %error, "no further record is applied");
-                    }
-                    false => debug!(index = hosted.name(), %error, "cannot follow the log"),
-                }
-                hosted.end_loop(number, error);
-            }
-            return;
-        }
+        applied?;
     }
 }
 

@@ -336,7 +336,7 @@ impl Hosted {
     /// Gives the apply loop a receipt to wait for.
     pub(super) fn await_receipt(&self, awaited: AwaitedReceipt) {
         if let Some(receipts) = &self.apply_loop.lock().receipts {
-            // It fails if the loop has ended, which closed the index.
+            // It fails if the loop has ended, which closes the index.
             let _ = receipts.send(awaited);
         }
     }

@@ -1,5 +1,6 @@
-//! The indices that follow their journal no more: its records are damaged or trimmed, or the points of this server are.
-//! Reads go on at the last good revision, and a copy of another server may take the place of such an index.
+//! The indices that follow their journal no more: its records are damaged or trimmed, the points of this server are, or the
+//! apply loop has panicked. Reads go on at the last good revision, and a copy of another server may take the place of such an
+//! index.
 
 use std::sync::{Arc, atomic::Ordering::Relaxed};
 
@@ -27,13 +28,14 @@ pub(crate) struct Stopped {
 pub(super) fn is_damage(why: &RegistryError) -> bool {
     matches!(
         why,
-        RegistryError::Log(
-            LogError::JournalDamaged { .. }
-                | LogError::JournalBehind { .. }
-                | LogError::Trimmed { .. }
-                | LogError::Contradicted { .. }
-                | LogError::CopyUnreadable { .. }
-        )
+        RegistryError::Stopped
+            | RegistryError::Log(
+                LogError::JournalDamaged { .. }
+                    | LogError::JournalBehind { .. }
+                    | LogError::Trimmed { .. }
+                    | LogError::Contradicted { .. }
+                    | LogError::CopyUnreadable { .. }
+            )
     ) || revision_before(why).is_some()
 }
 

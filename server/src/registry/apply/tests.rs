@@ -2,9 +2,9 @@
 
 mod busy_store;
 
-use std::{collections::VecDeque, future::ready, slice};
+use std::{collections::VecDeque, future::ready, slice, task::Context};
 
-use futures_util::FutureExt;
+use futures_util::{FutureExt, future::lazy};
 use parking_lot::Mutex;
 use tokio::{
     sync::{oneshot, watch},
@@ -295,4 +295,25 @@ async fn a_journal_that_stays_behind_a_lost_record_is_reported() {
         applied: 2,
     });
     assert_eq!(refused.err(), Some(behind));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_panic_of_the_loop_stops_the_index() {
+    let server = Server::start();
+    server.commit().await;
+    let hosted = &server.hosted;
+    let base = hosted.published().view.position();
+    let record = others(base);
+    let decision = server.in_flight(&record);
+    let panics = |_: &mut Context<'_>| -> Result<(), LogError> { panic!("a bug") };
+    hosted.await_receipt(AwaitedReceipt {
+        record,
+        base,
+        outcome: lazy(panics).boxed(),
+    });
+    let decided = timeout(SETTLE_TIME, decision).await.unwrap().unwrap();
+    assert!(matches!(decided, Decision::Failed(RegistryError::Stopped)));
+    let refused = hosted.write().await.err();
+    assert_eq!(refused, Some(RegistryError::Stopped));
+    assert_eq!(hosted.damage(), Some(RegistryError::Stopped));
 }

@@ -15,11 +15,13 @@ const READ_BYTES: usize = 1 << 20;
 
 impl Hosted {
     /// Resumes after the log was reopened, from its points `view`. Returns false if these are not the published points
-    /// with all later records applied, or if another server contradicts the index. Blocks.
+    /// with all later records applied, if another server contradicts the index, or if its apply loop has panicked. Blocks.
     pub(in crate::registry) fn resume(self: &Arc<Self>, view: &Arc<dyn View>) -> bool {
         let mut writer = Arc::clone(&self.writer).blocking_lock_owned();
         let applied = Arc::clone(&self.applied).blocking_lock_owned();
-        if self.is_retired.load(Relaxed) {
+        // A panic may have left the forest half changed.
+        let is_stopped = self.closed() == Some(RegistryError::Stopped);
+        if is_stopped || self.is_retired.load(Relaxed) {
             return false;
         }
         let published = self.published();

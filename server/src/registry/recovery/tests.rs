@@ -201,6 +201,22 @@ async fn an_index_whose_points_cannot_be_read_may_take_a_copy() {
     assert_eq!((stopped.uid, stopped.min_revision), (uid, APPLIED));
 }
 
+/// The panic may have left its forest half changed.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_index_that_a_panic_stopped_is_replayed_once_the_log_is_reopened() {
+    let registry = Registry::new(recorded(APPLIED), RegistryOptions::default());
+    registry.replay().unwrap();
+    let registry = Arc::new(registry);
+    let before = registry.get("arm").unwrap();
+    before.close(RegistryError::Stopped);
+    let recovering = Arc::clone(&registry);
+    let recovered = tokio::task::spawn_blocking(move || recovering.recover());
+    recovered.await.unwrap().unwrap();
+    let after = registry.get("arm").unwrap();
+    assert!(!Arc::ptr_eq(&before, &after) && !after.is_closed());
+    assert_eq!(after.published().revision, APPLIED);
+}
+
 fn is_of_copy(why: &RegistryError) -> bool {
     matches!(why, RegistryError::Log(LogError::CopyUnreadable { .. }))
 }
