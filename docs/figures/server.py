@@ -163,6 +163,8 @@ def pauses():
         for what in ("points loaded a second", "single inserts, p50", "single inserts, p99.9", "single inserts, max",
                      "k = 10 queries, p50", "k = 10 queries, p99.9", "k = 10 queries, max",
                      "resident bytes a point, right after the load", "resident bytes a point, the least within 30 s"):
+            if f"on disk: {what}" not in got:  # Only some systems report the resident bytes.
+                continue
             cells = [got[f"{where}: {what}"] for where in ("on disk", "in memory")]
             shown = (f"{digits(one['figure'])} {one['unit'].removesuffix('/s')}".strip() for one in cells)
             rows.append([count + what.replace("max", "slowest"), *shown])

@@ -25,8 +25,8 @@ pub use process::{Process, ProcessOutput, ServerProcess, Signal};
 pub use refusal::Refusal;
 pub use states::States;
 pub use stubs::{
-    INCLUDE_ALL, Stubs, bits, insertion, k_nearest, nearest, neighbor_rows, number, revision,
-    row_states,
+    INCLUDE_ALL, Stubs, bits, insert_request, k_nearest, knn_request, neighbor_rows, number,
+    revision, row_states,
 };
 
 /// Compiles the examples of the README.

@@ -165,7 +165,7 @@ pub fn row_states(rows: &[f64], coordinates: usize) -> v1::States {
 }
 
 /// An insert of rows of coordinates.
-pub fn insertion(index: &str, rows: &[f64], coordinates: usize) -> InsertRequest {
+pub fn insert_request(index: &str, rows: &[f64], coordinates: usize) -> InsertRequest {
     InsertRequest {
         index_name: index.to_owned(),
         states: Some(row_states(rows, coordinates)),
@@ -174,7 +174,7 @@ pub fn insertion(index: &str, rows: &[f64], coordinates: usize) -> InsertRequest
 }
 
 /// A search for the k nearest of each row of coordinates.
-pub fn nearest(index: &str, rows: &[f64], coordinates: usize, k: u32) -> KnnRequest {
+pub fn knn_request(index: &str, rows: &[f64], coordinates: usize, k: u32) -> KnnRequest {
     KnnRequest {
         index_name: index.to_owned(),
         states: Some(row_states(rows, coordinates)),

@@ -62,7 +62,7 @@ impl Include {
         self
     }
 
-    /// The default of reads of points: all but the payloads.
+    /// The default of reads of points: all but the payloads. Copies of an index need all of these.
     pub(crate) const fn points() -> Include {
         Include::none().states().tags().revisions()
     }

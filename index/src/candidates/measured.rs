@@ -27,7 +27,7 @@ impl MeasuredCandidates {
             k,
             max_distance: radius,
             neighbors: Vec::new(),
-            // A selection reads all candidates, so that each costs a few reads.
+            // A selection reads all candidates. So many arrive between two of them that a candidate costs a few reads.
             full: k.saturating_add((k / 4).max(MIN_BETWEEN_SELECTIONS)),
         }
     }

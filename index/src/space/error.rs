@@ -123,7 +123,11 @@ impl StateError {
     fn place(&self) -> String {
         match self.reason {
             StateProblem::Width { .. } => String::new(),
-            _ => format!("[{}]", self.coordinate),
+            StateProblem::NaN
+            | StateProblem::Infinite
+            | StateProblem::TooLarge
+            | StateProblem::Norm(_)
+            | StateProblem::NotCanonical => format!("[{}]", self.coordinate),
         }
     }
 }

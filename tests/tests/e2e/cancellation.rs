@@ -7,8 +7,8 @@ use tonic::{Code, Request};
 use wayfold_index::Space;
 use wayfold_proto::v1::{InsertRequest, KnnRequest, StreamKnnRequest, stream_knn_response};
 use wayfold_tests::{
-    Content, Refusal, ServerProcess, Signal, States, Stubs, insertion, k_nearest, nearest, number,
-    server,
+    Content, Refusal, ServerProcess, Signal, States, Stubs, insert_request, k_nearest, knn_request,
+    number, server,
 };
 
 /// A search in this many dimensions looks at most of the points.
@@ -32,11 +32,11 @@ async fn filled(rows: usize) -> (ServerProcess, Stubs, States) {
 }
 
 fn insert(states: &mut States, rows: usize) -> InsertRequest {
-    insertion("roadmap", &states.rows(rows), WIDTH)
+    insert_request("roadmap", &states.rows(rows), WIDTH)
 }
 
 fn knn(states: &mut States, rows: usize) -> KnnRequest {
-    nearest("roadmap", &states.rows(rows), WIDTH, 1)
+    knn_request("roadmap", &states.rows(rows), WIDTH, 1)
 }
 
 fn within<T>(deadline_ms: u64, message: T) -> Request<T> {

@@ -13,7 +13,9 @@ use tokio::{
     task::{JoinHandle, JoinSet},
 };
 use tonic::Status;
-use wayfold_tests::{Content, Model, ServerProcess, Signal, States, Stubs, ledger::Entry, nearest};
+use wayfold_tests::{
+    Content, Model, ServerProcess, Signal, States, Stubs, knn_request, ledger::Entry,
+};
 
 use builder::Builder;
 use reader::{Reader, ReaderAnswer};
@@ -262,7 +264,7 @@ impl Clients {
             panic!("a reader saw {:?}, the newest is {newest}", seen.at());
         }
         self.model.check_content(&content);
-        let request = nearest("arm", &self.probes.rows(20), COORDINATES, 10);
+        let request = knn_request("arm", &self.probes.rows(20), COORDINATES, 10);
         let answer = stubs.points.knn(request.clone()).await.unwrap();
         self.model.knn(&request, &answer.into_inner());
         // Each acknowledged call that changed something made its own revision, and there are no other revisions.

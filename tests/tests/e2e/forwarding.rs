@@ -7,7 +7,7 @@ use tonic::{Code, Status};
 use wayfold::{Client, Credentials, Space};
 use wayfold_proto::v1::InsertRequest;
 use wayfold_tests::{
-    Process, ServerProcess, Signal, Stubs, insertion,
+    Process, ServerProcess, Signal, Stubs, insert_request,
     nats::{Nats, member_settings},
 };
 
@@ -33,7 +33,7 @@ fn open_server() -> Command {
 }
 
 fn insert(at: f64) -> InsertRequest {
-    insertion("arm", &[at], 1)
+    insert_request("arm", &[at], 1)
 }
 
 /// Creates the index at the first server, and waits until all know it.

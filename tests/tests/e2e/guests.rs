@@ -4,7 +4,7 @@ use futures_util::{StreamExt, stream};
 use tokio::{sync::oneshot, time::timeout};
 use tonic::Code;
 use tonic_health::pb::health_check_response::ServingStatus;
-use wayfold_tests::{Refusal, Stubs, insertion, server};
+use wayfold_tests::{Refusal, Stubs, insert_request, server};
 
 use crate::{health::health, journal_loss::MAX_WAIT};
 
@@ -25,7 +25,7 @@ async fn busy_connections_of_one_address_do_not_close_health_and_administration(
     let mut guest = Stubs::connect(server.uri()).await;
     guest.create("arm", "R1").await;
     assert_eq!(health(server.uri(), "").await, ServingStatus::Serving);
-    let insert = || insertion("arm", &[0.5], 1);
+    let insert = || insert_request("arm", &[0.5], 1);
     let refused = Refusal::of(&guest.points.insert(insert()).await.unwrap_err());
     assert_eq!(refused.code, Code::ResourceExhausted);
     assert_eq!(refused.reason, "TOO_MANY_CALLS");

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use tokio::time::{interval, timeout};
 use wayfold_proto::v1::{InsertRequest, OnConflict};
-use wayfold_tests::{States, Stubs, figures::resident_bytes, insertion, row_states, server};
+use wayfold_tests::{States, Stubs, figures::resident_bytes, insert_request, row_states, server};
 
 const WIDTH: usize = 32;
 const BATCHES: usize = 75;
@@ -27,7 +27,7 @@ async fn a_server_at_rest_takes_little_more_than_its_points() {
     let before = resident_bytes(process).unwrap();
     let mut states = States::new(format!("R{WIDTH}").parse().unwrap(), 1);
     for _ in 0..BATCHES {
-        let request = insertion("arm", &states.rows(ROWS), WIDTH);
+        let request = insert_request("arm", &states.rows(ROWS), WIDTH);
         stubs.insert(request).await;
     }
     let stored = (BATCHES * ROWS * (8 * WIDTH + STORED_BYTES)) as u64;

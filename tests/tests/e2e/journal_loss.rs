@@ -7,7 +7,7 @@ use std::{ops::Range, path::PathBuf, process::Command, time::Duration};
 use tempfile::TempDir;
 use tokio::time::timeout;
 use wayfold_proto::v1::InsertRequest;
-use wayfold_tests::{Content, Process, ServerProcess, Signal, Stubs, insertion, nats::Nats};
+use wayfold_tests::{Content, Process, ServerProcess, Signal, Stubs, insert_request, nats::Nats};
 
 const KEPT: u64 = 50;
 const LOST: u64 = 300;
@@ -159,7 +159,7 @@ pub(crate) async fn insert(stubs: &mut Stubs, id: u64) -> Result<(), tonic::Stat
     let request = InsertRequest {
         ids: vec![id],
         operation_id: format!("insert {id}"),
-        ..insertion("arm", &[id as f64], 1)
+        ..insert_request("arm", &[id as f64], 1)
     };
     stubs.points.insert(request).await.map(drop)
 }
@@ -287,7 +287,7 @@ async fn records_that_nats_loses_come_back_while_a_server_starts() {
     server.stop(Signal::Terminate);
     let other = cluster.start(1);
     let mut others = Stubs::connect(other.uri()).await;
-    let request = insertion(&format!("leg-{number}"), &[0.5], 1);
+    let request = insert_request(&format!("leg-{number}"), &[0.5], 1);
     others.insert(request).await;
     other.stop(Signal::Kill);
     for revision in (KEPT + 1..=KEPT + LOST).rev() {

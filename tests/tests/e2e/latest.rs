@@ -8,7 +8,7 @@ use tokio::task::spawn_blocking;
 use wayfold::Index;
 use wayfold_proto::v1::{self, knn_request::KForm, query_request::RadiusForm};
 use wayfold_tests::{
-    Process, ServerProcess, Stubs, insertion,
+    Process, ServerProcess, Stubs, insert_request,
     nats::{Nats, member_settings},
     row_states,
 };
@@ -27,7 +27,7 @@ fn start(nats: &str) -> ServerProcess {
 }
 
 async fn insert(stubs: &mut Stubs, index: &str, at: f64) -> Vec<u64> {
-    stubs.insert(insertion(index, &[at], 1)).await.ids
+    stubs.insert(insert_request(index, &[at], 1)).await.ids
 }
 
 /// A read of the points at a state.

@@ -9,7 +9,7 @@ use tonic_health::pb::health_check_response::ServingStatus;
 use wayfold::{Client, RetryPolicy};
 use wayfold_proto::v1::{CreateIndexRequest, ListIndexesRequest, create_index_request::SpaceForm};
 use wayfold_tests::{
-    Refusal, ServerProcess, Signal, States, Stubs, figures::anonymous_bytes, insertion, server,
+    Refusal, ServerProcess, Signal, States, Stubs, figures::anonymous_bytes, insert_request, server,
 };
 
 use crate::{health::health, metrics::figures};
@@ -39,7 +39,7 @@ struct Inserts {
 
 impl Inserts {
     async fn next(&mut self, name: &str) -> Result<(), Status> {
-        let request = insertion(name, &self.rows, WIDTH);
+        let request = insert_request(name, &self.rows, WIDTH);
         self.stubs.points.insert(request).await.map(drop)
     }
 }

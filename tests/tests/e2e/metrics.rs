@@ -7,7 +7,8 @@ use tonic::{Code, Request, client::Grpc, codegen::http::uri::PathAndQuery, trans
 use tonic_prost::ProstCodec;
 use wayfold_proto::v1;
 use wayfold_tests::{
-    Process, Refusal, ServerProcess, Signal, Stubs, insertion, measuring, nearest, page, server,
+    Process, Refusal, ServerProcess, Signal, Stubs, insert_request, knn_request, measuring, page,
+    server,
 };
 
 const KNNS: u64 = 37;
@@ -52,14 +53,14 @@ async fn the_counts_are_those_of_the_clients() {
     let address = server.pages();
     let mut stubs = Stubs::connect(server.uri()).await;
     let uid = stubs.create("arm", "R1").await.revision.unwrap().uid;
-    let knn = |index: &str| nearest(index, &[0.0], 1, 1);
+    let knn = |index: &str| knn_request(index, &[0.0], 1, 1);
     let session = v1::OpenSessionRequest {
         index_name: "arm".into(),
         ..Default::default()
     };
     stubs.points.open_session(session).await.unwrap();
     for _ in 0..INSERTS {
-        stubs.insert(insertion("arm", &[1.0, 2.0], 1)).await;
+        stubs.insert(insert_request("arm", &[1.0, 2.0], 1)).await;
     }
     for _ in 0..KNNS {
         stubs.points.knn(knn("arm")).await.unwrap();

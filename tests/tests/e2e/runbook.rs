@@ -16,7 +16,7 @@ use tokio::{task, time::timeout};
 use tonic::Code;
 use wayfold::{Client, Index};
 use wayfold_proto::v1::{CreateIndexRequest, create_index_request::SpaceForm};
-use wayfold_tests::{Content, Signal, Stubs, insertion, page};
+use wayfold_tests::{Content, Signal, Stubs, insert_request, page};
 
 use crate::{
     healing::{latest_content, together, wait_until_joined},
@@ -149,7 +149,7 @@ async fn inserts_go_on_while_the_memory_of_their_owner_is_full() {
         Stubs::connect(full.uri()).await,
         Stubs::connect(other.uri()).await,
     );
-    let insert = |index: &str| insertion(index, &[0.5], 1);
+    let insert = |index: &str| insert_request(index, &[0.5], 1);
     for number in 0..16 {
         let index = format!("arm-{number}");
         stubs.create(&index, "R1").await;

@@ -16,8 +16,8 @@ use tonic_health::pb::{
 use wayfold_index::Space;
 use wayfold_proto::v1::{KnnRequest, ScanRequest};
 use wayfold_tests::{
-    Process, ServerProcess, Signal, States, Stubs, insertion, nats::member_settings, nearest, page,
-    server,
+    Process, ServerProcess, Signal, States, Stubs, insert_request, knn_request,
+    nats::member_settings, page, server,
 };
 
 const ROWS: usize = 1_000;
@@ -27,14 +27,14 @@ async fn filled(stubs: &mut Stubs) -> States {
     stubs.create("roadmap", "R3*SO3:0.15").await;
     let mut states = States::new(Space::se3(), 11);
     for _ in 0..BATCHES {
-        let request = insertion("roadmap", &states.rows(ROWS), 7);
+        let request = insert_request("roadmap", &states.rows(ROWS), 7);
         stubs.insert(request).await;
     }
     states
 }
 
 fn knn(states: &mut States, rows: usize) -> KnnRequest {
-    nearest("roadmap", &states.rows(rows), 7, 100)
+    knn_request("roadmap", &states.rows(rows), 7, 100)
 }
 
 /// A watch on the server's health, which has said that it serves.

@@ -10,7 +10,7 @@ use wayfold_proto::v1::{
     WatchRequest,
 };
 use wayfold_tests::{
-    ServerProcess, Signal, States, Stubs, figures::anonymous_bytes, insertion, server,
+    ServerProcess, Signal, States, Stubs, figures::anonymous_bytes, insert_request, server,
 };
 
 use crate::{
@@ -124,7 +124,7 @@ impl Attack {
 fn inserted(states: &mut States) -> InsertRequest {
     InsertRequest {
         payloads: vec![vec![7; PAYLOAD_BYTES].into(); ROWS],
-        ..insertion("arm", &states.rows(ROWS), 3)
+        ..insert_request("arm", &states.rows(ROWS), 3)
     }
 }
 
@@ -270,7 +270,7 @@ async fn the_parts_of_unread_snapshots_count_before_they_are_made() {
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create("arm", "R3").await;
     let rows = States::new("R3".parse().unwrap(), 19).rows(20_000);
-    stubs.insert(insertion("arm", &rows, 3)).await;
+    stubs.insert(insert_request("arm", &rows, 3)).await;
     let request = SnapshotIndexRequest {
         index_name: "arm".into(),
         ..Default::default()

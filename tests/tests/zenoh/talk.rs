@@ -6,7 +6,7 @@ use futures_util::{StreamExt, future::join_all, stream::FuturesUnordered};
 use prost::Message;
 use serde_json::{Value, json};
 use wayfold_proto::v1;
-use wayfold_tests::insertion;
+use wayfold_tests::insert_request;
 use zenoh::bytes::Encoding;
 
 use crate::robot::{MAX_WAIT, Robot, reason, server, server_with};
@@ -217,7 +217,7 @@ async fn calls_beyond_the_limit_are_refused() {
         let (_, metrics) = wayfold_tests::page(&pages, "/metrics", "");
         let counted = "wayfold_refused_calls_total{reason=\"TOO_MANY_CALLS\"} 1\n";
         assert!(metrics.contains(counted), "{metrics}");
-        stubs.insert(insertion("arm", &[1.0, 2.0], 2)).await;
+        stubs.insert(insert_request("arm", &[1.0, 2.0], 2)).await;
     };
     let (reply, ()) = tokio::join!(waiting, others);
     assert_eq!(reply.unwrap()["points"]["states"], json!([[1.0, 2.0]]));
@@ -245,7 +245,7 @@ async fn calls_of_one_link_leave_places_to_another() {
     assert_eq!(reason(&refused), (8, "TOO_MANY_CALLS"));
     assert!(refused.to_string().contains("this link"), "{refused}");
     other.json("arm/info", Value::Null).await.unwrap();
-    stubs.insert(insertion("arm", &[1.0, 2.0], 2)).await;
+    stubs.insert(insert_request("arm", &[1.0, 2.0], 2)).await;
     while let Some(reply) = waiting.next().await {
         reply.unwrap();
     }
@@ -289,7 +289,7 @@ async fn queries_that_wait_for_a_revision_leave_places_to_another_link() {
         assert_eq!(reason(&lost), (8, "TOO_MANY_CALLS"));
         assert!(lost.to_string().contains("another link"), "{lost}");
         assert!(lost.to_string().contains("google.rpc.RetryInfo"), "{lost}");
-        stubs.insert(insertion("arm", &[1.0, 2.0], 2)).await;
+        stubs.insert(insert_request("arm", &[1.0, 2.0], 2)).await;
         while let Some(reply) = waiting.next().await {
             // The other link may have needed a second place before the first was free.
             if let Err(lost) = reply {

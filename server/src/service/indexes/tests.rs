@@ -69,13 +69,13 @@ async fn create_by(
     service.create_index(call, request).await
 }
 
-/// A catalogue that has not heard of what other servers made. It calls `before_create` before it creates an index.
-struct Behind<F> {
+/// A catalogue that calls `before_create` before it creates an index, and that has not heard of what other servers made.
+struct Hooked<F> {
     local: Arc<MemoryLog>,
     before_create: F,
 }
 
-impl<F: Fn() + Send + Sync> Catalogue for Behind<F> {
+impl<F: Fn() + Send + Sync> Catalogue for Hooked<F> {
     fn indexes(&self) -> Result<Vec<Entry>, LogError> {
         self.local.indexes()
     }
@@ -95,12 +95,12 @@ impl<F: Fn() + Send + Sync> Catalogue for Behind<F> {
 }
 
 /// A service over a log with such a catalogue.
-fn service_behind(
+fn service_hooked(
     local: &Arc<MemoryLog>,
     before_create: impl Fn() + Send + Sync + 'static,
 ) -> Service {
     let log = Log {
-        catalogue: Arc::new(Behind {
+        catalogue: Arc::new(Hooked {
             local: Arc::clone(local),
             before_create,
         }),
@@ -114,7 +114,7 @@ fn service_behind(
 
 #[tokio::test]
 async fn a_server_that_is_behind_does_not_judge_a_uid() {
-    let service = service_behind(&Arc::new(MemoryLog::new()), || ());
+    let service = service_hooked(&Arc::new(MemoryLog::new()), || ());
     create(&service, "arm", "R1").await.unwrap();
     let call = Call::default();
     for index_name in ["arm", "leg"].map(String::from) {
@@ -162,7 +162,7 @@ async fn a_server_that_is_behind_does_not_judge_a_uid() {
 /// The server that forwarded the call has another index of the name, and evaluates it there.
 #[tokio::test]
 async fn a_forwarded_mutation_of_an_index_that_is_unknown_here_is_refused() {
-    let service = service_behind(&Arc::new(MemoryLog::new()), || ());
+    let service = service_hooked(&Arc::new(MemoryLog::new()), || ());
     create(&service, "arm", "R1").await.unwrap();
     let uid = service.registry().unwrap().get("arm").unwrap().uid();
     for (uid, refusal) in [(uid, None), (Uid::unique(), Some("UID_UNKNOWN"))] {
@@ -185,8 +185,8 @@ async fn a_forwarded_mutation_of_an_index_that_is_unknown_here_is_refused() {
 async fn an_index_that_exists_is_found_while_another_is_created() {
     let known = Arc::new(OnceLock::<Weak<Inner>>::new());
     let weak = Arc::clone(&known);
-    // It finds `arm` by its service while it creates another index, which no other change may overtake.
-    let service = service_behind(&Arc::new(MemoryLog::new()), move || {
+    // The hook finds `arm` by its service while another index is created, which no other change may overtake.
+    let service = service_hooked(&Arc::new(MemoryLog::new()), move || {
         if let Some(inner) = weak.get().and_then(Weak::upgrade) {
             let service = Service { inner };
             let at_once = |space| create(&service, "arm", space).now_or_never();
@@ -207,7 +207,7 @@ fn slow() -> (Service, Arc<MemoryLog>, CancellationToken) {
     let (local, gate) = (Arc::new(MemoryLog::new()), CancellationToken::new());
     let opened = gate.clone();
     let wait = move || Handle::current().block_on(opened.cancelled());
-    (service_behind(&local, wait), local, gate)
+    (service_hooked(&local, wait), local, gate)
 }
 
 #[test]

@@ -13,7 +13,7 @@ use wayfold_server::{
     registry::{Registry, RegistryOptions},
     service::{Call, Limits, Service},
 };
-use wayfold_tests::{States, insertion, nearest};
+use wayfold_tests::{States, insert_request, knn_request};
 
 use crate::{Added, INDEX, K, POINTS, SPACE, TOKEN, WIDTH};
 
@@ -94,7 +94,7 @@ async fn service(round: usize) -> Service {
     let created = service.create_index(&Call::default(), create).await;
     created.expect("an index");
     let mut states = States::new(SPACE.parse().expect("a space"), round as u64);
-    let insert = insertion(INDEX, &states.rows(POINTS), WIDTH);
+    let insert = insert_request(INDEX, &states.rows(POINTS), WIDTH);
     let inserted = service.insert(&Call::default(), insert).await;
     inserted.expect("points");
     service
@@ -105,7 +105,7 @@ fn requests(round: usize, with_token: bool) -> Vec<Request<Bytes>> {
     const COMPRESSION: u8 = 0;
     let mut states = States::new(SPACE.parse().expect("a space"), 1_000 + round as u64);
     let request = |_| {
-        let knn = nearest(INDEX, &states.row(), WIDTH, K);
+        let knn = knn_request(INDEX, &states.row(), WIDTH, K);
         let mut framed = BytesMut::new();
         framed.put_u8(COMPRESSION);
         framed.put_u32(knn.encoded_len() as u32);

@@ -15,7 +15,7 @@ use tokio::time::interval;
 use wayfold_tests::{
     States, Stubs,
     figures::{quantile_ms, resident_bytes},
-    measuring, nearest,
+    knn_request, measuring,
     report::Report,
 };
 
@@ -158,7 +158,7 @@ async fn ask(mut stubs: Stubs, queries: bool, loaded: Arc<AtomicBool>) -> Vec<Ti
         let row = states.row();
         let began;
         if queries {
-            let request = nearest(INDEX, &row, WIDTH, K);
+            let request = knn_request(INDEX, &row, WIDTH, K);
             began = Instant::now();
             stubs.points.knn(request).await.expect("an answer");
         } else {

@@ -20,7 +20,7 @@ use wayfold_proto::v1::KnnRequest;
 use wayfold_tests::{
     Process, ServerProcess, States,
     figures::{peak_resident_bytes, processor_seconds, reset_peak, resident_bytes},
-    insertion, measuring, nearest,
+    insert_request, knn_request, measuring,
 };
 
 use crate::{
@@ -199,7 +199,8 @@ pub(crate) fn space() -> Space {
 pub(crate) fn knn(count: usize, rows: usize, k: u32) -> Vec<KnnRequest> {
     let drawn = States::new(space(), 2).rows(count * rows);
     let rows = drawn.chunks(rows * WIDTH);
-    rows.map(|rows| nearest(INDEX, rows, WIDTH, k)).collect()
+    rows.map(|rows| knn_request(INDEX, rows, WIDTH, k))
+        .collect()
 }
 
 /// Such requests as they are sent.
@@ -210,7 +211,7 @@ pub(crate) fn knn_frames(count: usize, rows: usize, k: u32) -> Arc<Vec<Bytes>> {
 /// An insert of this number of rows as it is sent.
 pub(crate) fn insert_frame(rows: usize) -> Bytes {
     let drawn = States::new(space(), 3).rows(rows);
-    wire::frame(&insertion(INDEX, &drawn, WIDTH))
+    wire::frame(&insert_request(INDEX, &drawn, WIDTH))
 }
 
 /// Splits `KEY=VALUE`.

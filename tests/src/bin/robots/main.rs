@@ -17,7 +17,7 @@ use wayfold_index::Space;
 use wayfold_tests::{
     States, Stubs,
     figures::{median, quantile_ms},
-    insertion, measuring,
+    insert_request, measuring,
     report::Report,
 };
 
@@ -75,7 +75,7 @@ async fn measure(arguments: &Arguments) -> Report {
     let mut stubs = Stubs::connect(server.uri()).await;
     stubs.create(INDEX, SPACE).await;
     for rows in rows.chunks(BATCH * WIDTH) {
-        stubs.insert(insertion(INDEX, rows, WIDTH)).await;
+        stubs.insert(insert_request(INDEX, rows, WIDTH)).await;
     }
     let rounds = arguments.rounds.max(1);
     let contestants = [

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use tokio::task::JoinSet;
 use wayfold_index::Space;
 use wayfold_proto::v1::KnnResponse;
-use wayfold_tests::{States, figures::processor_seconds, nearest};
+use wayfold_tests::{States, figures::processor_seconds, knn_request};
 use zenoh::{Session, bytes::Encoding};
 
 use crate::{INDEX, K, WIDTH};
@@ -56,7 +56,7 @@ impl Searcher {
     pub(crate) fn new(space: &Space, form: Form, seed: u64) -> Self {
         let rows = States::new(space.clone(), 100 + seed).rows(POOL);
         let payloads = rows.chunks(WIDTH).map(|row| match form {
-            Form::Protobuf => nearest(INDEX, row, WIDTH, K).encode_to_vec(),
+            Form::Protobuf => knn_request(INDEX, row, WIDTH, K).encode_to_vec(),
             Form::Json => json!({ "states": [row], "k": K }).to_string().into_bytes(),
         });
         Self {

@@ -21,7 +21,7 @@ use wayfold_proto::v1::{self, StepKind};
 use wayfold_tests::{
     States, Stubs,
     figures::{median, processor_seconds},
-    insertion, measuring, row_states,
+    insert_request, measuring, row_states,
 };
 
 const SPACE: &str = "R3*SO3:0.15";
@@ -117,7 +117,7 @@ async fn measure(arguments: &Arguments, subscribers: usize) -> Measured {
     let processor = || processor_seconds(process).expect("the server's processor time");
     let before = processor();
     let batches = tokio::spawn(writer.write()).await.expect("a writer");
-    let last = insertion("arm", &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], WIDTH);
+    let last = insert_request("arm", &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], WIDTH);
     stubs.insert(last).await;
     let messages: u64 = watches.join_all().await.iter().sum();
     let points = (arguments.seconds * arguments.rate) as f64;

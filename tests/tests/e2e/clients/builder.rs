@@ -6,7 +6,7 @@ use tokio::sync::watch;
 use wayfold_proto::v1::{
     CreateIndexRequest, DeleteIndexRequest, ListIndexesRequest, create_index_request::SpaceForm,
 };
-use wayfold_tests::{Stubs, insertion};
+use wayfold_tests::{Stubs, insert_request};
 
 /// A client that creates and deletes indices. The state of the last one may be unknown to it.
 #[derive(Default)]
@@ -37,7 +37,7 @@ impl Builder {
                     ..Default::default()
                 };
                 let created = stubs.indexes.create_index(request).await.is_ok();
-                let row = insertion(&name, &[1.0, 2.0], 2);
+                let row = insert_request(&name, &[1.0, 2.0], 2);
                 created && stubs.points.insert(row).await.is_ok()
             };
             if !done {

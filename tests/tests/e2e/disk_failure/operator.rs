@@ -1,6 +1,6 @@
 //! The server's report of a failed disk to an operator.
 
-use wayfold_tests::{Process, ProcessOutput, Signal, Stubs, insertion};
+use wayfold_tests::{Process, ProcessOutput, Signal, Stubs, insert_request};
 
 use super::{RECOVERED, check_refusals, disk::Disk};
 
@@ -26,7 +26,7 @@ async fn one_line_says_that_it_began_and_one_that_it_ended() {
     }
     disk.fail("full 28");
     for write in 0..WRITES {
-        let request = insertion(&format!("arm-{}", write % INDEXES), &[1.0, 2.0], 2);
+        let request = insert_request(&format!("arm-{}", write % INDEXES), &[1.0, 2.0], 2);
         check_refusals(&[stubs.points.insert(request).await.unwrap_err()]);
     }
     let finished = insert(server.uri(), "1,2");

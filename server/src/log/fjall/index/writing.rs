@@ -141,8 +141,11 @@ impl Index {
             }
         }
         for (slot, point) in effects.stored().iter().enumerate() {
-            let payload = effects.payload(slot);
-            let value = point::encode(self.number, point, record.revision(), &payload);
+            let payload = effects
+                .payloads
+                .get(slot)
+                .map_or(&[][..], |payload| payload);
+            let value = point::encode(self.number, point, record.revision(), payload);
             sum.add(&value);
             batch.insert(keyspace, point_key(self.number, point.id), value);
         }

@@ -10,7 +10,7 @@ use std::{
 use tokio::runtime::Handle;
 use wayfold::{Client, Index, IndexHandle, RetryPolicy};
 use wayfold_index::{Linear, Search};
-use wayfold_tests::{Content, States, Stubs, bits, brute_force, nearest, neighbor_rows};
+use wayfold_tests::{Content, States, Stubs, bits, brute_force, knn_request, neighbor_rows};
 
 use crate::{
     report::Figures,
@@ -138,7 +138,7 @@ impl Written {
             let mut stubs = Stubs::connect(&format!("http://{}", server.address)).await;
             let content = Content::read(&stubs, INDEX).await.expect("a scan");
             let queries = States::new(space(), 6).rows(SEARCHES);
-            let request = nearest(INDEX, &queries, WIDTH, K);
+            let request = knn_request(INDEX, &queries, WIDTH, K);
             let answer = stubs.points.knn(request).await.expect("an answer");
             let neighbors = answer.into_inner().neighbors.unwrap_or_default();
             (content, neighbor_rows(&neighbors), queries)
