@@ -28,8 +28,6 @@ pub(crate) struct CallTurns {
     next: Option<TurnRequest>,
     /// True if the call has the turn of its next slice and has yielded with it.
     has_yielded: bool,
-    /// True if the call has given a short turn back, because its flow has long ones by now.
-    has_asked_again: bool,
     /// The time since which it waits for that turn.
     requested_at: Instant,
     /// The time that it has waited for turns.
@@ -61,7 +59,6 @@ impl CallTurns {
             at_once: Duration::ZERO,
             next: None,
             has_yielded: false,
-            has_asked_again: false,
             requested_at: Instant::now(),
             queued: Duration::ZERO,
             computed: Duration::ZERO,
@@ -131,9 +128,10 @@ impl CallTurns {
         let Some(TurnRequest::Granted(turn)) = self.next.take() else {
             return Poll::Pending;
         };
-        if turn.is_short() && !self.has_asked_again && self.flow.last_was_long() {
-            // A thread has many short turns at a time: the others would wait for the sum of as many long ones.
-            self.has_asked_again = true;
+        if turn.is_short() && self.flow.has_long_turns() {
+            // A thread has many short turns at a time: the others would wait for the sum of as many long ones. The call has
+            // had its turn, so it is not refused, and goes before those that come later.
+            self.stage = Stage::Begun;
             drop(turn);
             let requested_at = self.requested_at;
             self.request()?;

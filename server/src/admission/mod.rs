@@ -25,7 +25,7 @@ use tokio::time::interval;
 use tracing::warn;
 
 pub(crate) use self::bytes::ByteBudget;
-use self::turns::{FlowNumber, MAKES_LONG_NS, Turns};
+use self::turns::{FlowNumber, MAX_SHORT_NS, Turns};
 pub(crate) use answer_bytes::{AnswerBytes, TooManyBytes};
 pub(crate) use call_turns::{CallTurns, end_slice};
 pub use client_permits::ClientPermits;
@@ -270,9 +270,10 @@ impl Flow {
         self.last_slice_ns.store(took.as_nanos() as u64, Relaxed);
     }
 
-    /// True if the last slice of its calls is reason enough for long turns.
-    fn last_was_long(&self) -> bool {
-        self.last_slice_ns.load(Relaxed) >= MAKES_LONG_NS
+    /// True if the turns of its calls are long by now.
+    fn has_long_turns(&self) -> bool {
+        // A short slice is known without the lock.
+        self.last_slice_ns.load(Relaxed) > MAX_SHORT_NS && self.turns.are_long(self.number)
     }
 
     /// The number of calls that have come.

@@ -33,7 +33,7 @@ use parking_lot::Mutex;
 use tokio::sync::oneshot;
 
 use queue::{Flow, SHORT_TURNS, State, Waiter};
-pub(super) use queue::{MAKES_LONG_NS, Stage};
+pub(super) use queue::{MAX_SHORT_NS, Stage};
 use trend::Trend;
 
 /// A call was refused because it waited for its first turn for too long, by the target that it carries.
@@ -115,6 +115,11 @@ impl Turns {
     /// The number of calls refused so far.
     pub(super) fn refused(&self) -> u64 {
         self.state.lock().refused
+    }
+
+    /// True if the turns of this flow are known to be long.
+    pub(super) fn are_long(&self, flow: FlowNumber) -> bool {
+        self.state.lock().are_long(flow)
     }
 
     /// Adds a flow, which is to be [closed](Self::close).
@@ -270,12 +275,10 @@ impl Turn {
         self.size < SHORT_TURNS
     }
 
-    /// True if the turns of its flow are known to be long.
+    /// True if it is a long one, and the turns of its flow are known to be long.
     pub(super) fn is_long(&self) -> bool {
-        // A short one is known without the lock.
-        let turns = self.turns.as_ref();
-        let turns = turns.filter(|_| !self.is_short());
-        turns.is_some_and(|turns| turns.state.lock().are_long(self.flow))
+        let turns = self.turns.as_ref().filter(|_| !self.is_short());
+        turns.is_some_and(|turns| turns.are_long(self.flow))
     }
 
     /// Ends the turn after `took` of work.

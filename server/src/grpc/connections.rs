@@ -29,9 +29,11 @@ use crate::{
     identity::ClientCertificate,
 };
 
-/// The streams for reflection of a connection, its watches of health, and its requests for health that have not arrived
-/// whole.
+/// The streams for reflection of a connection, and its requests for health that have not arrived whole.
 pub(super) const MAX_ARRIVING: usize = 4;
+
+/// The watches of health of a connection: more than there are names.
+pub(super) const MAX_WATCHING: usize = 8;
 
 /// The streams for reflection of all connections.
 pub(super) const MAX_REFLECTING: usize = 32;
@@ -79,6 +81,8 @@ struct State {
     streams: Arc<Semaphore>,
     /// Those of streams for reflection, and of requests for health that have not arrived whole.
     arriving: Arc<Semaphore>,
+    /// Those of watches of health.
+    watching: Arc<Semaphore>,
     waits: Mutex<Waits>,
     backlog: Arc<ConnectionBacklog>,
 }
@@ -173,6 +177,7 @@ impl Connections {
             flow: self.admission.open(),
             streams: Arc::new(Semaphore::new(self.max_streams)),
             arriving: Arc::new(Semaphore::new(MAX_ARRIVING)),
+            watching: Arc::new(Semaphore::new(MAX_WATCHING)),
             waits: Mutex::new(Waits {
                 bytes: 0,
                 frames: 0,
@@ -288,8 +293,13 @@ impl Activity {
         Arc::clone(&self.state.streams).try_acquire_owned().ok()
     }
 
-    /// The place of a watch of health or of a request for health that has not arrived whole, or the two of a stream for
-    /// reflection; None if others have all.
+    /// The place of a watch of health; None if others have all.
+    pub(super) fn watching(&self) -> Option<OwnedSemaphorePermit> {
+        Arc::clone(&self.state.watching).try_acquire_owned().ok()
+    }
+
+    /// The place of a request for health that has not arrived whole, or the two of a stream for reflection; None if others
+    /// have all.
     pub(super) fn arriving(
         &self,
         reflects: bool,

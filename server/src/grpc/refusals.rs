@@ -9,7 +9,7 @@ use http::{HeaderMap, Response};
 use tonic::{Code, Status, body::Body};
 
 use super::{
-    connections::{MAX_ARRIVING, MAX_REFLECTING},
+    connections::{MAX_ARRIVING, MAX_REFLECTING, MAX_WATCHING},
     deadline::{self, MalformedTimeout},
 };
 use crate::{
@@ -167,8 +167,9 @@ pub(crate) fn too_many_connections(limit: usize) -> Refusal {
 /// The refusal of a request for health or reflection while others of its connection, or of all, have the places.
 pub(crate) fn too_many_arriving() -> Refusal {
     let message = format!(
-        "this connection has {MAX_ARRIVING} streams for reflection, watches of health and requests for health that \
-         have not arrived whole, or all have {MAX_REFLECTING} streams for reflection: end one, or call again later"
+        "this connection has {MAX_ARRIVING} streams for reflection and requests for health that have not arrived \
+         whole, or {MAX_WATCHING} watches of health, or all have {MAX_REFLECTING} streams for reflection: end one, or \
+         call again later"
     );
     busy("TOO_MANY_CALLS", message, ARRIVING, MAX_ARRIVING)
 }

@@ -176,16 +176,22 @@ impl Hosted {
         if is_small && !ends_sessions && !may_block {
             return applying();
         }
-        tokio::task::spawn_blocking(applying)
-            .await
-            .map_err(|_| RegistryError::Stopped)?
+        let applied = tokio::task::spawn_blocking(applying).await;
+        applied.map_err(|error| match error.is_cancelled() {
+            // The runtime ends.
+            true => RegistryError::Log(LogError::Closed),
+            false => RegistryError::Stopped,
+        })?
     }
 
-    /// True if the point store may wait for its disk while it writes these records, which it does not have yet: it may have
-    /// to catch up, and it reads a point before it replaces or removes it.
+    /// True if the point store may wait for its disk while it writes these records: it may have to catch up, and it reads a
+    /// point before it replaces or removes it.
     fn store_may_block(&self, records: &[Arc<Record>]) -> bool {
-        let mut all = records.iter();
-        self.host.log.points.is_busy() || !all.all(|record| record.effects().only_adds())
+        // The journal also brings the records that were applied once they were acknowledged.
+        let published = self.published().revision;
+        let mut new = records.iter().filter(|it| it.revision() > published);
+        let adds = new.all(|record| record.effects().only_adds());
+        !adds || self.host.log.points.is_busy()
     }
 
     /// Applies consecutive records that lead to the points of `view`, which gets the last of them.

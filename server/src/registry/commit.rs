@@ -12,7 +12,7 @@ use crate::log::{Effects, LogError, Operation, Receipt, Record, Sessions};
 
 /// A mutation above these sizes, or one that changes existing points or ends sessions, is submitted on a blocking thread.
 /// A batch above them, or one that ends sessions, is applied on one; with a shared journal also one that changes existing
-/// points. Inline it would delay the calls that share the thread.
+/// points, and any while the store is busy. Inline it would delay the calls that share the thread.
 pub(super) const MAX_INLINE_POINTS: usize = 1024;
 pub(super) const MAX_INLINE_BYTES: usize = 128 * 1024;
 

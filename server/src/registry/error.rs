@@ -74,6 +74,9 @@ impl RegistryError {
     pub(super) fn of_copy(self, is_shared: bool) -> Self {
         match self {
             Self::Log(error) if is_shared => Self::Log(error.of_copy()),
+            Self::Stopped if is_shared => Self::Log(LogError::CopyUnreadable {
+                what: Self::Stopped.to_string(),
+            }),
             other => other,
         }
     }

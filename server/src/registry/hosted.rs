@@ -90,6 +90,8 @@ pub struct Hosted {
     /// True once a copy takes its place: it applies nothing more and does not resume. Set by the holder of the writer and of
     /// `applied`.
     pub(super) is_retired: AtomicBool,
+    /// Set once a task of it has panicked.
+    pub(super) has_panicked: AtomicBool,
 }
 
 /// The task that applies the records of the log, and the channel of the receipts it waits for.
@@ -155,6 +157,7 @@ impl Hosted {
             latest_reads: LatestReads::default(),
             is_reported: AtomicBool::new(false),
             is_retired: AtomicBool::new(false),
+            has_panicked: AtomicBool::new(false),
             batches: Arc::default(),
             apply_loop: parking_lot::Mutex::default(),
             state: watch::Sender::new(State {

@@ -69,12 +69,15 @@ impl Hosted {
             Ok(merged) => {
                 applied.forest.finish_merge(merged);
                 debug!(index = self.name(), rows, "merged levels");
-                self.publish(&Arc::new(Published {
-                    snapshot: applied.forest.snapshot(),
-                    revision: published.revision,
-                    view: Arc::clone(&published.view),
-                    is_shared: published.is_shared,
-                }));
+                // A failure within a batch leaves the forest ahead of what is published.
+                if applied.forest.revision() == published.revision {
+                    self.publish(&Arc::new(Published {
+                        snapshot: applied.forest.snapshot(),
+                        revision: published.revision,
+                        view: Arc::clone(&published.view),
+                        is_shared: published.is_shared,
+                    }));
+                }
             }
             // The levels stay unmerged: answers stay exact, and searches are slower.
             Err(error) => error!(index = self.name(), rows, %error, "a merge failed"),

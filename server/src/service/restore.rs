@@ -30,7 +30,7 @@ use crate::{
     registry::{AwaitedCopy, Hosted, RegistryError, Restore},
 };
 
-/// The most bytes of the first part, which waits for other changes. It has the header alone.
+/// The most bytes of the first part, which has the header alone.
 const MAX_FIRST_PART_BYTES: usize = 1024 * 1024;
 
 /// The first revision that no snapshot may have: an index that is restored needs revisions for its mutations.

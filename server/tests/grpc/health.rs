@@ -60,7 +60,7 @@ async fn a_connection_has_few_watches_of_health_and_can_still_ask() {
     let server = TestServer::start(|_| ()).await;
     let mut health = server.health();
     let mut watches = Vec::new();
-    for _ in 0..4 {
+    for _ in 0..8 {
         let mut reports = health.watch(of("")).await.unwrap().into_inner();
         reports.message().await.unwrap().unwrap();
         watches.push(reports);

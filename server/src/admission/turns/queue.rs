@@ -13,7 +13,7 @@ use super::{FlowNumber, Granted, trend::Trend};
 pub(super) const SHORT_TURNS: usize = 128;
 
 /// A flow whose turns take longer on average has long turns.
-const MAX_SHORT_NS: u64 = 50_000;
+pub(in crate::admission) const MAX_SHORT_NS: u64 = 50_000;
 
 /// A flow whose turns take longer on average has calls of many turns.
 const MAX_BRIEF_NS: u64 = 200_000;
@@ -24,9 +24,6 @@ const HEAD_START_NS: u64 = 100_000;
 
 /// The mean of a flow's turns covers about this many of them.
 const MEAN_TURNS: u64 = 8;
-
-/// A flow has long turns after one of this time, whatever those before it took.
-pub(in crate::admission) const MAKES_LONG_NS: u64 = MEAN_TURNS * MAX_SHORT_NS;
 
 #[derive(Debug)]
 pub(super) struct State {

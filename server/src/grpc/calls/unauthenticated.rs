@@ -59,14 +59,18 @@ where
     async move {
         let path = request.uri().path();
         let is_stream = path.starts_with(REFLECTION);
-        let lasts = is_stream || path == HEALTH_WATCH;
+        let is_watch = path == HEALTH_WATCH;
         let refused = Arc::new(OnceLock::new());
         let ending = is_stream.then(|| (Arc::clone(&refused), time));
         let mut receiving = pin!(receive(request, ending));
         let mut received = poll!(receiving.as_mut());
         let mut places = None;
-        if lasts || received.is_pending() {
-            match activity.as_ref().map(|it| it.arriving(is_stream)) {
+        if is_stream || is_watch || received.is_pending() {
+            let place = |activity: &Activity| match is_watch {
+                true => activity.watching().map(|place| (place, None)),
+                false => activity.arriving(is_stream),
+            };
+            match activity.as_ref().map(place) {
                 Some(None) => {
                     admission.count_excess();
                     received = Poll::Ready(Err(refusals::too_many_arriving().into()));
@@ -88,7 +92,7 @@ where
             Err(status) => return Ok(status.into_http()),
         };
         let response = inner.call(request).await?;
-        if !lasts {
+        if !is_stream && !is_watch {
             return Ok(response);
         }
         // Its places are free once its answers have ended and are read.

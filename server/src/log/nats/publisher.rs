@@ -201,7 +201,8 @@ impl Publisher {
                     if newest.last_record == last.position() {
                         return Ok(());
                     }
-                    if newest.sequence != expected.sequence {
+                    let place = |it: PackPosition| (it.sequence, it.last_record);
+                    if place(newest) != place(expected) {
                         let head = newest.last_record.revision;
                         return Err(Refusal::Fenced { head });
                     }

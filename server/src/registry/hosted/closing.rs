@@ -19,9 +19,7 @@ impl Hosted {
     pub(in crate::registry) fn resume(self: &Arc<Self>, view: &Arc<dyn View>) -> bool {
         let mut writer = Arc::clone(&self.writer).blocking_lock_owned();
         let applied = Arc::clone(&self.applied).blocking_lock_owned();
-        // A panic may have left the forest half changed.
-        let is_stopped = self.closed() == Some(RegistryError::Stopped);
-        if is_stopped || self.is_retired.load(Relaxed) {
+        if self.has_panicked.load(Relaxed) || self.is_retired.load(Relaxed) {
             return false;
         }
         let published = self.published();
@@ -120,6 +118,10 @@ impl Hosted {
 
     /// Closes the index: later writes, and calls that wait for it, get `why`.
     pub(in crate::registry) fn close(&self, why: RegistryError) {
+        if why == RegistryError::Stopped {
+            // The panic may have left the forest half changed: the index does not resume.
+            self.has_panicked.store(true, Relaxed);
+        }
         let why = why.of_copy(self.is_shared());
         let decided = {
             // No writer may see the new count of refusals and an open index: nothing would decide its record.
