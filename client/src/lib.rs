@@ -56,6 +56,9 @@
 //! **Retries.** The client makes a call that finds no server, one that is starting, or a busy one up to five times
 //! ([`RetryPolicy`]). Mutations carry an operation id, so that they take effect once.
 //!
+//! **Errors.** Every call of the client may fail with [`Error::Connection`], [`Error::Handshake`], [`Error::Timeout`],
+//! [`Error::Refused`] and [`Error::Protocol`].
+//!
 //! **Streams** ([`Scan`], [`Watch`], [`Snapshot`], [`KnnAnswers`]) have a method `next`, which returns
 //! `Result<Option<_>, Error>`, and `into_stream`.
 

@@ -24,11 +24,11 @@ pub enum Code {
     AlreadyExists = 6,
     /// The caller lacks the right.
     PermissionDenied = 7,
-    /// A limit of the server.
+    /// A limit of the server, or it is busy or full: the reason tells.
     ResourceExhausted = 8,
-    /// The index is closed, or was opened before a fork.
+    /// The index is closed, was opened before a fork, or was made again; or its writer session has ended.
     FailedPrecondition = 9,
-    /// Another writer was first.
+    /// No server of this version sends it.
     Aborted = 10,
     /// A number is out of range.
     OutOfRange = 11,
@@ -36,7 +36,7 @@ pub enum Code {
     Unimplemented = 12,
     /// A panic in the library, or a broken protocol.
     Internal = 13,
-    /// The server cannot be reached.
+    /// The server cannot be reached, or cannot answer now.
     Unavailable = 14,
     /// The server has lost data.
     DataLoss = 15,

@@ -171,10 +171,13 @@ impl Index {
     /// Stores many states at once, and returns their ids, which ascend.
     ///
     /// # Errors
-    /// Those of [`Index::insert`]; the row in the error is the state's. Nothing is stored then, except with
-    /// [`Error::Partial`]: rows before the failed part are stored, under the ids in the error. If the server refused
-    /// writes of a shared index, those of them that it had not taken are in [`Index::take_unsent`] instead; if the index
-    /// was closed meanwhile, in the result of [`Index::close`].
+    /// Those of [`Index::insert`]; the row in the error is the state's. Nothing is stored then, with two exceptions. With
+    /// [`Error::Partial`], the rows before the failed part are stored, under the ids in the error. In a remote index the
+    /// rows of the failed part, all of them if it is not `Partial`, may be stored too after [`Error::Timeout`],
+    /// [`Error::Connection`], [`Error::Interrupted`], and a refusal with `DEADLINE_EXCEEDED`, `CANCELLED`, `UNKNOWN`,
+    /// `INTERNAL`, `DATA_LOSS` or `UNAVAILABLE`: look before you repeat them. If the server refused writes of a shared
+    /// index, those of them that it had not taken are in [`Index::take_unsent`] instead; if the index was closed
+    /// meanwhile, in the result of [`Index::close`].
     pub fn insert_many<S: State>(
         &self,
         states: impl IntoIterator<Item = S>,
@@ -210,7 +213,7 @@ impl Index {
     /// Sets the payload of a point; its state and its tag stay. False if there is none with this id.
     ///
     /// # Errors
-    /// [`Error::Argument`], or a refusal of the server: it has more bytes than the server takes, 64 KiB unless set. In
+    /// [`Error::Argument`], or a refusal of the server: it has more than 64 KiB, the most that a server takes. In
     /// memory there is no limit. The index cannot be written.
     pub fn set_payload(&self, id: u64, payload: &[u8]) -> Result<bool, Error> {
         self.form.set_payload(id, payload)
@@ -275,7 +278,8 @@ impl Index {
     ///
     /// # Errors
     /// [`Error::Width`], [`Error::Layout`], [`Error::State`]: it is no state of the space. [`Error::Argument`]: a
-    /// number of the search is out of its range. [`Error::SearchTimeout`].
+    /// number of the search is out of its range. [`Error::SearchTimeout`]. The index cannot be read: those of
+    /// [`Index::len`].
     pub fn search<S: State>(&self, state: S, search: &Search) -> Result<SearchResult, Error> {
         let mut neighbors = Vec::new();
         let read_revision = self.ask(state, &search.scaled()?, &mut neighbors)?;

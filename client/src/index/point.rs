@@ -104,7 +104,7 @@ impl<'a> InsertOptions<'a> {
         self
     }
 
-    /// A payload, of at most 64 KiB where a server stores it and has no other limit.
+    /// A payload, of at most 64 KiB in an index of a server.
     pub fn payload(mut self, payload: &'a [u8]) -> InsertOptions<'a> {
         self.payload = payload;
         self

@@ -65,6 +65,7 @@ impl Index {
     ///
     /// # Errors
     /// [`Error::Timeout`]; the writes stay pending. [`Error::WritesRefused`]: see [`Index::take_unsent`].
+    /// [`Error::Ended`], [`Error::Forked`], [`Error::Interrupted`].
     pub fn flush(&self) -> Result<(), Error> {
         let shared = self.shared.as_ref();
         shared.map_or(Ok(()), |shared| shared.flush(shared.settings.timeout))
@@ -110,7 +111,7 @@ impl Index {
     }
 
     /// Every write from the first one on that the server refused for good, in order; the copy shows them no more. After
-    /// this call the index takes writes again, in a new session.
+    /// this call the index takes writes again, in a new session, unless it was closed or is gone ([`Error::Ended`]).
     ///
     /// The server may have taken the first batch of them: after the reconnection look whether its points are there. Store
     /// a put again without its id if the index assigned it: the id stays reserved for the session that ended.

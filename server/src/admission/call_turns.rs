@@ -28,6 +28,8 @@ pub(crate) struct CallTurns {
     next: Option<TurnRequest>,
     /// True if the call has the turn of its next slice and has yielded with it.
     has_yielded: bool,
+    /// True until the call has yielded once with a long turn, so that bytes are read between two calls.
+    looks_for_bytes: bool,
     /// The time since which it waits for that turn.
     requested_at: Instant,
     /// The time that it has waited for turns.
@@ -59,6 +61,7 @@ impl CallTurns {
             at_once: Duration::ZERO,
             next: None,
             has_yielded: false,
+            looks_for_bytes: true,
             requested_at: Instant::now(),
             queued: Duration::ZERO,
             computed: Duration::ZERO,
@@ -69,6 +72,7 @@ impl CallTurns {
     pub(super) fn of_stream(self) -> Self {
         Self {
             stage: Stage::Demoted,
+            looks_for_bytes: false,
             ..self
         }
     }
@@ -130,15 +134,15 @@ impl CallTurns {
         };
         if turn.is_short() && self.flow.has_long_turns() {
             // A thread has many short turns at a time: the others would wait for the sum of as many long ones. The call has
-            // had its turn, so it is not refused, and goes before those that come later.
-            self.stage = Stage::Begun;
+            // had its turn, so it is not refused.
+            self.stage = Stage::Demoted;
             drop(turn);
             let requested_at = self.requested_at;
             self.request()?;
             self.requested_at = requested_at;
             return self.poll(context, work);
         }
-        if self.stage == Stage::New && turn.is_long() {
+        if mem::take(&mut self.looks_for_bytes) && turn.is_long() {
             self.stage = Stage::Begun;
             self.next = Some(TurnRequest::Granted(turn));
             self.has_yielded = true;
@@ -233,27 +237,31 @@ mod tests {
         for _ in 0..100 {
             flow.turns().run(async {}).await.expect("it is not refused");
         }
-        let mut turns = [flow.turns(), flow.turns(), flow.turns()];
+        let mut turns: Vec<_> = (0..5).map(|_| flow.turns()).collect();
         for turns in &mut turns {
             turns.request().expect("there is a turn");
         }
-        let [mut long, mut next, mut last] = turns;
+        let mut long = turns.remove(0);
         let work = long.run(async {
             let began = Instant::now();
             while began.elapsed() < Duration::from_millis(1) {}
         });
         work.await.expect("it is not refused");
-        let mut next = pin!(next.run(async {}));
-        assert!(poll!(next.as_mut()).is_pending());
-        // It has the last of the turns that the next one waits for.
-        let mut last = pin!(last.run(async {}));
-        assert!(poll!(last.as_mut()).is_pending());
-        let mut polls = 0;
-        while poll!(next.as_mut()).is_pending() {
-            polls += 1;
-            assert!(polls < 10, "it has no turn");
+        let order = RefCell::new(Vec::new());
+        let calls = turns.iter_mut().enumerate().map(|(number, turns)| {
+            let order = &order;
+            Box::pin(turns.run(async move { order.borrow_mut().push(number) }))
+        });
+        let mut calls: Vec<_> = calls.collect();
+        for call in &mut calls {
+            assert!(poll!(call.as_mut()).is_pending());
         }
-        assert!(last.await.is_ok());
+        // A thread that reads bytes runs before each of them.
+        assert!(poll!(calls[0].as_mut()).is_pending() && order.borrow().is_empty());
+        for call in calls {
+            call.await.expect("it is not refused");
+        }
+        assert_eq!(*order.borrow(), [0, 1, 2, 3]);
     }
 
     #[tokio::test]

@@ -270,9 +270,9 @@ impl Flow {
         self.last_slice_ns.store(took.as_nanos() as u64, Relaxed);
     }
 
-    /// True if the turns of its calls are long by now.
+    /// True if the last slice of its calls was long, and their turns are by now.
     fn has_long_turns(&self) -> bool {
-        // A short slice is known without the lock.
+        // That of most calls is short, which is known without the lock.
         self.last_slice_ns.load(Relaxed) > MAX_SHORT_NS && self.turns.are_long(self.number)
     }
 

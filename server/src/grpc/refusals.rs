@@ -21,6 +21,7 @@ use crate::{
 const MAX_MESSAGE_BYTES: &str = "grpc.max_message_bytes";
 const MAX_INDEX_REQUEST: &str = "index_request_bytes";
 const ARRIVING: &str = "arriving_requests";
+const WATCHING: &str = "health_watches";
 const MAX_CONNECTIONS: &str = "grpc.max_connections";
 const MAX_CALLS: &str = "grpc.max_calls_per_connection";
 const RECEIVE_TIMEOUT_MS: &str = "grpc.receive_timeout_ms";
@@ -168,10 +169,15 @@ pub(crate) fn too_many_connections(limit: usize) -> Refusal {
 pub(crate) fn too_many_arriving() -> Refusal {
     let message = format!(
         "this connection has {MAX_ARRIVING} streams for reflection and requests for health that have not arrived \
-         whole, or {MAX_WATCHING} watches of health, or all have {MAX_REFLECTING} streams for reflection: end one, or \
-         call again later"
+         whole, or all have {MAX_REFLECTING} streams for reflection: end one, or call again later"
     );
     busy("TOO_MANY_CALLS", message, ARRIVING, MAX_ARRIVING)
+}
+
+/// The refusal of a watch of health while others of its connection have the places.
+pub(crate) fn too_many_watching() -> Refusal {
+    let message = format!("this connection has {MAX_WATCHING} watches of health: end one");
+    busy("TOO_MANY_CALLS", message, WATCHING, MAX_WATCHING)
 }
 
 /// The refusal of the rest of a stream for reflection whose client sends faster than it is answered, or reads no answers.

@@ -276,7 +276,8 @@ impl StreamingService<v1::StreamKnnRequest> for TolerantStreamKnn {
     ) -> Self::Future {
         // It has a flow of its own if the layer around all calls is missing.
         let flow = flow_of(&request).unwrap_or_else(|| self.streams.admission.open());
-        let messages = stream::iter(self.messages.take()).flatten().boxed();
+        let messages = self.messages.take();
+        let messages = messages.unwrap_or_else(|| stream::empty().boxed());
         let answers = self.streams.answer(call_of(&request), flow, messages);
         std::future::ready(Ok(tonic::Response::new(answers)))
     }

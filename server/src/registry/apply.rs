@@ -189,9 +189,9 @@ impl Hosted {
     fn store_may_block(&self, records: &[Arc<Record>]) -> bool {
         // The journal also brings the records that were applied once they were acknowledged.
         let published = self.published().revision;
-        let mut new = records.iter().filter(|it| it.revision() > published);
-        let adds = new.all(|record| record.effects().only_adds());
-        !adds || self.host.log.points.is_busy()
+        let new = records.iter().filter(|it| it.revision() > published);
+        let mut new = new.map(|record| record.effects().only_adds()).peekable();
+        new.peek().is_some() && (!new.all(|adds| adds) || self.host.log.points.is_busy())
     }
 
     /// Applies consecutive records that lead to the points of `view`, which gets the last of them.

@@ -95,7 +95,10 @@ impl Hosted {
         submitted: Result<oneshot::Receiver<Decision>, RegistryError>,
     ) -> Result<CommitOutcome, RegistryError> {
         match submitted {
-            Ok(decision) => outcome(decision).await,
+            Ok(decision) => {
+                let outcome = outcome(decision).await;
+                outcome.map_err(|why| why.of_copy(self.is_shared()))
+            }
             Err(RegistryError::Log(LogError::Fenced { head, .. })) => {
                 // A mutation that is evaluated again before the other writer's records are published would be refused
                 // again.

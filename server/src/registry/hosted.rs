@@ -90,7 +90,7 @@ pub struct Hosted {
     /// True once a copy takes its place: it applies nothing more and does not resume. Set by the holder of the writer and of
     /// `applied`.
     pub(super) is_retired: AtomicBool,
-    /// Set once a task of it has panicked.
+    /// Set once its apply loop has panicked.
     pub(super) has_panicked: AtomicBool,
 }
 

@@ -47,7 +47,7 @@ fn contradiction(uid: Uid, revision: u64, member: &str) -> RegistryError {
     })
 }
 
-/// True if a part of its points cannot be read.
+/// True if a part of its points cannot be read, or a panic may have left them half changed.
 fn is_unreadable(why: &RegistryError) -> bool {
     matches!(why, RegistryError::Log(LogError::CopyUnreadable { .. }))
 }

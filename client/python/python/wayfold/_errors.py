@@ -30,7 +30,7 @@ class InvalidArgument(Error, ValueError):
 
 
 class AlreadyExists(Error, ValueError):
-    """The id is taken, or the index exists with another space."""
+    """The id is taken, or the index exists with another space or encoding of payloads."""
 
 
 class NotFound(Error, LookupError):

@@ -74,6 +74,8 @@ impl OpenRemote {
     /// # Errors
     /// [`Error::Address`], [`Error::Connection`], [`Error::Timeout`]. `NOT_FOUND`: there is no index of this name.
     /// `ALREADY_EXISTS`: it has another space or encoding.
+    /// Those of [`ClientBuilder::connect`](crate::ClientBuilder::connect), [`Error::Forked`], [`Error::Thread`],
+    /// [`Error::Interrupted`], and every refusal of the server.
     pub fn open(self) -> Result<Index, Error> {
         let index = wait_for(async move {
             let client = Client::builder().timeout(self.timeout);

@@ -114,6 +114,9 @@ impl OpenShared {
     /// # Errors
     /// [`Error::Address`], [`Error::Connection`], [`Error::Timeout`]. `NOT_FOUND`: there is no index of this name.
     /// `ALREADY_EXISTS`: it has another space or encoding. [`Error::Argument`]: a prefix or a name that is no key of Zenoh.
+    /// Those of [`ClientBuilder::connect`](crate::ClientBuilder::connect), [`Error::Forked`], [`Error::Thread`],
+    /// [`Error::Interrupted`], and every refusal of the server. `PERMISSION_DENIED`: the caller lacks the role write.
+    /// `RESOURCE_EXHAUSTED`: the index has all its sessions.
     pub fn open(self) -> Result<Index, Error> {
         let core = wait_for(self.connect())?;
         let (index, revision) = core.published.lock().clone();

@@ -83,7 +83,7 @@ pub(super) struct Flow {
     stands_until: Option<Instant>,
     /// Those that have not begun, after one that goes on.
     pub(super) waiting: VecDeque<Waiter>,
-    /// Those that have computed for long, requests of streams, and patient calls.
+    /// Those that have computed for long or gave a short turn back, requests of streams, and patient calls.
     pub(super) behind: VecDeque<Waiter>,
     /// True if the next turn goes to `behind`: they and the others take turns.
     pub(super) behind_is_due: bool,
@@ -105,7 +105,8 @@ pub(in crate::admission) enum Stage {
     Begun,
     /// It goes on before the other calls of its flow.
     Resumed,
-    /// It has computed for long, or is a request of a stream: it goes after the others of its flow, and is not refused.
+    /// It has computed for long, gave a short turn back, or is a request of a stream: it goes after the others of its flow,
+    /// and is not refused.
     Demoted,
 }
 

@@ -73,7 +73,11 @@ where
             match activity.as_ref().map(place) {
                 Some(None) => {
                     admission.count_excess();
-                    received = Poll::Ready(Err(refusals::too_many_arriving().into()));
+                    let refusal = match is_watch {
+                        true => refusals::too_many_watching(),
+                        false => refusals::too_many_arriving(),
+                    };
+                    received = Poll::Ready(Err(refusal.into()));
                 }
                 held => places = held.flatten(),
             }

@@ -201,8 +201,7 @@ impl Publisher {
                     if newest.last_record == last.position() {
                         return Ok(());
                     }
-                    let place = |it: PackPosition| (it.sequence, it.last_record);
-                    if place(newest) != place(expected) {
+                    if newest != expected {
                         let head = newest.last_record.revision;
                         return Err(Refusal::Fenced { head });
                     }

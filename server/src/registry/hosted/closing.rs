@@ -71,7 +71,7 @@ impl Hosted {
         writer.catch_up(self.published(), self.last_change.load(Relaxed), refusals);
         let hosted = Arc::downgrade(self);
         let mut apply_loop = self.apply_loop.lock();
-        if self.is_contradicted() {
+        if self.has_panicked.load(Relaxed) || self.is_contradicted() {
             return false;
         }
         // NATS may have lost records that another server still has.
@@ -100,6 +100,10 @@ impl Hosted {
     /// Closes the index, because its apply loop of this number has ended.
     pub(in crate::registry) fn end_loop(&self, number: u64, why: RegistryError) {
         let apply_loop = self.apply_loop.lock();
+        if why == RegistryError::Stopped {
+            // The panic may have left the forest half changed: the index does not resume.
+            self.has_panicked.store(true, Relaxed);
+        }
         if apply_loop.number == number {
             self.close(why);
         }
@@ -118,10 +122,6 @@ impl Hosted {
 
     /// Closes the index: later writes, and calls that wait for it, get `why`.
     pub(in crate::registry) fn close(&self, why: RegistryError) {
-        if why == RegistryError::Stopped {
-            // The panic may have left the forest half changed: the index does not resume.
-            self.has_panicked.store(true, Relaxed);
-        }
         let why = why.of_copy(self.is_shared());
         let decided = {
             // No writer may see the new count of refusals and an open index: nothing would decide its record.

@@ -208,7 +208,8 @@ async fn an_index_that_a_panic_stopped_is_replayed_once_the_log_is_reopened() {
     registry.replay().unwrap();
     let registry = Arc::new(registry);
     let before = registry.get("arm").unwrap();
-    before.close(RegistryError::Stopped);
+    before.end_loop(0, RegistryError::Stopped);
+    assert!(before.is_closed());
     let recovering = Arc::clone(&registry);
     let recovered = tokio::task::spawn_blocking(move || recovering.recover());
     recovered.await.unwrap().unwrap();
