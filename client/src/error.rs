@@ -60,12 +60,12 @@ pub enum Error {
         call: &'static str,
         /// The time that the client waited, attempts and pauses included.
         timeout: Duration,
-        /// The error of the attempt before the last one, if there was one.
+        /// The error of an attempt before the last one, if there was one.
         earlier: Option<Box<Error>>,
     },
     /// The server refused the call. The outcome of a mutation is unknown after `DEADLINE_EXCEEDED`, `DATA_LOSS`,
-    /// `INTERNAL`, `CANCELLED`, `UNKNOWN`, and `UNAVAILABLE` with the reason `STORAGE_FAILED`; any other refusal
-    /// changed nothing.
+    /// `INTERNAL`, `CANCELLED`, `UNKNOWN`, and `UNAVAILABLE` with the reason `STORAGE_FAILED`, and if an earlier try of the
+    /// call ended so; any other refusal changed nothing. [`Error::may_have_taken_effect`] tells.
     #[cfg(feature = "net")]
     #[error(transparent)]
     Refused(Box<Refusal>),
@@ -252,16 +252,33 @@ impl Error {
         }
     }
 
-    /// The error of an attempt that followed one with the error `earlier`, which explains more than a lack of time
-    /// does. (A server's own `DEADLINE_EXCEEDED` is kept as it is.)
-    pub(crate) fn following(self, earlier: Option<Error>) -> Error {
+    /// True if the outcome of a mutation is unknown after this error: it may have taken effect.
+    pub fn may_have_taken_effect(&self) -> bool {
         match self {
-            Error::Timeout { call, timeout, .. } => Error::Timeout {
+            Error::Timeout { .. }
+            | Error::Connection { .. }
+            | Error::Interrupted
+            | Error::Protocol { .. } => true,
+            Error::Refused(refusal) => refusal.may_have_taken_effect(),
+            Error::Partial { source, .. } => source.may_have_taken_effect(),
+            _ => false,
+        }
+    }
+
+    /// The error of an attempt that followed one with the error `earlier`, which explains more than a lack of time
+    /// does, and after which a refusal may not mean that nothing was changed.
+    pub(crate) fn following(self, earlier: Option<Error>) -> Error {
+        match (self, earlier) {
+            (Error::Timeout { call, timeout, .. }, earlier) => Error::Timeout {
                 call,
                 timeout,
                 earlier: earlier.map(Box::new),
             },
-            other => other,
+            (Error::Refused(mut refusal), Some(earlier)) if earlier.may_have_taken_effect() => {
+                refusal.earlier = Some(earlier.to_string());
+                Error::Refused(refusal)
+            }
+            (other, _) => other,
         }
     }
 

@@ -39,6 +39,8 @@ impl Overlay {
             Forest::new(Arc::clone(&self.space), options)
         });
         forest.apply_checked(forest.revision() + 1, stored, removed);
+        // A search would scan a level that is not merged from end to end.
+        forest.settle();
         self.changed.extend(stored.ids());
         self.changed.extend(removed);
         Ok(())
@@ -75,6 +77,7 @@ pub fn search_overlaid(
     state: &[f64],
     search: &Search<'_>,
 ) -> Result<Vec<Neighbor>, SearchError> {
+    search.check(snapshot.space(), state)?;
     let mut hidden: Vec<&HashSet<u64>> = search.excluded.to_vec();
     let mut neighbors = Vec::new();
     // With an excluded neighbour the answer may lack one beyond its last, and no filter admits only what came after

@@ -24,6 +24,9 @@ pub struct Refusal {
     pub ids: Vec<u64>,
     /// The time after which the same call may succeed; `None` if the refusal is final.
     pub retry_after: Option<Duration>,
+    /// The error of an earlier try of the same call after which its outcome is unknown, if there was one: the call may have
+    /// taken effect then.
+    pub earlier: Option<String>,
 }
 
 /// One field of a request, and what was wrong with it.
@@ -63,6 +66,7 @@ impl Refusal {
                 .retry_info()
                 .map(|retry| retry.retry_delay.unwrap_or_default()),
             fields: fields.unwrap_or_default(),
+            earlier: None,
         }
     }
 
@@ -98,11 +102,28 @@ impl fmt::Display for Refusal {
                 write!(f, "; {field}: {problem}")?;
             }
         }
-        write!(f, " ({})", self.code_name())
+        write!(f, " ({})", self.code_name())?;
+        match &self.earlier {
+            Some(earlier) => write!(f, "; a try before: {earlier}"),
+            None => Ok(()),
+        }
     }
 }
 
 impl Refusal {
+    /// True if the outcome of a mutation is unknown after it.
+    pub(crate) fn may_have_taken_effect(&self) -> bool {
+        let is_unknown = matches!(
+            self.code,
+            Code::DeadlineExceeded
+                | Code::DataLoss
+                | Code::Internal
+                | Code::Cancelled
+                | Code::Unknown
+        );
+        is_unknown || self.reason == "STORAGE_FAILED" || self.earlier.is_some()
+    }
+
     /// The code's name as the gRPC documentation spells it.
     pub fn code_name(&self) -> &'static str {
         match self.code {

@@ -83,7 +83,7 @@ impl RetryPolicy {
         Fut: Future<Output = Result<T, Error>>,
     {
         let mut attempts = 0;
-        let mut earlier = None;
+        let mut earlier: Option<Error> = None;
         loop {
             let error = match attempt().await {
                 Err(error) if error.is_transient() => error,
@@ -94,9 +94,12 @@ impl RetryPolicy {
                 .pause(attempts, chance())
                 .map(|pause| Instant::now() + pause.max(requested_pause(Some(&error))));
             let Some(next) = next.filter(|next| *next < deadline) else {
-                return Err(error);
+                return Err(error.following(earlier));
             };
-            earlier = Some(error);
+            // The outcome stays unknown after it, whatever follows.
+            if !earlier.as_ref().is_some_and(Error::may_have_taken_effect) {
+                earlier = Some(error);
+            }
             tokio::time::sleep_until(next).await;
         }
     }
@@ -161,6 +164,31 @@ mod tests {
             .await
             .unwrap();
         assert!(began.elapsed() >= Duration::from_secs(1));
+    }
+
+    #[tokio::test]
+    async fn a_refusal_after_a_try_of_unknown_outcome_does_not_mean_that_nothing_was_changed() {
+        let end = Instant::now() + Duration::from_secs(60);
+        let mut tries = 0;
+        let attempt = || {
+            tries += 1;
+            let error = match tries {
+                1 => Error::Connection {
+                    call: "insert",
+                    uri: "http://arm:50051".to_owned(),
+                    source: "cut".into(),
+                },
+                2 => busy(1),
+                _ => Error::Refused(Box::new(Refusal::from_status(&tonic::Status::not_found(
+                    "no index",
+                )))),
+            };
+            std::future::ready(Err::<(), _>(error))
+        };
+        let error = POLICY.run(end, attempt).await.unwrap_err();
+        assert_eq!(error.code(), crate::Code::NotFound);
+        assert!(error.may_have_taken_effect() && error.to_string().contains("cut"));
+        assert!(!busy(1).may_have_taken_effect());
     }
 
     #[test]

@@ -64,6 +64,7 @@ impl Revision {
             fields: Vec::new(),
             ids: Vec::new(),
             retry_after: None,
+            earlier: None,
         })))
     }
 }

@@ -46,7 +46,8 @@ impl Merge {
 
     /// Builds the merged level, in O(d · n · log n).
     pub fn run(self) -> Merged {
-        let mut points = Points::with_capacity(self.space.coordinates(), self.rows());
+        let live = self.sources.iter().map(|level| level.rows() - level.dead());
+        let mut points = Points::with_capacity(self.space.coordinates(), live.sum());
         for source in &self.sources {
             for slot in (0..source.rows()).filter(|&slot| source.is_visible(slot, self.revision)) {
                 source.copy_to(slot, &mut points);

@@ -141,7 +141,8 @@ impl Space {
                     factor: term.factor,
                     offset,
                     weight,
-                    unit_length: group.weight * weight.sqrt(),
+                    // The product with a length of 0 is 0, as for any finite weight.
+                    unit_length: (group.weight * weight.sqrt()).min(f64::MAX),
                     group: g,
                     ends_group: t == last,
                 });

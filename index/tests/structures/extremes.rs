@@ -69,6 +69,27 @@ fn boxes_infinitely_far_away_are_visited_once_each() {
     compare(&space, &rows, &[3.3], &Search::nearest_r(1e300));
 }
 
+/// The weight of the last coordinate is infinite, and all points are equal in it.
+#[test]
+fn a_coordinate_of_infinite_weight_without_spread_hides_no_point() {
+    let space: Space = "sum(R9,(R1:1e100):1e300)".parse().unwrap();
+    let row = |at: u64| {
+        let mut row: Vec<f64> = (1..=9_u64)
+            .map(|axis| (at * axis * 37 % 1000) as f64 / 1e3)
+            .collect();
+        row.push(0.0);
+        row
+    };
+    let rows: Vec<_> = (0..1000).map(row).collect();
+    for search in [
+        Search::nearest_k(1),
+        Search::nearest_k(5),
+        Search::nearest_r(0.5),
+    ] {
+        compare(&space, &rows, &row(3), &search);
+    }
+}
+
 /// One rotation is far off (its bound is low by 0.7 %), and the translation of another point makes that point nearer by
 /// less.
 fn nearer_by_translation(space: &Space, unit: f64) {

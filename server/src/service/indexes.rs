@@ -264,6 +264,8 @@ impl Service {
         };
         let doing = "while waiting for changes of other indices; nothing was changed";
         let permits = call.bound(doing, waiting).await?;
+        // The wait may have been long.
+        call.check(doing)?;
         let service = self.clone();
         // The lines of the change have the caller's identity.
         let span = Span::current();

@@ -6,6 +6,7 @@ use tokio::{
     net::{TcpListener, TcpSocket},
     sync::oneshot,
     task::{self, JoinHandle},
+    time::timeout,
 };
 use wayfold_tests::{ServerProcess, Signal};
 use zenoh::{Session, Wait};
@@ -122,6 +123,8 @@ fn server(wait_us: u64, max_calls: &str) -> (ServerProcess, String) {
     let settings = [
         ("WAYFOLD_ZENOH__CONFIG", &*config),
         ("WAYFOLD_ZENOH__MAX_CALLS", max_calls),
+        // A refused insert would tell nothing of the queries before it.
+        ("WAYFOLD_ADMISSION__BURST_MS", "60000"),
         ("WAYFOLD_SHUTDOWN__GRACE_MS", "1"),
     ];
     server_with(&[], &settings)
@@ -133,11 +136,14 @@ async fn beside_waiting_answers(wait_us: u64) -> (ServerProcess, Robot) {
     let (robot, _relays) = beside_mutes(&locator, QUERIES).await;
     // The queries of a peer are read in order; the server does not read the last ones of a peer for which a thread
     // waits.
-    let mut done = 0;
-    while done < PEERS - 1 {
-        let described = robot.json("done/info", Value::Null).await.unwrap();
-        done = described["index"]["point_count"].as_u64().unwrap() as usize;
-    }
+    let inserted = async {
+        let mut done = 0;
+        while done < PEERS - 1 {
+            let described = robot.json("done/info", Value::Null).await.unwrap();
+            done = described["index"]["point_count"].as_u64().unwrap() as usize;
+        }
+    };
+    timeout(MAX_WAIT, inserted).await.unwrap();
     (server, robot)
 }
 

@@ -14,7 +14,7 @@ pub(crate) fn stopped(call: Range<usize>, rows: usize, failure: Failure) -> Fail
         }
         failure => (call.start, failure),
     };
-    let is_unknown = matches!(&source, Failure::Client(error) if may_have_taken_effect(error));
+    let is_unknown = matches!(&source, Failure::Client(error) if error.may_have_taken_effect());
     let unknown = format!(
         "rows {} to {} of {rows} may have taken effect",
         done + 1,
@@ -29,24 +29,6 @@ pub(crate) fn stopped(call: Range<usize>, rows: usize, failure: Failure) -> Fail
     Failure::Stopped {
         done,
         source: Box::new(source),
-    }
-}
-
-/// True if the outcome of a mutation is unknown after `error`.
-fn may_have_taken_effect(error: &Error) -> bool {
-    match error {
-        Error::Timeout { .. } | Error::Connection { .. } => true,
-        Error::Refused(refusal) => {
-            let unknown = [
-                "DEADLINE_EXCEEDED",
-                "DATA_LOSS",
-                "INTERNAL",
-                "CANCELLED",
-                "UNKNOWN",
-            ];
-            unknown.contains(&refusal.code_name()) || refusal.reason == "STORAGE_FAILED"
-        }
-        _ => false,
     }
 }
 

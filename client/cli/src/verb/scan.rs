@@ -6,6 +6,7 @@ use std::{
     sync::Arc,
 };
 
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use serde::Serialize;
 
 use super::get::PointLine;
@@ -39,7 +40,7 @@ pub(crate) struct ScanArgs {
     /// The index
     name: String,
     /// The file to write or replace; standard output without it
-    #[arg(value_name = "FILE", value_parser = file)]
+    #[arg(value_name = "FILE", value_parser = PathBufValueParser::new().try_map(file))]
     file: Option<PathBuf>,
     #[command(flatten)]
     filter: FilterArgs,
@@ -49,8 +50,7 @@ pub(crate) struct ScanArgs {
     latest: LatestArgs,
 }
 
-fn file(text: &str) -> Result<PathBuf, String> {
-    let path = PathBuf::from(text);
+fn file(path: PathBuf) -> Result<PathBuf, String> {
     match path.extension() {
         Some(extension) if extension.eq_ignore_ascii_case("npy") => {
             Err("a scan is written as CSV, which has a column for the ids".to_owned())

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::index_info::InfoLine;
-use crate::{Context, failure::Failure, output::Format, progress};
+use crate::{Context, allow_broken_pipe, failure::Failure, output::Format, progress};
 use wayfold::{Client, Verified};
 
 const EXAMPLES: &str = "\
@@ -58,7 +58,8 @@ pub(crate) async fn verify(args: VerifyArgs, context: &mut Context) -> Result<()
     let clients = [vec![context.client.clone()], context.others.clone()].concat();
     for client in clients {
         let verified = verify_on(&client, &args).await?;
-        print(context, &client, &verified)?;
+        // A reader that leaves does not hide a disagreement.
+        allow_broken_pipe(print(context, &client, &verified))?;
         all.push((client, verified));
     }
     let mut problems = Vec::new();
@@ -78,7 +79,7 @@ pub(crate) async fn verify(args: VerifyArgs, context: &mut Context) -> Result<()
             .iter()
             .flat_map(|(client, other)| differences((first, one), (client, other)))
             .collect();
-        print_comparison(context, &args.name, &differences)?;
+        allow_broken_pipe(print_comparison(context, &args.name, &differences))?;
         problems.extend(differences);
     }
     if problems.is_empty() {

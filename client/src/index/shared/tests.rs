@@ -38,6 +38,7 @@ fn quota_exceeded() -> Error {
         fields: Vec::new(),
         ids: Vec::new(),
         retry_after: None,
+        earlier: None,
     }))
 }
 

@@ -278,6 +278,7 @@ fn batches_after_a_refusal_keep_to_the_lower_limit_that_it_names() {
         fields: Vec::new(),
         ids: Vec::new(),
         retry_after: None,
+        earlier: None,
     };
     let why = Arc::new(Error::Refused(Box::new(refusal)));
     writes.refuse(why, &mut points).expect("a copy");
