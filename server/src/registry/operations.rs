@@ -65,7 +65,37 @@ impl Operations {
         self.newest.push(operation, bytes);
         let OperationWindow { count, bytes } = self.window;
         while let Some(forgotten) = self.newest.forget(count, bytes, |_| false) {
-            self.by_id.remove(&forgotten.id);
+            // A newer operation may have its id.
+            let remembered = self.recall(&forgotten.id);
+            if remembered.is_some_and(|it| Arc::ptr_eq(it, &forgotten)) {
+                self.by_id.remove(&forgotten.id);
+            }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The store may still hold an operation that was forgotten before its id was used again.
+    #[test]
+    fn a_forgotten_operation_leaves_a_newer_one_of_its_id() {
+        let operation = |id: &str| {
+            Arc::new(Operation {
+                id: id.into(),
+                fingerprint: [1; 32],
+                response: Default::default(),
+            })
+        };
+        let (first, newer) = (operation("x"), operation("x"));
+        let window = OperationWindow {
+            count: 2,
+            ..Default::default()
+        };
+        let stored = vec![first, operation("y"), Arc::clone(&newer)];
+        let operations = Operations::of(window, stored);
+        let recalled = operations.recall("x").unwrap();
+        assert!(Arc::ptr_eq(recalled, &newer));
     }
 }
