@@ -62,7 +62,7 @@ struct SyncState {
     stop: bool,
     /// The number of batches that are synced.
     synced: u64,
-    /// The failure after which nothing is synced.
+    /// The failure or the end after which nothing is synced.
     failed: Option<LogError>,
 }
 
@@ -160,10 +160,12 @@ impl Shared {
             }
             let batches = state.batches;
             let reached = std::mem::take(&mut state.marks);
-            drop(state);
             if reached.is_empty() {
+                // Nothing syncs a batch that is announced from now on.
+                state.failed = Some(LogError::Closed);
                 return;
             }
+            drop(state);
             last = reached.len();
             let began = Instant::now();
             let synced = journal.sync();
@@ -195,5 +197,34 @@ impl Shared {
                 return;
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        log::{
+            Origin,
+            fjall::{Durability, index::State, layout::Sum, store::Store},
+        },
+        testing::arm,
+    };
+
+    /// A call may write to a store that is about to close.
+    #[test]
+    fn a_batch_that_is_announced_after_the_end_is_refused() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("store");
+        let store = Arc::new(Store::open(&path, Durability::Fsync).unwrap());
+        let (marks, _) = Marks::open(&directory.path().join("marks")).unwrap();
+        let journal = StoreJournal::new(store, path);
+        let syncer = Syncer::start(journal, marks, Arc::default(), Duration::ZERO).unwrap();
+        syncer.stop();
+        assert_eq!(syncer.wait(), Ok(()));
+        let state = State::new(Origin::START, Sum::default());
+        let index = Index::new(0, arm(), state);
+        syncer.written(&index, index.head_mark());
+        assert_eq!(syncer.wait(), Err(LogError::Closed));
     }
 }
