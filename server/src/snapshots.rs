@@ -24,6 +24,7 @@ use wayfold_proto::{snapshot::FileWriter, v1};
 use self::files::{STAMP_BYTES, SUFFIX, prune, snapshots, stamp};
 use crate::{
     config::SnapshotConfig,
+    log::make_directory,
     observe::Metrics,
     registry::{Hosted, IndexState},
     service::{self, Call, Service},
@@ -118,7 +119,7 @@ impl Schedule {
             directory: directory.to_owned(),
             source,
         };
-        let lock = fs::create_dir_all(directory).and_then(|()| File::create(directory.join(LOCK)));
+        let lock = make_directory(directory).and_then(|()| File::create(directory.join(LOCK)));
         let lock = lock.map_err(failed)?;
         lock.try_lock().map_err(|error| match error {
             TryLockError::WouldBlock => SnapshotsError::InUse {
@@ -189,7 +190,7 @@ impl Schedule {
             path: directory.clone(),
             source,
         };
-        fs::create_dir_all(&directory).map_err(failed)?;
+        make_directory(&directory).map_err(failed)?;
         let before = snapshots(&directory).map_err(failed)?;
         let content = format!(
             "-{}-{}{SUFFIX}",

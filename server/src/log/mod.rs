@@ -40,12 +40,12 @@ use std::sync::Arc;
 use futures_util::{future::BoxFuture, stream::BoxStream};
 use tokio::sync::watch;
 
-pub(crate) use self::fjall::SYNCS;
 #[cfg(fuzzing)]
 pub use self::fjall::fuzzing;
 pub use self::fjall::{
     Durability, FjallLog, OpenError, RepairError, RepairReport, StoreOptions, repair,
 };
+pub(crate) use self::fjall::{SYNCS, make_directory};
 pub use effects::{Effects, Operation, Outcome};
 pub(crate) use entry::MAX_NAME_BYTES;
 pub use entry::{Entry, LostIndex, Origin};

@@ -112,7 +112,7 @@ impl Directory {
             path: path.into(),
             source,
         };
-        make(path).map_err(failed)?;
+        make_directory(path).map_err(failed)?;
         let marker = path.join(MARKER);
         if !marker.try_exists().map_err(failed)? && !is_empty(path).map_err(failed)? {
             return Err(foreign(path));
@@ -270,8 +270,8 @@ fn only_the_marker(path: &Path) -> io::Result<bool> {
     Ok(true)
 }
 
-/// Creates a directory and its missing parents.
-fn make(path: &Path) -> io::Result<()> {
+/// Creates a directory and its missing parents, and makes their names durable.
+pub(crate) fn make_directory(path: &Path) -> io::Result<()> {
     let missing = |path: &&Path| !path.as_os_str().is_empty() && !path.exists();
     let made: Vec<&Path> = path.ancestors().take_while(missing).collect();
     fs::create_dir_all(path)?;

@@ -56,6 +56,7 @@ use parking_lot::{Mutex, RwLock};
 use tracing::{error, info};
 
 pub use directory::OpenError;
+pub(crate) use directory::make_directory;
 pub use options::{Durability, StoreOptions};
 pub use rebuild::{RepairError, RepairReport, repair};
 pub(crate) use syncer::SYNCS;
