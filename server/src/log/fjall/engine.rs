@@ -18,7 +18,7 @@ use super::{
     manifest, manifest_copy,
     point_writer::FjallPointWriter,
     recovery,
-    store::{Store, not_readable, shut, storage, unopened},
+    store::{Store, not_readable, shut, unopened},
     sweeper::Sweeper,
     sync_marks::{Mark, Marks},
     syncer::Syncer,
@@ -174,10 +174,9 @@ impl Engine {
         let handles = self.store.handles()?;
         let entry = index.entry.clone();
         let staged = StagedEntry { entry, stage }.encode(index.number);
-        let stored = handles.wait_for_room().and_then(|()| {
-            let stored = handles.keyspace.insert(entry_key(index.number), staged);
-            stored.map_err(storage)
-        });
+        let mut batch = handles.database.batch();
+        batch.insert(&handles.keyspace, entry_key(index.number), staged);
+        let stored = handles.commit(batch);
         drop(handles);
         stored.map_err(|error| self.failure.note(error))?;
         self.written(index, mark);

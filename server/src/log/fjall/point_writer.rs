@@ -14,7 +14,6 @@ use super::{
         Head, Number, Stage, StagedEntry, Sum, entry_key, head_key, operation_key, point_key, seal,
     },
     point, session,
-    store::storage,
 };
 use crate::log::{Entry, LogError, Operation, Origin, PointWriter, Sessions, StoredPoint};
 
@@ -71,7 +70,6 @@ impl FjallPointWriter {
         let number = self.number;
         let mut sum = self.sum;
         let handles = self.engine.store.handles()?;
-        handles.wait_for_room()?;
         let keyspace = &handles.keyspace;
         let mut batch = handles.database.batch();
         for stored in points {
@@ -105,7 +103,7 @@ impl FjallPointWriter {
             },
         };
         batch.insert(keyspace, entry_key(number), staged.encode(number));
-        batch.commit().map_err(storage)?;
+        handles.commit(batch)?;
         self.sum = sum;
         Ok(())
     }

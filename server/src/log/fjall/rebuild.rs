@@ -292,7 +292,7 @@ fn survey(store: &Handles, marks: &MarkTable) -> Result<Vec<Content>, LogError> 
 
 fn copy(old: &Handles, new: &Handles, contents: Vec<Content>) -> Result<(), LogError> {
     let put = |key: Slice, value: Slice| {
-        new.wait_for_room()?;
+        let _room = new.wait_for_room()?;
         new.keyspace.insert(key, value).map_err(storage)
     };
     for content in contents {

@@ -3,9 +3,10 @@
 use std::{io, path::Path, sync::Arc, time::Duration};
 
 use fjall::{
-    Database, Keyspace, KeyspaceCreateOptions, LsmError, PersistMode, compaction::Leveled,
+    AbstractTree, Database, Keyspace, KeyspaceCreateOptions, LsmError, OwnedWriteBatch,
+    PersistMode, compaction::Leveled,
 };
-use parking_lot::{MappedRwLockReadGuard, RwLock, RwLockReadGuard};
+use parking_lot::{MappedRwLockReadGuard, Mutex, MutexGuard, RwLock, RwLockReadGuard};
 
 use super::{Durability, StoreOptions};
 use crate::{
@@ -17,9 +18,14 @@ use crate::{
 /// bytes again.
 const JOURNAL_BYTES: u64 = 128 * 1024 * 1024;
 
-/// From this many sealed memtables on, fjall blocks writers until it has moved some to its files. It blocks them
-/// forever if the move has failed.
+/// From this many sealed memtables on, fjall blocks writers until it has moved some to its files, and from this many
+/// runs in level 0 on, until it has merged some. It blocks them forever if the move or the merge has failed.
 const MIN_HALTING_MEMTABLES: usize = 4;
+const MIN_HALTING_RUNS: usize = 30;
+
+/// The maximum number of memtables that fjall seals while one batch is committed: the one before the batch, and the one
+/// with it. fjall does not seal an empty memtable.
+const MAX_SEALED_BY_BATCH: usize = 2;
 
 /// From this many tables in level 0 on, the next batch may wait for the store.
 const MIN_STALLING_RUNS: usize = 20;
@@ -54,6 +60,8 @@ pub(super) struct Handles {
     pub(super) keyspace: Keyspace,
     /// The bytes of a memtable.
     memtable_bytes: u64,
+    /// Held while a batch is committed. The holder locks nothing else of this crate.
+    committing: Mutex<()>,
 }
 
 impl Store {
@@ -86,6 +94,7 @@ impl Store {
                 database,
                 keyspace,
                 memtable_bytes: share.min(MAX_MEMTABLE_BYTES),
+                committing: Mutex::default(),
             })
         });
         let handles = opened.unwrap_or_else(|error| match error.raw_os_error() {
@@ -133,9 +142,16 @@ impl Handles {
         bytes + bytes.min(2 * JOURNAL_BYTES) + SMALL_STORE_BYTES
     }
 
-    /// Waits until the store has caught up so far that a batch does not block inside fjall. Fails if the store has
-    /// failed.
-    pub(super) fn wait_for_room(&self) -> Result<(), LogError> {
+    /// Commits a batch once there is room for it.
+    pub(super) fn commit(&self, batch: OwnedWriteBatch) -> Result<(), LogError> {
+        let _room = self.wait_for_room()?;
+        batch.commit().map_err(storage)
+    }
+
+    /// Waits until the store has caught up so far that a batch does not block inside fjall. The room is for one batch:
+    /// other writers wait until the guard is dropped. Fails if the store has failed.
+    pub(super) fn wait_for_room(&self) -> Result<MutexGuard<'_, ()>, LogError> {
+        let room = self.committing.lock();
         // A size below the one that the store was made with is enforced here.
         let sealed = self.keyspace.sealed_memtable_count() as u64;
         if self.memtable_bytes < MAX_MEMTABLE_BYTES
@@ -143,14 +159,22 @@ impl Handles {
         {
             self.keyspace.rotate_memtable().map_err(storage)?;
         }
-        while self.keyspace.sealed_memtable_count() + 1 >= MIN_HALTING_MEMTABLES {
+        while !self.has_room() {
             // This is the only call that reports a failure without writing anything.
             self.database
                 .persist(PersistMode::Buffer)
                 .map_err(storage)?;
             std::thread::park_timeout(POLL_INTERVAL);
         }
-        Ok(())
+        Ok(room)
+    }
+
+    /// True if one batch does not block inside fjall, whatever fjall seals and moves meanwhile.
+    fn has_room(&self) -> bool {
+        // Read before the runs: a memtable that becomes a run in between counts twice, and is not missed.
+        let sealed = self.keyspace.sealed_memtable_count() + MAX_SEALED_BY_BATCH;
+        sealed < MIN_HALTING_MEMTABLES
+            && sealed + self.keyspace.tree.l0_run_count() < MIN_HALTING_RUNS
     }
 }
 
@@ -225,5 +249,30 @@ fn text(error: fjall::Error) -> String {
     match error {
         fjall::Error::Io(error) | fjall::Error::Storage(LsmError::Io(error)) => error.to_string(),
         error => error.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The store seals two memtables and fails to move them: fjall might seal two more for a batch, and would block it.
+    #[test]
+    fn a_batch_without_room_fails_with_the_store() {
+        let directory = tempfile::tempdir().unwrap();
+        let store = Store::open(directory.path(), Durability::Fsync).unwrap();
+        let handles = store.handles().unwrap();
+        let keyspace = &handles.keyspace;
+        std::fs::remove_dir_all(keyspace.path().join("tables")).unwrap();
+        // The moves wait until both memtables are sealed.
+        let flush = keyspace.tree.get_flush_lock();
+        for key in [[0u8], [1]] {
+            drop(handles.wait_for_room().unwrap());
+            keyspace.insert(key, "value").unwrap();
+            assert!(keyspace.rotate_memtable().unwrap());
+        }
+        drop(flush);
+        let refused = handles.wait_for_room().err();
+        assert_eq!(refused, Some(LogError::StorageStopped));
     }
 }

@@ -20,7 +20,7 @@ use super::{
     layout::{
         Number, block_key, entry_key, head_key, operation_key, point_key, record_key, session_key,
     },
-    store::{Store, storage},
+    store::{Handles, Store, storage},
     sync_marks::Marks,
 };
 use crate::log::LogError;
@@ -117,7 +117,7 @@ fn sweep(
     let mut batch = handles.database.batch();
     batch.remove(&handles.keyspace, entry_key(number));
     batch.remove(&handles.keyspace, head_key(number));
-    commit(batch, failure).map_err(text)?;
+    commit(&handles, batch, failure).map_err(text)?;
     if has_dropped {
         // The dropped files stay until the store lets go of its former lists of tables, which an idle one never does.
         handles.keyspace.rotate_memtable().map_err(text)?;
@@ -150,9 +150,9 @@ fn drop_tables(store: &Store, failure: &Failure, number: Number) -> Result<bool,
 }
 
 /// Commits a batch. A failure here stops all writers, so the cause is noted for them too.
-fn commit(batch: OwnedWriteBatch, failure: &Failure) -> Result<(), LogError> {
-    let committed = batch.commit();
-    committed.map_err(|error| failure.note(storage(error)))
+fn commit(handles: &Handles, batch: OwnedWriteBatch, failure: &Failure) -> Result<(), LogError> {
+    let committed = handles.commit(batch);
+    committed.map_err(|error| failure.note(error))
 }
 
 fn text(error: impl Display) -> String {
@@ -166,7 +166,6 @@ fn remove_some(
     range: KeyRange,
 ) -> Result<Option<[u8; 13]>, LogError> {
     let handles = store.handles()?;
-    handles.wait_for_room()?;
     let mut batch = handles.database.batch();
     let mut last = None;
     for found in handles.keyspace.range(range).take(BATCH_KEYS) {
@@ -174,6 +173,6 @@ fn remove_some(
         last = key.first_chunk().copied();
         batch.remove(&handles.keyspace, key);
     }
-    commit(batch, failure)?;
+    commit(&handles, batch, failure)?;
     Ok(last)
 }

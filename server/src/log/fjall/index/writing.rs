@@ -10,7 +10,7 @@ use crate::log::{
     fjall::{
         layout::{Sum, head_key, operation_key, point_key, record_key, seal},
         point, session,
-        store::{Handles, Store, storage, unreadable},
+        store::{Handles, Store, unreadable},
         sync_marks::Mark,
     },
     record::position_after,
@@ -73,7 +73,6 @@ impl Index {
         state: &mut State,
         records: &[Arc<Record>],
     ) -> Result<(), LogError> {
-        handles.wait_for_room()?;
         let Handles {
             database, keyspace, ..
         } = handles;
@@ -100,7 +99,7 @@ impl Index {
         if let Some(view) = std::mem::take(&mut state.view).upgrade() {
             view.freeze(handles);
         }
-        batch.commit().map_err(storage)?;
+        handles.commit(batch)?;
         state.removed = head.trimmed;
         state.forgotten.clear();
         state.sessions.apply_changes(changes);
