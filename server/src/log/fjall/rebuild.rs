@@ -122,7 +122,7 @@ fn make(
     let made = Arc::new(Store::open(&new, Durability::Fsync).map_err(unopened)?);
     fill(&*made.handles()?)?;
     StoreJournal::new(Arc::clone(&made), new.clone()).sync()?;
-    made.close();
+    made.close()?;
     // fjall does not sync the names in its directories.
     sync_directories(&new).map_err(shut)
 }
@@ -147,7 +147,7 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
     let path = directory.join(STORE);
     manifest::check(&path)?;
     let (_, marks) = Marks::open(&directory.join(MARKS)).map_err(shut)?;
-    let old = Arc::new(Store::open(&path, Durability::Fsync).map_err(unopened)?);
+    let old = Store::open(&path, Durability::Fsync).map_err(unopened)?;
     let handles = old.handles()?;
     let contents = survey(&handles, &marks)?;
     let damage = find_damage(&handles)?;
@@ -175,8 +175,7 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
     }
     if report.damage.is_none() || dry_run {
         drop(handles);
-        let synced = StoreJournal::new(Arc::clone(&old), path).sync();
-        old.close();
+        let synced = old.close();
         // Without the marker the next start rewrites the journal.
         if was_clean
             && synced.is_ok()
@@ -192,7 +191,8 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
         let _ = remove_unfinished(&directory);
     })?;
     drop(handles);
-    old.close();
+    // The damaged store is kept whether or not its journal can be synced.
+    let _ = old.close();
     let rebuilt = fs::rename(directory.join(NEW_STORE), directory.join(REBUILT_STORE));
     rebuilt
         .and_then(|()| sync_directory(directory.path()))

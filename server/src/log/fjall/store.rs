@@ -111,10 +111,15 @@ impl Store {
         RwLockReadGuard::try_map(self.0.read(), Option::as_ref).map_err(|_| LogError::Closed)
     }
 
-    /// Closes the store and its files, once no guard is held.
-    pub(super) fn close(&self) {
-        let handles = self.0.write().take();
-        drop(handles);
+    /// Syncs the journal and closes the store and its files, once no guard is held. It closes them even if the sync
+    /// fails, as it does after any failure of the store.
+    pub(super) fn close(&self) -> Result<(), LogError> {
+        let Some(handles) = self.0.write().take() else {
+            return Ok(());
+        };
+        // fjall syncs the journal as it closes, but does not report a failure.
+        let synced = handles.database.persist(PersistMode::SyncAll);
+        synced.map_err(storage)
     }
 }
 
@@ -274,5 +279,7 @@ mod tests {
         drop(flush);
         let refused = handles.wait_for_room().err();
         assert_eq!(refused, Some(LogError::StorageStopped));
+        drop(handles);
+        assert_eq!(store.close(), Err(LogError::StorageStopped));
     }
 }

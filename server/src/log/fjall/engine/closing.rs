@@ -33,14 +33,15 @@ impl Engine {
             );
         }
         self.sweeper.stop();
-        self.store.close();
+        let closed = self.store.close();
         for index in self.indexes.read().values() {
             index.close(LogError::Closed);
         }
         save_manifest(&self.directory);
         if synced.is_ok() && self.failure.get().is_none() {
+            let marked = closed.and_then(|()| journal::mark_synced(&self.directory).map_err(shut));
             // Without the marker the next start rewrites the journal.
-            if let Err(error) = journal::mark_synced(&self.directory) {
+            if let Err(error) = marked {
                 debug!(%error, "cannot mark the journal as synced");
             }
         }
