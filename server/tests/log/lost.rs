@@ -6,6 +6,7 @@ use bytes::Bytes;
 use tempfile::TempDir;
 use wayfold_server::log::{
     Catalogue, Durability, Entry, Journal, LogError, Origin, PointStore, Sessions, StoredPoint,
+    repair,
 };
 
 use super::{
@@ -13,6 +14,7 @@ use super::{
     copied::copied,
     disk::{JournalFile, Part, append, append_synced, only_gone, open, open_at},
     effects, entry, submit,
+    tables::{created, grow, payload},
 };
 
 /// A log whose journal has lost its end, with the revisions 1 to 3 of `arm` and an idle index; and the error of `arm`.
@@ -52,6 +54,49 @@ fn a_journal_without_its_synced_end_is_named() {
     let log = open(damaged.path());
     log.delete(arm.uid).unwrap();
     assert_eq!(log.indexes().unwrap(), [idle]);
+}
+
+/// The disk lost a page of the journal after its revision was synced. fjall cuts the journal there, or the log does.
+#[test]
+fn a_synced_revision_whose_sectors_are_lost_is_named() {
+    const PAGE: usize = 4096;
+    let directory = tempfile::tempdir().unwrap();
+    let log = open(directory.path());
+    let (arm, idle) = (created(&log, "arm"), created(&log, "idle"));
+    grow(&log, arm.uid, payload(1, 64)).unwrap();
+    drop(log);
+    let before = JournalFile::of(directory.path()).used as usize;
+    let log = open(directory.path());
+    grow(&log, arm.uid, payload(2, 5 * PAGE)).unwrap();
+    drop(log);
+    let journal = JournalFile::of(directory.path());
+    let lost = LogError::Lost {
+        uid: arm.uid,
+        first: 2,
+        last: 2,
+    };
+    let mut refused = 0;
+    let used = journal.used as usize;
+    for page in (before.next_multiple_of(PAGE)..used).step_by(PAGE) {
+        println!("{page} of {used}");
+        let damaged = journal.cut(journal.used);
+        let path = damaged.path().join(&journal.name);
+        let mut bytes = fs::read(&path).unwrap();
+        bytes[page..used.min(page + PAGE)].fill(0);
+        fs::write(&path, &bytes).unwrap();
+        if repair(damaged.path(), true).is_err() {
+            assert!(fs::read(&path).unwrap() == bytes, "a dry run cuts nothing");
+            refused += 1;
+        }
+        for _ in 0..2 {
+            let log = open(damaged.path());
+            assert_eq!(log.view(arm.uid).err(), Some(lost.clone()));
+            assert_eq!(log.view(idle.uid).unwrap().revision(), 0);
+        }
+        let report = repair(damaged.path(), false).unwrap();
+        assert_eq!(report.beyond_repair.len(), 1, "{report:?}");
+    }
+    assert!(refused >= 8, "{refused} pages are inside a value");
 }
 
 /// The system was restarted under a server without fsync, and the journal has lost more than such a server may lose.

@@ -8,6 +8,9 @@
 //!   `a_file_that_was_made_and_is_not_written_to_does_not_hide_the_one_before`.
 //! - An entry of the journal never begins with a zero, and a damaged entry ends the journal in silence. Relied on in
 //!   `fjall/journal.rs`, `fjall/sync_marks.rs`, checked by `log::lost`, `log::flips`.
+//! - The entries of the journal byte for byte, uncompressed, and the XXH3 of a batch. A batch that decodes and has another
+//!   checksum fails `open` with `ChecksumMismatch`, leaves the journal as it is, and unlocks the store. Relied on in
+//!   `fjall/torn_batch.rs`, checked by its tests, `a_synced_revision_whose_sectors_are_lost_is_named`.
 //! - The trees `keyspaces/0` and `keyspaces/1`, their files `vN`, and `current`: number, XXH3, kind. Relied on in
 //!   `fjall/manifest.rs`, checked by `any_missing_part_of_a_store_is_named_and_nothing_else_is_touched`,
 //!   `log::flips`.

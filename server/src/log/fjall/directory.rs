@@ -11,6 +11,7 @@
 //! | `marks.new` | exists while `marks` is rewritten |
 //! | `manifest-copy` | a copy of the small files that all indices share: see [`manifest_copy`](super::manifest_copy) |
 //! | `journal-synced` | exists after a clean shutdown: see [`journal`](super::journal) |
+//! | `journal-cut` | the bytes last cut off the journal; nothing reads it: see [`torn_batch`](super::torn_batch) |
 //! | `unsynced` | exists while a server without fsync runs: see [`unclean_marker`](super::unclean_marker) |
 //! | `probe` | exists briefly, during a test that the disk can be written |
 

@@ -22,7 +22,7 @@ use super::{
     sweeper::Sweeper,
     sync_marks::{Mark, Marks},
     syncer::Syncer,
-    unclean_marker,
+    torn_batch, unclean_marker,
 };
 use crate::log::{
     Entry, LogError, LostIndex, Origin, Receipt, Record, RecordPosition, RecordStream, Uid, View,
@@ -60,7 +60,7 @@ impl Engine {
         manifest_copy::mend(directory)?;
         manifest::check(&path)?;
         journal::ensure_durable(directory).map_err(shut)?;
-        let store = Store::open(&path, options).map_err(unopened)?;
+        let store = torn_batch::open(directory, options).map_err(unopened)?;
         let store = Arc::new(store);
         // Upgrade the format only after a successful open: if it fails, the server that wrote the directory can still open
         // it.

@@ -151,7 +151,7 @@ pub(super) fn mark_synced(directory: &Directory) -> io::Result<()> {
 }
 
 /// The files of the journal in a store.
-fn files(store: &Path) -> io::Result<Vec<PathBuf>> {
+pub(super) fn files(store: &Path) -> io::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for file in fs::read_dir(store)? {
         let file = file?;

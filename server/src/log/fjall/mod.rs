@@ -9,9 +9,9 @@
 //! byte for byte), `index` (the writer of one index), `follow` (its records as a stream), `view` (its points at one
 //! revision), `point_writer` (an index made from a copy), `session` (the stored writer sessions), `journal`, `syncer`
 //! and `sync_marks` (syncing, and the synced revisions), `failure` (the first failure, which stops all writing),
-//! `recovery` (from the files to the state), `rebuild` (a new store, or one rebuilt from a damaged one),
-//! `unclean_marker` (an unclean shutdown without fsync), `sweeper` (removal of deleted indices), `usage` (the bytes of
-//! the files).
+//! `recovery` (from the files to the state), `rebuild` (a new store, or one rebuilt from a damaged one), `torn_batch`
+//! (a torn write at the end of the journal), `unclean_marker` (an unclean shutdown without fsync), `sweeper` (removal
+//! of deleted indices), `usage` (the bytes of the files).
 //!
 //! A failed store takes no writes and still serves reads. [`PointStore::reopen`] closes it and opens it as a start
 //! does: there is no other path from the files to the state. A damaged store serves what is readable; only [`repair`]
@@ -38,6 +38,7 @@ mod store;
 mod sweeper;
 mod sync_marks;
 mod syncer;
+mod torn_batch;
 mod unclean_marker;
 mod usage;
 mod view;

@@ -30,6 +30,7 @@ use super::{
     recovery::{self, read_one, stored_entries},
     store::{Handles, Store, damage, shut, storage, unopened},
     sync_marks::{MarkTable, Marks},
+    torn_batch,
 };
 use crate::log::LogError;
 
@@ -137,7 +138,7 @@ fn remove_unfinished(directory: &Directory) -> io::Result<()> {
 
 /// Reads the whole store in a data directory, and rebuilds it if a part is unreadable, unless it is a `dry_run`. Opens the
 /// store as a start does: an interrupted repair is finished, shared files are mended, and the journal is made durable.
-/// No server may use the directory.
+/// A `dry_run` does not cut a torn batch off the journal. No server may use the directory.
 pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairError> {
     require_store(directory)?;
     let directory = Directory::take(directory)?;
@@ -147,7 +148,11 @@ pub fn repair(directory: &Path, dry_run: bool) -> Result<RepairReport, RepairErr
     let path = directory.join(STORE);
     manifest::check(&path)?;
     let (_, marks) = Marks::open(&directory.join(MARKS)).map_err(shut)?;
-    let old = Store::open(&path, Durability::Fsync).map_err(unopened)?;
+    let opened = match dry_run {
+        true => Store::open(&path, Durability::Fsync),
+        false => torn_batch::open(&directory, Durability::Fsync),
+    };
+    let old = opened.map_err(unopened)?;
     let handles = old.handles()?;
     let contents = survey(&handles, &marks)?;
     let damage = find_damage(&handles)?;
