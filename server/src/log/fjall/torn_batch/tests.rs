@@ -38,9 +38,9 @@ impl Written {
             written.starts.push(written.bytes.len());
             let store = written.open().unwrap();
             put(&store, key, length);
-            store.close();
+            store.close().unwrap();
             // A start removes the preallocated rest of the file.
-            written.open().unwrap().close();
+            written.open().unwrap().close().unwrap();
             written.bytes = fs::read(&written.journal).unwrap();
         }
         written
@@ -65,10 +65,10 @@ impl Written {
         let length = fs::metadata(&self.journal).unwrap().len();
         assert_eq!(length, self.starts[2] as u64);
         put(&store, "c", 100);
-        store.close();
+        store.close().unwrap();
         let store = self.open().unwrap();
         assert_eq!(found(&store), [true; 3]);
-        store.close();
+        store.close().unwrap();
     }
 
     /// Expects that the store cannot be opened with another journal, and that the journal stays.
