@@ -255,12 +255,11 @@ impl Error {
     /// True if the outcome of a mutation is unknown after this error: it may have taken effect.
     pub fn may_have_taken_effect(&self) -> bool {
         match self {
-            Error::Timeout { .. }
-            | Error::Connection { .. }
-            | Error::Interrupted
-            | Error::Protocol { .. } => true,
+            Error::Timeout { .. } | Error::Interrupted | Error::Protocol { .. } => true,
+            Error::Connection { source, .. } => !was_unsent(source.as_ref()),
             Error::Refused(refusal) => refusal.may_have_taken_effect(),
             Error::Partial { source, .. } => source.may_have_taken_effect(),
+            Error::WritesRefused { why } | Error::Ended { why } => why.may_have_taken_effect(),
             _ => false,
         }
     }
@@ -277,6 +276,11 @@ impl Error {
             (Error::Refused(mut refusal), Some(earlier)) if earlier.may_have_taken_effect() => {
                 refusal.earlier = Some(earlier.to_string());
                 Error::Refused(refusal)
+            }
+            (other, Some(earlier))
+                if earlier.may_have_taken_effect() && !other.may_have_taken_effect() =>
+            {
+                earlier
             }
             (other, _) => other,
         }
@@ -333,6 +337,13 @@ impl Error {
     }
 }
 
+/// True if a call had no connection on which it could be sent.
+#[cfg(feature = "net")]
+fn was_unsent(source: &(dyn std::error::Error + 'static)) -> bool {
+    let mut causes = std::iter::successors(Some(source), |cause| cause.source());
+    causes.any(|cause| cause.is::<tonic::ConnectError>())
+}
+
 /// The text of `tonic::TimeoutExpired`. A status keeps nothing else of that error.
 #[cfg(feature = "net")]
 const TIMEOUT_EXPIRED: &str = "Timeout expired";
@@ -342,7 +353,7 @@ const TIMEOUT_EXPIRED: &str = "Timeout expired";
 const RECEIVED_ALERT: &str = "received fatal alert: ";
 
 fn earlier_attempt(earlier: Option<&Error>) -> String {
-    let text = earlier.map(|error| format!("; the try before: {error}"));
+    let text = earlier.map(|error| format!("; a try before: {error}"));
     text.unwrap_or_default()
 }
 

@@ -39,11 +39,16 @@ impl Overlay {
             Forest::new(Arc::clone(&self.space), options)
         });
         forest.apply_checked(forest.revision() + 1, stored, removed);
-        // A search would scan a level that is not merged from end to end.
-        forest.settle();
         self.changed.extend(stored.ids());
         self.changed.extend(removed);
         Ok(())
+    }
+
+    /// Prepares it for many searches. Each would scan a large change from end to end.
+    pub fn settle(&mut self) {
+        if let Some(stored) = &mut self.stored {
+            stored.settle();
+        }
     }
 
     /// The point that it stores under an id, or None inside if it removes the id; None outside if it does not change

@@ -239,7 +239,7 @@ mod tests {
         assert_eq!((tries, error.code()), (2, tonic::Code::DeadlineExceeded));
         let message = error.to_string();
         assert!(
-            message.starts_with("knn: no answer within 150ms; the try before: starting"),
+            message.starts_with("knn: no answer within 150ms; a try before: starting"),
             "{message}"
         );
     }

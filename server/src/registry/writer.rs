@@ -145,6 +145,13 @@ impl Writer {
         }
     }
 
+    /// Prepares the changes of the pending records for many searches.
+    pub fn settle_pending(&mut self) {
+        for overlay in &mut self.overlays {
+            overlay.overlay.settle();
+        }
+    }
+
     /// The changes of the pending records, the oldest first; complete after [`Writer::index_pending`].
     pub fn overlays(&self) -> [&Overlay; 2] {
         let [older, newer] = &self.overlays;

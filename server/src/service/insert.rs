@@ -27,6 +27,9 @@ use crate::{
 
 const DOING: &str = "while evaluating the rows; nothing was changed";
 
+/// An insert of so many rows that search pays for merging the changes that it searches.
+const MANY_ROWS: usize = 1000;
+
 /// A checked request.
 struct Insertion {
     rows: Rows,
@@ -78,6 +81,9 @@ impl Service {
             payloads.catch_up(&hosted, &writer);
             if insertion.looks_up() {
                 writer.index_pending();
+            }
+            if insertion.is_searched() && insertion.rows.len() >= MANY_ROWS {
+                writer.settle_pending();
             }
             let prefetch = prefetch.as_ref().filter(|prefetch| prefetch.holds(&writer));
             let evaluation = Evaluation::new(

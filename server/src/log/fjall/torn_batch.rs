@@ -6,7 +6,7 @@
 //!
 //! It cuts only a batch that has a hole and is the last one of the journal. A whole batch after it may have been
 //! acknowledged, so the journal then stays as it is. It also stays after other damage, which no write leaves. If the
-//! batch was synced, the disk itself has made the hole, and the sync marks name the index as lost.
+//! batch was synced, the disk itself has made the hole, and the sync marks name the index as lost if they reached the disk.
 //!
 //! A batch is a start, its items and an end, uncompressed. Numbers are little-endian.
 //!
@@ -78,10 +78,8 @@ pub(super) fn open(
             Store::open(&store, options)
         }
         Ok(None) => opened,
-        Err(error) => {
-            warn!(%error, "cannot cut a torn write off the journal");
-            opened
-        }
+        // As another failure of the disk: a later attempt may succeed.
+        Err(error) => Err(Error::Io(error)),
     }
 }
 

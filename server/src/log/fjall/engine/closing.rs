@@ -26,24 +26,28 @@ impl Engine {
             }
             None => self.sync_all(),
         };
-        if let Err(error) = &synced {
-            warn!(
-                %error,
-                "could not sync the log; the next start takes mutations for lost"
-            );
-        }
         self.sweeper.stop();
-        let closed = self.store.close();
+        // A mutation may have been acknowledged since the last sync, and the store syncs once more.
+        let synced = synced.and(self.store.close());
         for index in self.indexes.read().values() {
             index.close(LogError::Closed);
         }
         save_manifest(&self.directory);
-        if synced.is_ok() && self.failure.get().is_none() {
-            let marked = closed.and_then(|()| journal::mark_synced(&self.directory).map_err(shut));
-            // Without the marker the next start rewrites the journal.
-            if let Err(error) = marked {
-                debug!(%error, "cannot mark the journal as synced");
+        if self.syncer.is_none() {
+            let end = || unclean_marker::end(self.directory.path()).map_err(shut);
+            if let Err(error) = synced.clone().and_then(|()| end()) {
+                warn!(
+                    %error,
+                    "could not sync the log; the next start takes mutations for lost"
+                );
             }
+        }
+        // Without the marker the next start rewrites the journal.
+        if synced.is_ok()
+            && self.failure.get().is_none()
+            && let Err(error) = journal::mark_synced(&self.directory)
+        {
+            debug!(%error, "cannot mark the journal as synced");
         }
     }
 
@@ -51,9 +55,8 @@ impl Engine {
     fn sync_all(&self) -> Result<(), LogError> {
         StoreJournal::new(Arc::clone(&self.store), self.directory.join(STORE)).sync()?;
         let indexes: Vec<_> = self.indexes.read().values().cloned().collect();
-        let marked = Marks::open(&self.directory.join(MARKS))
-            .and_then(|(mut marks, _)| write_marks(&mut marks, &indexes))
-            .and_then(|()| unclean_marker::end(self.directory.path()));
+        let marks = Marks::open(&self.directory.join(MARKS));
+        let marked = marks.and_then(|(mut marks, _)| write_marks(&mut marks, &indexes));
         marked.map_err(shut)
     }
 }
