@@ -272,7 +272,7 @@ impl Flow {
 
     /// True if the last slice of its calls was long, and their turns are by now.
     fn has_long_turns(&self) -> bool {
-        // That of most calls is short, which is known without the lock.
+        // Most slices are short, which is known without the lock.
         self.last_slice_ns.load(Relaxed) > MAX_SHORT_NS && self.turns.are_long(self.number)
     }
 

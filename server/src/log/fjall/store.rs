@@ -176,7 +176,7 @@ impl Handles {
 
     /// True if one batch does not block inside fjall, whatever fjall seals and moves meanwhile.
     fn has_room(&self) -> bool {
-        // Read before the runs: a memtable that becomes a run in between counts twice, and is not missed.
+        // They are read before the runs: a memtable that becomes a run in between counts twice, and is not missed.
         let sealed = self.keyspace.sealed_memtable_count() + MAX_SEALED_BY_BATCH;
         sealed < MIN_HALTING_MEMTABLES
             && sealed + self.keyspace.tree.l0_run_count() < MIN_HALTING_RUNS

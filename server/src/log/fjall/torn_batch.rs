@@ -78,7 +78,7 @@ pub(super) fn open(
             Store::open(&store, options)
         }
         Ok(None) => opened,
-        // As another failure of the disk: a later attempt may succeed.
+        // It is a failure of the disk like others, and a later attempt may succeed.
         Err(error) => Err(Error::Io(error)),
     }
 }
