@@ -27,7 +27,7 @@ use crate::{
 
 const DOING: &str = "while evaluating the rows; nothing was changed";
 
-/// An insert of so many rows that search pays for merging the changes that it searches.
+/// From this many searching rows on, an insert first merges the pending changes: merging costs less than it saves then.
 const MANY_ROWS: usize = 1000;
 
 /// A checked request.
