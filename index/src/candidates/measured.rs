@@ -4,10 +4,14 @@
 //! them. The list is in no order. Once in a while the `k` nearest are selected, which costs less for each candidate
 //! than a heap, and the limit is only a little greater meanwhile.
 
+use super::sort::sort;
 use crate::Neighbor;
 
 /// The least number of candidates between two selections. Fewer would cost more than what the lower limit rules out.
 const MIN_BETWEEN_SELECTIONS: usize = 64;
+
+/// The greatest number of candidates that there is room for at first: a search within a radius may find few.
+const MAX_RESERVED: usize = 256;
 
 /// The candidates for the `k` nearest.
 pub(crate) struct MeasuredCandidates {
@@ -23,12 +27,13 @@ impl MeasuredCandidates {
     /// No candidates yet for the `k` nearest points up to `radius`; `k` is at least 1.
     pub(crate) fn new(k: usize, radius: f64) -> Self {
         debug_assert_ne!(k, 0);
+        // A selection reads all candidates. So many arrive between two of them that a candidate costs a few reads.
+        let full = k.saturating_add((k / 4).max(MIN_BETWEEN_SELECTIONS));
         Self {
             k,
             max_distance: radius,
-            neighbors: Vec::new(),
-            // A selection reads all candidates. So many arrive between two of them that a candidate costs a few reads.
-            full: k.saturating_add((k / 4).max(MIN_BETWEEN_SELECTIONS)),
+            neighbors: Vec::with_capacity(full.min(MAX_RESERVED)),
+            full,
         }
     }
 
@@ -67,7 +72,7 @@ impl MeasuredCandidates {
             self.select();
         }
         let mut nearest = std::mem::take(&mut self.neighbors);
-        nearest.sort_unstable_by_key(Neighbor::order);
+        sort(&mut nearest);
         nearest
     }
 }

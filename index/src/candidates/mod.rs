@@ -3,6 +3,7 @@
 
 mod bounded;
 mod measured;
+mod sort;
 
 pub(crate) use bounded::{BoundedCandidates, Candidate};
 pub(crate) use measured::MeasuredCandidates;
