@@ -23,10 +23,6 @@ pub(crate) const LEAVES_PER_CLOCK_READ: usize = 32;
 /// The greatest number of neighbours of a search that a scan policy learns from: a larger answer must read many leaves.
 const MAX_OBSERVED_NEIGHBORS: usize = 100;
 
-/// The ratio of a candidate's upper bound to its key above which its distance is computed at once: a larger bound would
-/// admit more candidates than computing one exact distance costs.
-const MAX_BOUND_RATIO: f64 = 1.001;
-
 /// The number of points of a block from which on it costs less to measure them all, side by side.
 const MIN_MEASURED_TOGETHER: u32 = 3;
 
@@ -289,17 +285,13 @@ impl<'a> Traversal<'a> {
 
     #[inline]
     fn add_candidate(&mut self, key: f64, id: u64, lane: &'a [f64]) {
-        let mut candidate = Candidate {
+        let mut is_lower = self.bounded.offer(Candidate {
             upper_bound: self.key_map.upper_bound(key),
             key,
             id,
             lane,
             distance: f64::NAN,
-        };
-        if candidate.upper_bound > candidate.key * MAX_BOUND_RATIO {
-            self.measure(&mut candidate);
-        }
-        let mut is_lower = self.bounded.offer(candidate);
+        });
         if self.bounded.is_overfull() {
             is_lower |= self.resolve_candidates();
         }
