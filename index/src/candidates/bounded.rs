@@ -16,8 +16,6 @@ pub(crate) struct Candidate<'a> {
     pub(crate) id: u64,
     /// The point's block, from its own lane on.
     pub(crate) lane: &'a [f64],
-    /// The point's distance, or NaN before it is measured.
-    pub(crate) distance: f64,
 }
 
 /// The number of undecided points at which all are measured. Points at equal distances would otherwise be held without
@@ -93,11 +91,11 @@ impl<'a> BoundedCandidates<'a> {
     }
 
     /// Removes and returns all points that may be answers, in no order.
-    pub(crate) fn drain(&mut self) -> impl Iterator<Item = Candidate<'a>> + use<'a> {
-        let limit = self.limit;
-        let all = std::mem::take(&mut self.least).into_iter();
-        let all = all.chain(std::mem::take(&mut self.undecided));
-        all.filter(move |one| one.key <= limit)
+    pub(crate) fn take(&mut self) -> Vec<Candidate<'a>> {
+        let mut all = std::mem::take(&mut self.least);
+        all.append(&mut self.undecided);
+        all.retain(|one| one.key <= self.limit);
+        all
     }
 }
 
@@ -127,7 +125,7 @@ mod tests {
                     continue;
                 }
                 let lane = &[][..];
-                let candidate = Candidate { upper_bound, key, id: id as u64, lane, distance: f64::NAN };
+                let candidate = Candidate { upper_bound, key, id: id as u64, lane };
                 prop_assert_eq!(candidates.offer(candidate), candidates.limit() < before);
                 bounds.push(upper_bound);
                 prop_assert_eq!(candidates.len(), bounds.len().min(k));
@@ -136,8 +134,8 @@ mod tests {
             let kth = k.checked_sub(1).map_or(Some(&f64::NEG_INFINITY), |last| bounds.get(last));
             let limit = kth.map_or(limit, |kth| kth.min(limit));
             prop_assert_eq!(candidates.limit(), limit);
-            let left = candidates.drain();
-            let mut left: Vec<u64> = left.map(|one| one.id).collect();
+            let left = candidates.take();
+            let mut left: Vec<u64> = left.iter().map(|one| one.id).collect();
             left.sort_unstable();
             let may = points.iter().zip(0..).filter(|((key, _), _)| f64::from(*key) <= limit);
             prop_assert_eq!(left, may.map(|(_, id)| id).collect::<Vec<u64>>());

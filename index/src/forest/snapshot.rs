@@ -168,7 +168,7 @@ impl Task for SearchSnapshot<'_> {
         }
         let growing = &snapshot.growing;
         growing.search::<I>(&mut traversal, snapshot.revision);
-        Ok((traversal.finish()?, traversal.leaves_visited()))
+        Ok((traversal.finish::<I>()?, traversal.leaves_visited()))
     }
 }
 

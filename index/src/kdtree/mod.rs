@@ -184,6 +184,6 @@ impl Task for SearchTree<'_> {
         self.search.check(&tree.space, self.state)?;
         let mut traversal = Traversal::new(&tree.space, &tree.key_map, self.state, self.search);
         traversal.search::<I, _>(&mut TreeSearch::new(tree, |_| true));
-        traversal.finish()
+        traversal.finish::<I>()
     }
 }

@@ -178,6 +178,11 @@ impl KeyMap {
         }
     }
 
+    /// True if keys determine distances.
+    pub(crate) fn is_exact(&self) -> bool {
+        self.exact
+    }
+
     /// The distance of a point with this key, as [`Space::distance`] computes it. Known where no rotation has a weight:
     /// all other terms are those of the distance, computed by the same operations in the same order.
     #[inline]

@@ -43,8 +43,8 @@ pub(crate) struct Traversal<'a> {
     leaves_visited: usize,
     /// True once the time of the search has passed.
     is_late: bool,
-    /// The row being measured, if a key does not determine its distance.
-    row: Vec<f64>,
+    /// The row or the block of rows being measured, if keys do not determine distances.
+    rows: Vec<f64>,
 }
 
 impl<'a> Traversal<'a> {
@@ -75,7 +75,7 @@ impl<'a> Traversal<'a> {
             epsilon_factor,
             leaves_visited: 0,
             is_late: false,
-            row: Vec::new(),
+            rows: Vec::new(),
         }
     }
 
@@ -172,7 +172,7 @@ impl<'a> Traversal<'a> {
             if !is_visible(slot) || !self.admits(labels, slot) {
                 continue;
             }
-            self.add_candidate(keys[lane], labels.id(slot), &block[lane..]);
+            self.add_candidate::<I>(keys[lane], labels.id(slot), &block[lane..]);
             if remaining != 0 {
                 remaining &= I::at_most(&keys, self.limit);
             }
@@ -284,54 +284,78 @@ impl<'a> Traversal<'a> {
     }
 
     #[inline]
-    fn add_candidate(&mut self, key: f64, id: u64, lane: &'a [f64]) {
+    fn add_candidate<I: Isa>(&mut self, key: f64, id: u64, lane: &'a [f64]) {
         let mut is_lower = self.bounded.offer(Candidate {
             upper_bound: self.key_map.upper_bound(key),
             key,
             id,
             lane,
-            distance: f64::NAN,
         });
         if self.bounded.is_overfull() {
-            is_lower |= self.resolve_candidates();
+            is_lower |= self.resolve_candidates::<I>();
         }
         if is_lower {
             self.lower_limit(self.bounded.limit());
         }
     }
 
-    /// Computes a candidate's distance, which makes its upper bound tight.
-    fn measure(&mut self, candidate: &mut Candidate<'_>) -> f64 {
-        if !candidate.distance.is_nan() {
-            return candidate.distance;
+    /// Calls `each` with every candidate and its distance. Several are measured side by side.
+    fn measure<'c, I: Isa>(
+        &mut self,
+        candidates: &[Candidate<'c>],
+        mut each: impl FnMut(Candidate<'c>, f64),
+    ) {
+        for block in candidates.chunks(BLOCK_ROWS) {
+            if block.len() < MIN_MEASURED_TOGETHER as usize || self.key_map.is_exact() {
+                for candidate in block {
+                    each(*candidate, self.distance(candidate.key, candidate.lane));
+                }
+                continue;
+            }
+            self.rows.resize(self.state.len() * BLOCK_ROWS, 0.0);
+            for (axis, column) in self.rows.chunks_exact_mut(BLOCK_ROWS).enumerate() {
+                for (x, candidate) in column.iter_mut().zip(block) {
+                    *x = candidate.lane[axis * BLOCK_ROWS];
+                }
+            }
+            let distances = I::run(kernel::Measurement {
+                space: self.space,
+                state: self.state,
+                columns: &self.rows,
+            });
+            for (candidate, distance) in block.iter().zip(distances) {
+                each(*candidate, distance);
+            }
         }
-        let distance = self.distance(candidate.key, candidate.lane);
-        candidate.distance = distance;
-        candidate.upper_bound = self.key_map.limit(distance);
-        distance
     }
 
     /// The distance of a point with this key, in a block from its lane on.
     fn distance(&mut self, key: f64, lane: &[f64]) -> f64 {
         self.key_map.distance(key).unwrap_or_else(|| {
             // The row is read from its block, which is still in the cache. By indices: `step_by` takes more instructions.
-            self.row.resize(self.state.len(), 0.0);
-            for (axis, number) in self.row.iter_mut().enumerate() {
+            self.rows.resize(self.state.len(), 0.0);
+            for (axis, number) in self.rows.iter_mut().enumerate() {
                 *number = lane[axis * BLOCK_ROWS];
             }
-            self.space.distance(self.state, &self.row)
+            self.space.distance(self.state, &self.rows)
         })
     }
 
     /// Measures all candidates and keeps the nearest. Returns whether that lowered the limit.
     #[cold]
-    fn resolve_candidates(&mut self) -> bool {
+    fn resolve_candidates<I: Isa>(&mut self) -> bool {
         let before = self.bounded.limit();
-        let mut nearest: Vec<Candidate<'_>> = self.bounded.drain().collect();
-        nearest.retain_mut(|candidate| self.measure(candidate) <= self.search.radius);
-        nearest.sort_unstable_by(|a, b| a.distance.total_cmp(&b.distance).then(a.id.cmp(&b.id)));
-        nearest.truncate(self.search.k);
-        for candidate in nearest {
+        let candidates = self.bounded.take();
+        let radius = self.search.radius;
+        let mut nearest = Vec::with_capacity(candidates.len());
+        self.measure::<I>(&candidates, |candidate, distance| {
+            if distance <= radius {
+                nearest.push((distance, candidate));
+            }
+        });
+        nearest.sort_unstable_by(|(x, a), (y, b)| x.total_cmp(y).then(a.id.cmp(&b.id)));
+        for (distance, mut candidate) in nearest.into_iter().take(self.search.k) {
+            candidate.upper_bound = self.key_map.limit(distance);
             self.bounded.offer(candidate);
         }
         self.bounded.limit() < before
@@ -361,7 +385,7 @@ impl<'a> Traversal<'a> {
     }
 
     /// The answer. (By reference: moving the traversal costs more than the rest of this.)
-    pub(crate) fn finish(&mut self) -> Result<Answer, SearchError> {
+    pub(crate) fn finish<I: Isa>(&mut self) -> Result<Answer, SearchError> {
         if self.is_late {
             return Err(SearchError::TimedOut);
         }
@@ -369,16 +393,14 @@ impl<'a> Traversal<'a> {
             let neighbors = measured.take_sorted();
             return Ok(Answer { neighbors });
         }
-        let mut neighbors = Vec::with_capacity(self.bounded.len());
-        for mut candidate in self.bounded.drain() {
-            let distance = self.measure(&mut candidate);
-            if distance <= self.search.radius {
-                neighbors.push(Neighbor {
-                    distance,
-                    id: candidate.id,
-                });
+        let candidates = self.bounded.take();
+        let radius = self.search.radius;
+        let mut neighbors = Vec::with_capacity(candidates.len());
+        self.measure::<I>(&candidates, |Candidate { id, .. }, distance| {
+            if distance <= radius {
+                neighbors.push(Neighbor { distance, id });
             }
-        }
+        });
         neighbors.sort_unstable_by_key(Neighbor::order);
         debug_assert!(neighbors.is_sorted());
         neighbors.truncate(self.search.k);
