@@ -23,8 +23,9 @@ pub(crate) const LEAVES_PER_CLOCK_READ: usize = 32;
 /// The greatest number of neighbours of a search that a scan policy learns from: a larger answer must read many leaves.
 const MAX_OBSERVED_NEIGHBORS: usize = 100;
 
-/// The number of points of a block from which on it costs less to measure them all, side by side.
-const MIN_MEASURED_TOGETHER: u32 = 3;
+/// The number of points of a block from which on it costs less to measure them all, side by side, if keys do not determine
+/// their distances.
+const MIN_MEASURED_TOGETHER: usize = 3;
 
 /// One search under way, carried through every tree and table that takes part in it.
 pub(crate) struct Traversal<'a> {
@@ -194,7 +195,7 @@ impl<'a> Traversal<'a> {
         if remaining == 0 {
             return;
         }
-        let distances = if remaining.count_ones() >= MIN_MEASURED_TOGETHER {
+        let distances = if self.measures_together(remaining.count_ones() as usize) {
             I::run(kernel::Measurement {
                 space: self.space,
                 state: self.state,
@@ -299,6 +300,11 @@ impl<'a> Traversal<'a> {
         }
     }
 
+    /// True if it costs less to measure so many points of a block side by side than one by one.
+    fn measures_together(&self, points: usize) -> bool {
+        points >= MIN_MEASURED_TOGETHER && !self.key_map.is_exact()
+    }
+
     /// Calls `each` with every candidate and its distance. Several are measured side by side.
     fn measure<'c, I: Isa>(
         &mut self,
@@ -306,7 +312,7 @@ impl<'a> Traversal<'a> {
         mut each: impl FnMut(Candidate<'c>, f64),
     ) {
         for block in candidates.chunks(BLOCK_ROWS) {
-            if block.len() < MIN_MEASURED_TOGETHER as usize || self.key_map.is_exact() {
+            if !self.measures_together(block.len()) {
                 for candidate in block {
                     each(*candidate, self.distance(candidate.key, candidate.lane));
                 }
