@@ -23,6 +23,7 @@ pub(super) fn sort(neighbors: &mut Vec<Neighbor>) {
         neighbors.sort_unstable_by_key(Neighbor::order);
         return;
     }
+    // By insertion: no neighbour leaves its bucket.
     for at in 1..neighbors.len() {
         let (neighbor, mut place) = (neighbors[at], at);
         while place > 0 && neighbors[place - 1].order() > neighbor.order() {
@@ -43,8 +44,8 @@ fn spread(neighbors: &mut Vec<Neighbor>) -> bool {
     let nearest = f64::from_bits(nearest);
     let buckets = BUCKETS * neighbors.len();
     let per_distance = (buckets - 1) as f64 / (f64::from_bits(farthest) - nearest);
-    // Rounding is monotone, so a farther neighbour is in no lower bucket. What is no number is 0: then all distances are
-    // equal, or one is infinite and the others are in bucket 0 as well.
+    // Rounding is monotone, so a farther neighbour is in no lower bucket. A product that is no number becomes bucket 0:
+    // either it is that of the nearest distance, or the farthest is infinite and all are in that bucket.
     let bucket = |neighbor: &Neighbor| {
         let bucket = (neighbor.distance - nearest) * per_distance;
         (bucket as i64 as usize).min(buckets - 1)
