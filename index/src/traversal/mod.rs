@@ -318,6 +318,8 @@ impl<'a> Traversal<'a> {
                 }
                 continue;
             }
+            // Lanes without a candidate are 0, which every factor can measure.
+            self.rows.clear();
             self.rows.resize(self.state.len() * BLOCK_ROWS, 0.0);
             for (axis, column) in self.rows.chunks_exact_mut(BLOCK_ROWS).enumerate() {
                 for (x, candidate) in column.iter_mut().zip(block) {

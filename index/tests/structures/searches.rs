@@ -177,6 +177,25 @@ fn in_many_dimensions_answers_stay_the_same() {
     assert!(tree.validate().unwrap().scans > 0);
 }
 
+/// Points are measured side by side, and one by one where they are few. A number of a far position that a row has left
+/// behind is no coordinate of a rotation.
+#[test]
+fn a_row_measured_alone_leaves_nothing_to_a_block() {
+    let space: Space = "SO3*R1".parse().unwrap();
+    let mut points = Points::new(space.coordinates());
+    // All are undecided. The 257th is the first that is measured alone, and three come after it.
+    for id in 0..260 {
+        points.push(id, 0, 1, &[0.0, 0.0, 0.0, 1.0, 1e6]);
+    }
+    let tree = KdTree::new(space, points, 16).unwrap();
+    for kernels in Kernels::available() {
+        let query = [0.0, 0.0, 0.0, 1.0, 1e6 + 3.0];
+        let answer = tree.search_with(kernels, &query, &Search::nearest_k(1));
+        let neighbors = answer.unwrap().neighbors;
+        assert_eq!((neighbors[0].id, neighbors[0].distance), (0, 3.0));
+    }
+}
+
 /// If more points are equally near than a search returns, the least ids win.
 #[test]
 fn the_least_ids_of_coinciding_points_win() {
