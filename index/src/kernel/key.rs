@@ -96,6 +96,7 @@ impl KeyMap {
             slack: 4.0 * slack,
             ..Shortfall::default()
         };
+        let mut overflow = f64::INFINITY;
         for (at, group) in groups.iter().enumerate() {
             // √(r² + x) − r is less than √x, and less than x/2r.
             let mut slack_2 = 0.0;
@@ -105,6 +106,10 @@ impl KeyMap {
                 shortfall.angle_per_key = shortfall.angle_per_key.max(angle_per_key);
                 shortfall.max_share = MAX_REST_SHARE / 2.0;
                 slack_2 += weight * COSINE_SHORTFALL;
+                // The sum of squares may overflow where its lower bound does not, whose root is at most 0.35 % less.
+                if group.weight > 0.0 {
+                    overflow = overflow.min(group.weight * f64::MAX.sqrt() * 0.99);
+                }
             }
             shortfall.slack += group.weight * slack_2.sqrt();
         }
@@ -113,7 +118,7 @@ impl KeyMap {
             slack,
             exact,
             shortfall,
-            overflow: f64::INFINITY,
+            overflow,
         }
     }
 

@@ -228,3 +228,15 @@ fn the_least_ids_of_infinitely_distant_points_win() {
         compare(&space, &rows, &[0.0], &Search::nearest_k(k));
     }
 }
+
+/// In a sum of groups a rotation's squared angle may overflow where its lower bound does not.
+#[test]
+fn a_finite_distance_is_nearer_than_one_that_overflows() {
+    let space: Space = "sum(R1, (SO3:7.31e307):1e-154)".parse().unwrap();
+    let mut infinite = vec![0.0];
+    infinite.extend(about_x(std::f64::consts::FRAC_PI_2));
+    let finite = vec![2.0, 0.0, 0.0, 0.0, 1.0];
+    let query = [0.0, 0.0, 0.0, 0.0, 1.0];
+    assert_eq!(space.distance(&query, &infinite), f64::INFINITY);
+    compare(&space, &[infinite, finite], &query, &Search::nearest_k(1));
+}
