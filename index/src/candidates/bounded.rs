@@ -18,8 +18,8 @@ pub(crate) struct Candidate<'a> {
     pub(crate) lane: &'a [f64],
 }
 
-/// The number of undecided points at which all are measured. Points at equal distances would otherwise be held without
-/// bound.
+/// The number of undecided points at which all are measured. Points at equal distances, or with loose bounds, would
+/// otherwise be held without bound.
 const MAX_UNDECIDED: usize = 256;
 
 /// The candidates for the `k` nearest, for a small `k`.

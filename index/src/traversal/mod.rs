@@ -300,7 +300,7 @@ impl<'a> Traversal<'a> {
         }
     }
 
-    /// True if it costs less to measure so many points of a block side by side than one by one.
+    /// True if `points` points of a block cost less to measure side by side than one by one.
     fn measures_together(&self, points: usize) -> bool {
         points >= MIN_MEASURED_TOGETHER && !self.key_map.is_exact()
     }
@@ -340,7 +340,7 @@ impl<'a> Traversal<'a> {
     /// The distance of a point with this key, in a block from its lane on.
     fn distance(&mut self, key: f64, lane: &[f64]) -> f64 {
         self.key_map.distance(key).unwrap_or_else(|| {
-            // The row is read from its block, which is still in the cache. By indices: `step_by` takes more instructions.
+            // By indices: `step_by` takes more instructions.
             self.rows.resize(self.state.len(), 0.0);
             for (axis, number) in self.rows.iter_mut().enumerate() {
                 *number = lane[axis * BLOCK_ROWS];
