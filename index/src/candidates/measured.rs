@@ -10,7 +10,7 @@ use crate::Neighbor;
 /// The least number of candidates between two selections. Fewer would cost more than what the lower limit rules out.
 const MIN_BETWEEN_SELECTIONS: usize = 64;
 
-/// The greatest number of candidates that there is room for at first: a search within a radius may find few.
+/// A search reserves room for at most this number of candidates: within a radius it may find few.
 const MAX_RESERVED: usize = 256;
 
 /// The candidates for the `k` nearest.

@@ -1,17 +1,20 @@
 //! Sorting many neighbours.
 
-use std::{mem, ops::RangeInclusive};
+use std::mem;
 
 use crate::Neighbor;
 
-/// The numbers of neighbours that are spread over buckets. Fewer are sorted by comparing as fast, and the copies of more
-/// would leave the cache and be a large part of the memory of a search.
-const SPREAD: RangeInclusive<usize> = 48..=1 << 16;
+/// The least number of neighbours that are put into buckets. Fewer are sorted as fast by comparing.
+const MIN_BUCKETED: usize = 48;
 
-/// The buckets for each neighbour: the distances of neighbours are denser the greater they are.
-const BUCKETS: usize = 2;
+/// The greatest number of neighbours that are put into buckets. The copies of more would leave the cache, and be a large
+/// part of the memory of a search.
+const MAX_BUCKETED: usize = 1 << 16;
 
-/// The greatest number of neighbours in a bucket. More are sorted by comparing, which takes less time then.
+/// Distances get denser towards the farthest, so one bucket for each would be too few.
+const BUCKETS_PER_NEIGHBOR: usize = 2;
+
+/// The greatest number of neighbours in a bucket. With more, a sort that compares takes less time.
 const MAX_IN_BUCKET: u32 = 64;
 
 /// Sorts neighbours in their order.
@@ -19,12 +22,13 @@ const MAX_IN_BUCKET: u32 = 64;
 /// Buckets of equal ranges of distances bring each neighbour within a few places of its own. That takes about half of
 /// the time of a sort that only compares, for a hundred neighbours and for ten thousand.
 pub(super) fn sort(neighbors: &mut Vec<Neighbor>) {
-    if !SPREAD.contains(&neighbors.len()) || !spread(neighbors) {
+    let count = neighbors.len();
+    if !(MIN_BUCKETED..=MAX_BUCKETED).contains(&count) || !distribute(neighbors) {
         neighbors.sort_unstable_by_key(Neighbor::order);
         return;
     }
     // By insertion: no neighbour leaves its bucket.
-    for at in 1..neighbors.len() {
+    for at in 1..count {
         let (neighbor, mut place) = (neighbors[at], at);
         while place > 0 && neighbors[place - 1].order() > neighbor.order() {
             neighbors[place] = neighbors[place - 1];
@@ -34,45 +38,44 @@ pub(super) fn sort(neighbors: &mut Vec<Neighbor>) {
     }
 }
 
-/// Puts neighbours into the order of their buckets. False, and nothing is changed, if a bucket has too many.
-fn spread(neighbors: &mut Vec<Neighbor>) -> bool {
+/// Puts neighbours into the order of their buckets. If a bucket has too many, it returns false and changes nothing.
+fn distribute(neighbors: &mut Vec<Neighbor>) -> bool {
     // No distance is negative, so its bits are in its order.
     let bits = neighbors.iter().map(|neighbor| neighbor.distance.to_bits());
     let (nearest, farthest) = bits.fold((u64::MAX, 0), |(least, most), bits| {
         (least.min(bits), most.max(bits))
     });
     let nearest = f64::from_bits(nearest);
-    let buckets = BUCKETS * neighbors.len();
-    let per_distance = (buckets - 1) as f64 / (f64::from_bits(farthest) - nearest);
+    let count = BUCKETS_PER_NEIGHBOR * neighbors.len();
+    let per_distance = (count - 1) as f64 / (f64::from_bits(farthest) - nearest);
     // Rounding is monotone, so a farther neighbour is in no lower bucket. A product that is no number becomes bucket 0:
     // either it is that of the nearest distance, or the farthest is infinite and all are in that bucket.
-    let bucket = |neighbor: &Neighbor| {
-        let bucket = (neighbor.distance - nearest) * per_distance;
-        (bucket as i64 as usize).min(buckets - 1)
+    let bucket_of = |neighbor: &Neighbor| {
+        // By `i64`: the conversion to `usize` takes more instructions.
+        let bucket = ((neighbor.distance - nearest) * per_distance) as i64;
+        (bucket as usize).min(count - 1)
     };
-    let mut starts = vec![0_u32; buckets];
-    let of: Vec<u32> = neighbors
-        .iter()
-        .map(|neighbor| {
-            let bucket = bucket(neighbor);
-            starts[bucket] += 1;
-            bucket as u32
-        })
-        .collect();
+    let mut places = vec![0_u32; count];
+    let mut buckets = Vec::with_capacity(neighbors.len());
+    for neighbor in &*neighbors {
+        let bucket = bucket_of(neighbor);
+        places[bucket] += 1;
+        buckets.push(bucket as u32);
+    }
     let mut start = 0;
-    for count in &mut starts {
-        if *count > MAX_IN_BUCKET {
+    for place in &mut places {
+        if *place > MAX_IN_BUCKET {
             return false;
         }
-        start += mem::replace(count, start);
+        start += mem::replace(place, start);
     }
-    let mut spread = neighbors.clone();
-    for (&neighbor, bucket) in neighbors.iter().zip(of) {
-        let place = &mut starts[bucket as usize];
-        spread[*place as usize] = neighbor;
+    let mut distributed = neighbors.clone();
+    for (&neighbor, bucket) in neighbors.iter().zip(buckets) {
+        let place = &mut places[bucket as usize];
+        distributed[*place as usize] = neighbor;
         *place += 1;
     }
-    *neighbors = spread;
+    *neighbors = distributed;
     true
 }
 
@@ -83,7 +86,7 @@ mod tests {
     use super::*;
     use crate::space::tests::cases;
 
-    /// Distances of which many are equal, near each other, or at an end of the numbers.
+    /// A distance that is often near others or equal to one, and seldom at an end of the numbers.
     fn distance() -> impl Strategy<Value = f64> {
         prop_oneof![
             40 => (0.0..1.0_f64).prop_map(|x| x.powf(1.0 / 6.0)),
@@ -100,6 +103,7 @@ mod tests {
             distances in prop_oneof![
                 prop::collection::vec(distance(), 0..400),
                 prop::collection::vec((0.5..1.0_f64).prop_map(f64::sqrt), 0..400),
+                prop::collection::vec((0..400u16).prop_map(f64::from), 0..2000),
                 prop::collection::vec(prop_oneof![Just(0.0), Just(5e-324), Just(1e-323)], 0..200),
                 prop::collection::vec(Just(f64::INFINITY), 0..200),
             ],
@@ -114,14 +118,16 @@ mod tests {
     }
 
     #[test]
-    fn many_are_spread_and_crowds_are_not() {
+    fn even_distances_are_distributed_and_crowds_stay_as_they_are() {
         let even = |id: u64| Neighbor {
             distance: (id * 7919 % 1000) as f64,
             id,
         };
         let mut neighbors: Vec<Neighbor> = (0..1000).map(even).collect();
-        assert!(spread(&mut neighbors));
+        assert!(distribute(&mut neighbors));
         neighbors[0].distance = 1e9;
-        assert!(!spread(&mut neighbors));
+        let crowded = neighbors.clone();
+        assert!(!distribute(&mut neighbors));
+        assert_eq!(neighbors, crowded);
     }
 }

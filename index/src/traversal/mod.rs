@@ -23,8 +23,7 @@ pub(crate) const LEAVES_PER_CLOCK_READ: usize = 32;
 /// The greatest number of neighbours of a search that a scan policy learns from: a larger answer must read many leaves.
 const MAX_OBSERVED_NEIGHBORS: usize = 100;
 
-/// The number of points of a block from which on it costs less to measure them all, side by side, if keys do not determine
-/// their distances.
+/// The least number of points in a block that are measured side by side. Fewer cost less one by one.
 const MIN_MEASURED_TOGETHER: usize = 3;
 
 /// One search under way, carried through every tree and table that takes part in it.
@@ -300,21 +299,24 @@ impl<'a> Traversal<'a> {
         }
     }
 
-    /// True if `points` points of a block cost less to measure side by side than one by one.
+    /// True if `points` points of a block cost less to measure side by side than one by one, or by their keys.
     fn measures_together(&self, points: usize) -> bool {
         points >= MIN_MEASURED_TOGETHER && !self.key_map.is_exact()
     }
 
-    /// Calls `each` with every candidate and its distance. Several are measured side by side.
-    fn measure<'c, I: Isa>(
-        &mut self,
-        candidates: &[Candidate<'c>],
-        mut each: impl FnMut(Candidate<'c>, f64),
-    ) {
-        for block in candidates.chunks(BLOCK_ROWS) {
+    /// Takes the candidates and measures them, several side by side. Calls `each` with those within the radius.
+    fn measure<I: Isa>(&mut self, mut each: impl FnMut(Neighbor, Candidate<'a>)) {
+        let radius = self.search.radius;
+        let mut measured = |candidate: &Candidate<'a>, distance: f64| {
+            if distance <= radius {
+                let id = candidate.id;
+                each(Neighbor { distance, id }, *candidate);
+            }
+        };
+        for block in self.bounded.take().chunks(BLOCK_ROWS) {
             if !self.measures_together(block.len()) {
                 for candidate in block {
-                    each(*candidate, self.distance(candidate.key, candidate.lane));
+                    measured(candidate, self.distance(candidate.key, candidate.lane));
                 }
                 continue;
             }
@@ -332,7 +334,7 @@ impl<'a> Traversal<'a> {
                 columns: &self.rows,
             });
             for (candidate, distance) in block.iter().zip(distances) {
-                each(*candidate, distance);
+                measured(candidate, distance);
             }
         }
     }
@@ -353,17 +355,11 @@ impl<'a> Traversal<'a> {
     #[cold]
     fn resolve_candidates<I: Isa>(&mut self) -> bool {
         let before = self.bounded.limit();
-        let candidates = self.bounded.take();
-        let radius = self.search.radius;
-        let mut nearest = Vec::with_capacity(candidates.len());
-        self.measure::<I>(&candidates, |candidate, distance| {
-            if distance <= radius {
-                nearest.push((distance, candidate));
-            }
-        });
-        nearest.sort_unstable_by(|(x, a), (y, b)| x.total_cmp(y).then(a.id.cmp(&b.id)));
-        for (distance, mut candidate) in nearest.into_iter().take(self.search.k) {
-            candidate.upper_bound = self.key_map.limit(distance);
+        let mut nearest = Vec::new();
+        self.measure::<I>(|neighbor, candidate| nearest.push((neighbor, candidate)));
+        nearest.sort_unstable_by_key(|(neighbor, _)| neighbor.order());
+        for (neighbor, mut candidate) in nearest.into_iter().take(self.search.k) {
+            candidate.upper_bound = self.key_map.limit(neighbor.distance);
             self.bounded.offer(candidate);
         }
         self.bounded.limit() < before
@@ -401,14 +397,8 @@ impl<'a> Traversal<'a> {
             let neighbors = measured.take_sorted();
             return Ok(Answer { neighbors });
         }
-        let candidates = self.bounded.take();
-        let radius = self.search.radius;
-        let mut neighbors = Vec::with_capacity(candidates.len());
-        self.measure::<I>(&candidates, |Candidate { id, .. }, distance| {
-            if distance <= radius {
-                neighbors.push(Neighbor { distance, id });
-            }
-        });
+        let mut neighbors = Vec::with_capacity(self.bounded.len());
+        self.measure::<I>(|neighbor, _| neighbors.push(neighbor));
         neighbors.sort_unstable_by_key(Neighbor::order);
         debug_assert!(neighbors.is_sorted());
         neighbors.truncate(self.search.k);

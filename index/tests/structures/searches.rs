@@ -177,13 +177,13 @@ fn in_many_dimensions_answers_stay_the_same() {
     assert!(tree.validate().unwrap().scans > 0);
 }
 
-/// Points are measured side by side, and one by one where they are few. A number of a far position that a row has left
-/// behind is no coordinate of a rotation.
+/// Rows that are measured alone and blocks of rows share a buffer. A build with debug assertions panics if a position
+/// of 1e6 is left in the column of a rotation.
 #[test]
 fn a_row_measured_alone_leaves_nothing_to_a_block() {
     let space: Space = "SO3*R1".parse().unwrap();
     let mut points = Points::new(space.coordinates());
-    // All are undecided. The 257th is the first that is measured alone, and three come after it.
+    // Once 256 points are undecided, 257 candidates are measured, the last one alone; three more come after them.
     for id in 0..260 {
         points.push(id, 0, 1, &[0.0, 0.0, 0.0, 1.0, 1e6]);
     }
